@@ -1,0 +1,9 @@
+"""The one exception that is meant for a person rather than a programmer."""
+
+
+class CadenzaError(Exception):
+    """Something the user gave cannot be used.
+
+    The message is one line: what is wrong, where, and what to do about it. The command line
+    prints it without a traceback and exits with status 2.
+    """

@@ -1,0 +1,1 @@
+"""Scores: reading, writing, fingering, goals per control step, the bundled songs, metrics."""

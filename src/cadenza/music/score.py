@@ -1,0 +1,115 @@
+"""A score: the notes and pedal movements that are to be played."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from cadenza.errors import CadenzaError
+
+NUM_KEYS = 88
+LOWEST_PITCH = 21  # MIDI number of A0, key 0
+HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
+NUM_FINGERS = 10  # 0..4 right hand thumb to little, 5..9 left hand thumb to little
+UNKNOWN_FINGER = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One note: `start` and `end` in [s], MIDI `pitch` 21..108, `velocity` 1..127, `finger` -1..9."""
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int = 80
+    finger: int = UNKNOWN_FINGER
+
+    @property
+    def key(self) -> int:
+        """Index of the piano key, 0 (A0) to 87 (C8)."""
+        return self.pitch - LOWEST_PITCH
+
+
+@dataclass(frozen=True, slots=True)
+class PedalEvent:
+    """The sustain pedal (MIDI controller 64) moves to `value` 0..127 at `time` [s]."""
+
+    time: float
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Notes sorted by (start, pitch) and pedal events sorted by time.
+
+    `remarks` lists in plain words what was repaired when the score was read.
+    """
+
+    notes: tuple[Note, ...]
+    pedal: tuple[PedalEvent, ...] = ()
+    title: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def total_time(self) -> float:
+        """End of the last note [s]; 0 without notes."""
+        return max((note.end for note in self.notes), default=0.0)
+
+    @property
+    def has_fingering(self) -> bool:
+        """Whether any note says which finger plays it."""
+        return any(note.finger != UNKNOWN_FINGER for note in self.notes)
+
+    def stretched(self, factor: float) -> Score:
+        """All times multiplied by `factor` (2 is half as fast).
+
+        Raises:
+            CadenzaError: `factor` is not a positive number.
+        """
+        if not 0 < factor < float("inf"):
+            raise CadenzaError(f"cannot stretch by {factor}: give a positive number")
+        return self._with_times(lambda time: time * factor)
+
+    def transposed(self, semitones: int) -> Score:
+        """All pitches moved by `semitones`.
+
+        Raises:
+            CadenzaError: a note would leave the 88 keys.
+        """
+        pitches = [note.pitch + semitones for note in self.notes]
+        if pitches and not (LOWEST_PITCH <= min(pitches) and max(pitches) <= HIGHEST_PITCH):
+            raise CadenzaError(
+                f"cannot transpose by {semitones} semitones: pitches {min(pitches)}..{max(pitches)} "
+                f"leave the piano's {LOWEST_PITCH}..{HIGHEST_PITCH}"
+            )
+        notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
+        return replace(self, notes=tuple(notes))
+
+    def with_silence_trimmed(self) -> Score:
+        """Starts with the first note; what the pedal did before or after the notes is kept in force.
+
+        A pedal already down when the first note starts stays down from time 0; pedal events after
+        the last note's end are left out.
+        """
+        if not self.notes:
+            return self
+        start = min(note.start for note in self.notes)
+        end = self.total_time
+        before = [event for event in self.pedal if event.time <= start]
+        during = [event for event in self.pedal if start < event.time <= end]
+        held = [replace(before[-1], time=start)] if before else []
+        return replace(self, pedal=tuple(held + during))._with_times(lambda time: time - start)
+
+    def with_initial_silence(self, seconds: float) -> Score:
+        """Everything later by `seconds`, so that the hands have time to get into place.
+
+        Raises:
+            CadenzaError: `seconds` is negative or not finite.
+        """
+        if not 0 <= seconds < float("inf"):
+            raise CadenzaError(f"initial silence of {seconds} s: give zero or more seconds")
+        return self._with_times(lambda time: time + seconds)
+
+    def _with_times(self, move) -> Score:
+        notes = tuple(replace(n, start=move(n.start), end=move(n.end)) for n in self.notes)
+        pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
+        return replace(self, notes=notes, pedal=pedal)
