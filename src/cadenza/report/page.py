@@ -1,0 +1,170 @@
+"""A performance as one HTML file: in three dimensions, with sound, piano roll and scores.
+
+The page needs neither a network nor a server. Its 3D drawing is three.js, of which a cut-down copy
+(MIT, 570 kB) lies in `assets`, because no Python package carries one that serves: trimesh has the
+release of 2022 inside the template of its own viewer, meshcat, viser, pythreejs and k3d bring a web
+server or Jupyter, and bare copies come with packages of another purpose.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cadenza.episode import Episode
+from cadenza.files import write_atomically
+from cadenza.music.score import NUM_KEYS
+from cadenza.report.sound import SAMPLE_RATE, encode_mp3
+
+_SCRIPTS = ("flat.js", "stage.js", "charts.js", "page.js")
+_MILLIMETRES = 1e4  # positions are stored in tenths of a millimetre
+
+
+def write_report(
+    path: Path,
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    audio: NDArray[np.floating],
+    sample_rate: int = SAMPLE_RATE,
+) -> None:
+    """Writes the page of an episode to `path`.
+
+    Args:
+        episode: what to show; without a drawn scene, the page has all but the 3D view.
+        metrics: name -> number; nested mappings are flattened. NaN is shown as a dash.
+        settings: name -> value, nested or not; `agent` and `seed` are also named at the top.
+        audio: the performance, (n,) or (n, 2) within -1..1, starting with the first step.
+    """
+    facts = _facts(episode, dict(_flat(settings)))
+    parts = {
+        "title": html.escape(episode.song or "Untitled"),
+        "facts": "".join(f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts),
+        "cards": "".join(_card(name, value) for name, value in _flat(metrics)),
+        "settings": _table(dict(_flat(settings))),
+        "roll_label": html.escape(_in_words(episode)),
+        "data": _json(_recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}),
+        "css": _asset("page.css"),
+        "three": _asset("three.min.js"),
+        "js": "\n".join(map(_asset, _SCRIPTS)),
+    }
+    page = re.sub(r"{{(\w+)}}", lambda mark: parts[mark[1]], _asset("page.html"))
+    with write_atomically(path) as file:
+        file.write(page.encode())
+
+
+def _recording(episode: Episode) -> dict[str, Any]:
+    """What the page's script draws, as JSON; large arrays as text of their bytes."""
+    scene = episode.scene
+    bodies = len(scene.get("bodies", ()))
+    poses = np.empty((episode.num_steps, bodies, 7), "<i2")
+    if bodies:
+        positions = np.round(episode["body_xpos"] * _MILLIMETRES)
+        poses[..., :3] = np.clip(positions, -32767, 32767)
+        poses[..., 3:] = np.round(episode["body_xquat"] * 32767)
+    travel = np.array([key["travel"] for key in scene.get("keys", ())] or np.ones(NUM_KEYS))
+    rewards = {
+        name.removeprefix("reward_"): [_number(value) for value in values.tolist()]
+        for name, values in episode.arrays.items()
+        if name.startswith("reward_")
+    }
+    return {
+        "dt": episode.dt,
+        "steps": episode.num_steps,
+        "scene": scene,
+        "poses": _base64(poses),
+        "angles": _base64(np.uint8(np.clip(episode["key_qpos"] / travel, 0, 1) * 255)),
+        "states": _base64(_verdict(episode["goal_keys"], episode["key_activation"])),
+        "pedal": _base64(_verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
+    }
+
+
+def _verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """0 rightly silent, 1 hit, 2 wrong, 3 missed."""
+    return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
+
+
+def _sound(episode: Episode, audio: NDArray[np.floating], rate: int) -> bytes:
+    """MP3 of at least the episode's length: the page's clock is this sound."""
+    missing = math.ceil(episode.num_steps * episode.dt * rate) - len(audio)
+    padding = [(0, max(missing, 0))] + [(0, 0)] * (audio.ndim - 1)
+    return encode_mp3(np.pad(audio, padding), rate)
+
+
+def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:
+    named = {name.rsplit(".", 1)[-1]: value for name, value in reversed(settings.items())}
+    facts = [(name, str(named[name])) for name in ("agent", "seed") if name in named]
+    seconds = episode.num_steps * episode.dt
+    return [*facts, ("length", f"{seconds:.1f} s"), ("control steps", str(episode.num_steps))]
+
+
+def _in_words(episode: Episode) -> str:
+    goal, played = episode["goal_keys"], episode["key_activation"]
+    return (
+        f"Piano roll of {episode.num_steps * episode.dt:.1f} seconds: of {int(goal.sum())} key steps "
+        f"to play, {int((goal & played).sum())} were hit; {int((played & ~goal).sum())} were wrong"
+    )
+
+
+def _card(name: str, value: Any) -> str:
+    number = _number(value)
+    bar = ""
+    if number is not None and 0 <= number <= 1:
+        bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>'
+    shown = "–" if number is None else f"{number:.3f}" if number % 1 or bar else f"{number:.0f}"
+    return f'<dl class="score"><dt>{html.escape(_spoken(name))}</dt><dd>{shown}</dd>{bar}</dl>'
+
+
+def _table(settings: Mapping[str, Any]) -> str:
+    rows = (
+        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>'
+        for name, value in settings.items()
+    )
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _spoken(name: str) -> str:
+    words = re.sub(r"[_./]+", " ", name).strip()
+    return re.sub(r"\bf1\b", "F1", words[:1].upper() + words[1:], flags=re.IGNORECASE)
+
+
+def _flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in mapping.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _number(value: Any) -> float | None:
+    """`value` short enough for the page, None where it is no finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return None
+    return float(f"{number:.5g}") if math.isfinite(number) else None
+
+
+def _json(content: Mapping[str, Any]) -> str:
+    """JSON that cannot end the script element it stands in."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _base64(content: bytes | ArrayLike) -> str:
+    raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
+    return base64.b64encode(raw).decode()
+
+
+def _asset(name: str) -> str:
+    return resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8")

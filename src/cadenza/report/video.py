@@ -1,0 +1,66 @@
+"""A video file of a performance with its sound."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_atomically
+from cadenza.report.sound import SAMPLE_RATE
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[NDArray[np.uint8]],
+    fps: float,
+    audio: NDArray[np.floating],
+    sample_rate: int = SAMPLE_RATE,
+) -> None:
+    """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
+
+    Args:
+        frames: pictures (H, W, 3), taken one at a time; of an odd height or width, the last row or
+            column is left out, because the format cannot hold it.
+        fps: pictures a second.
+        audio: (n,) or (n, 2) within -1..1, cut where it outlasts the pictures by over a second.
+
+    Raises:
+        CadenzaError: there are no frames, or they differ in size.
+    """
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise CadenzaError(f"{path}: a video needs at least one picture")
+    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    with write_atomically(path) as file, av.open(file, "w", format="mp4") as container:
+        rate = Fraction(fps).limit_denominator(1001)
+        video = container.add_stream("libx264", rate=rate, options={"crf": "20"})
+        video.width, video.height, video.pix_fmt = width, height, "yuv420p"
+        layout = "mono" if audio.ndim == 1 else "stereo"
+        sound = container.add_stream("aac", rate=sample_rate, layout=layout)
+
+        count = 0
+        for picture in itertools.chain([first], pictures):
+            if picture.shape != first.shape:
+                raise CadenzaError(
+                    f"{path}: picture {count} is {picture.shape}, the first is {first.shape}"
+                )
+            pixels = np.ascontiguousarray(picture[:height, :width])
+            container.mux(video.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            count += 1
+        container.mux(video.encode(None))
+
+        longest = int((count / fps + 1) * sample_rate)
+        planes = np.ascontiguousarray(np.atleast_2d(audio.T)[:, :longest], dtype=np.float32)
+        if planes.size:
+            frame = av.AudioFrame.from_ndarray(planes, format="fltp", layout=layout)
+            frame.sample_rate = sample_rate
+            container.mux(sound.encode(frame))
+        container.mux(sound.encode(None))
