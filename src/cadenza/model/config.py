@@ -1,0 +1,35 @@
+"""What can be chosen about the scene. Imports nothing heavy: the command line shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Side = Literal["right", "left"]
+ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
+Hands = Literal["both", "right", "left", "none"]
+Physics = Literal["published", "fast"]
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """The simulated instrument and the hands over it."""
+
+    hands: Hands = "both"
+    """Which hands play; with none the 88 keys are actuated and the piano plays itself."""
+    reduced_action_space: bool = False
+    """Leave out thumb joints 5 and 1 and little finger joint 5, as the paper does."""
+    forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")
+    """How the forearms can move: slides along (tx), towards (ty) and above (tz) the keys, turns."""
+    hand_spacing: float = 0.3
+    """Distance along the keyboard between the two forearms where they are mounted [m]."""
+    attachment_yaw: float = 0.0
+    """Turn of both hands where they are mounted, thumbs inwards if positive [degree]."""
+    gravity_compensation: bool = True
+    """Hold the weight of the hands, as the paper does."""
+    primitive_fingertips: bool = True
+    """Collide fingertips as capsules; otherwise as ellipsoids that fill the fingertip's bounds."""
+    hand_collisions: bool = True
+    """Let the two hands (and the fingers of one) hit each other."""
+    physics: Physics = "published"
+    """Published dynamics, or coarser and faster ones for training (see docs/speed.md)."""

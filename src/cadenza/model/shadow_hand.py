@@ -1,0 +1,308 @@
+"""The Shadow Dexterous Hand E3M5 on a forearm that slides along the keyboard.
+
+One description serves both sides: the figures are the right hand's, the left hand is their mirror
+image in the plane x = 0 of the palm. Figures from the hand model of RoboPianist (Zakka et al.,
+CoRL 2023; PyPI robopianist 1.0.10), which goes back to DeepMind's model in MuJoCo Menagerie after
+Shadow Robot's description of the E3M5 series. Lengths in [m], masses in [kg], angles in [rad],
+quaternions w, x, y, z; frames of the links: z along the link, y out of the back of the hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+FINGERS = ("th", "ff", "mf", "rf", "lf")  # thumb to little finger
+FINGERTIP_Z = {"th": 0.0275, "ff": 0.026, "mf": 0.026, "rf": 0.026, "lf": 0.026}  # in distal link
+
+# The paper's reduced action space has no such joints, and the thumb closes one way only.
+REMOVED_WHEN_REDUCED = ("THJ5", "THJ1", "LFJ5")
+REDUCED_RANGES = {"THJ2": (0.0, 0.698132)}
+
+JOINT_ARMATURE = 0.0002  # [kg m^2], for the forearm's slides [kg]
+JOINT_FRICTION_LOSS = 0.01  # [N m], for the forearm's slides [N]
+CONTACT_SOLREF = (0.005, 1.0)
+CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
+EXCLUDED_PAIRS = (("forearm", "wrist"), ("thproximal", "thmiddle"))
+
+_IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+_ALONG_X: Quaternion = (0.707106781, 0.0, 0.707106781, 0.0)  # turns a cylinder's z axis onto x
+_SWAP_XY: Quaternion = (0.707106781, 0.0, 0.0, 0.707106781)
+_CYCLE: Quaternion = (0.5, 0.5, -0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class Geom:
+    """A shape fixed to a link; `mirrored` False marks the few that both hands have alike."""
+
+    type: str
+    size: tuple[float, ...]
+    pos: Vector = (0.0, 0.0, 0.0)
+    quat: Quaternion = _IDENTITY
+    mirrored: bool = True
+    left_size: tuple[float, ...] | None = None
+    left_quat: Quaternion | None = None
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge. Mirrored, an axis (x, y, z) is (x, -y, -z), unless `left_axis` is given."""
+
+    name: str
+    axis: Vector
+    range: tuple[float, float]
+    damping: float = 0.05
+    left_axis: Vector | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid link with at most one joint to its parent."""
+
+    name: str
+    parent: str
+    pos: Vector
+    mass: float
+    com: Vector
+    inertia: Vector
+    inertia_quat: Quaternion = _IDENTITY
+    quat: Quaternion = _IDENTITY
+    left_quat: Quaternion | None = None
+    joint: Joint | None = None
+    geoms: tuple[Geom, ...] = ()
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A position servo of gain `kp` [N m/rad] that can apply up to `force` [N m]."""
+
+    target: str
+    kp: float
+    force: float
+
+
+@dataclass(frozen=True)
+class ForearmJoint:
+    """A slide or hinge between world and forearm with a critically damped servo of gain `kp`.
+
+    The axis is given in the forearm's frame; `mirrored` ones turn the other way on the left.
+    """
+
+    hinge: bool
+    axis: Vector
+    kp: float
+    range: tuple[float, float]
+    mirrored: bool = False
+
+
+MOUNT_XZ = (0.4, 0.13)
+MOUNT_QUAT: Quaternion = (-0.5, -0.5, 0.5, 0.5)
+FOREARM_DOFS: dict[str, ForearmJoint] = {
+    "tx": ForearmJoint(False, (-1, 0, 0), 300.0, (0.0, 0.0)),  # range: the whole keyboard
+    "ty": ForearmJoint(False, (0, 0, 1), 300.0, (0.0, 0.06)),
+    "tz": ForearmJoint(False, (0, 1, 0), 1000.0, (-0.04, 0.0)),
+    "roll": ForearmJoint(True, (0, 0, 1), 300.0, (-0.25, 0.25)),
+    "pitch": ForearmJoint(True, (1, 0, 0), 50.0, (0.0, 0.15)),
+    "yaw": ForearmJoint(True, (0, -1, 0), 300.0, (-0.25, 0.25), mirrored=True),
+}
+
+
+def _capsule(radius: float, half_length: float, z: float) -> Geom:
+    return Geom("capsule", (radius, half_length), (0, 0, z))
+
+
+_KNUCKLE_PIN = Geom("cylinder", (0.009, 0.009), quat=_ALONG_X, left_quat=_ALONG_X)
+# Fitted to the fingertip's shell, the same on both hands.
+_FINGERTIP = Geom(
+    "capsule",
+    (0.00667453, 0.007783489),
+    (-2.3984e-05, 0.000420733, 0.017646475),
+    (0.703035844, -0.000949562, 0.000952501, 0.711153144),
+    mirrored=False,
+)
+_THUMB_TIP = Geom(
+    "capsule",
+    (0.008158239, 0.007842508),
+    (-8.25e-07, 0.000802519, 0.019553373),
+    (0.707150717, -0.001159871, 0.001084122, 0.70706106),
+    mirrored=False,
+)
+
+
+def fingertip_ellipsoid(capsule: Geom) -> Geom:
+    """The rounder fingertip that fills the same bounds as its capsule."""
+    radius, half_length = capsule.size
+    return replace(capsule, type="ellipsoid", size=(radius, radius, radius + half_length))
+
+
+_FOREARM = Link(
+    "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
+    geoms=(
+        # Stands for the shell, a mesh in the published model, within two millimetres of its bounds;
+        # the radius is the one at which two forearms touched in a recorded episode.
+        Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),
+        Geom("box", (0.035, 0.035, 0.035), (0, -0.01, 0.181),
+             (0.924909197, 0, 0.380188081, 0), mirrored=False),
+    ),
+)  # fmt: skip
+
+_WRIST = Link(
+    "wrist", "forearm", (0, -0.01, 0.21301), 0.1, (0, 0, 0.029), (6.4e-05, 4.38e-05, 3.5e-05),
+    (0.5, 0.5, 0.5, 0.5),
+    joint=Joint("WRJ2", (0, 1, 0), (-0.523599, 0.174533), damping=0.5),
+    geoms=(
+        Geom("cylinder", (0.0135, 0.015), quat=(0.499998, 0.5, 0.5, -0.500002), mirrored=False),
+        Geom("cylinder", (0.011, 0.005), (-0.026, 0, 0.034), _ALONG_X, left_quat=_ALONG_X),
+        Geom("cylinder", (0.011, 0.005), (0.031, 0, 0.034), _ALONG_X, left_quat=_ALONG_X),
+        Geom("box", (0.0135, 0.009, 0.005), (-0.021, 0, 0.011), (0.923879254, 0, 0.382684105, 0)),
+        Geom("box", (0.0135, 0.009, 0.005), (0.026, 0, 0.01), (0.923879254, 0, -0.382684105, 0)),
+    ),
+)  # fmt: skip
+
+_PALM = Link(
+    "palm", "wrist", (0, 0, 0.034), 0.3, (0, 0, 0.035), (0.0005287, 0.0003581, 0.000191), _SWAP_XY,
+    joint=Joint("WRJ1", (1, 0, 0), (-0.698132, 0.488692), damping=0.5),
+    geoms=(
+        Geom("box", (0.031, 0.0035, 0.049), (0.011, 0.0085, 0.038)),
+        Geom("box", (0.018, 0.0085, 0.049), (-0.002, -0.0035, 0.038)),
+        Geom("box", (0.013, 0.0085, 0.005), (0.029, -0.0035, 0.082)),
+        Geom("box", (0.013, 0.007, 0.009), (0.0265, -0.001, 0.07),
+             (0.9872408, 0.09905448, 0.012446697, 0.124051975),
+             left_quat=(0.9872408, 0.09905448, 0.012446697, -0.124051975)),
+        Geom("box", (0.0105, 0.0135, 0.012), (0.0315, -0.0085, 0.001),
+             left_size=(0.0105, 0.0135, 0.0112)),
+        Geom("box", (0.011, 0.0025, 0.015), (0.0125, -0.015, 0.004),
+             (0.97133789, 0, 0, -0.237702973)),
+        Geom("box", (0.009, 0.012, 0.002), (0.011, 0, 0.089)),
+        Geom("box", (0.01, 0.012, 0.02), (-0.03, 0, 0.009)),
+    ),
+)  # fmt: skip
+
+
+def _finger(name: str, base: str, pos: Vector, spread_axis: Vector) -> tuple[Link, ...]:
+    """Knuckle, proximal, middle and distal link of one finger."""
+    joint = name.upper()
+    return (
+        Link(
+            f"{name}knuckle", base, pos, 0.008, (0, 0, 0), (3.2e-07, 2.6e-07, 2.6e-07), _CYCLE,
+            joint=Joint(f"{joint}J4", spread_axis, (-0.349066, 0.349066)),
+            geoms=(_KNUCKLE_PIN,),
+        ),
+        Link(
+            f"{name}proximal", f"{name}knuckle", (0, 0, 0), 0.03, (0, 0, 0.0225),
+            (1e-05, 9.8e-06, 1.8e-06), _SWAP_XY,
+            joint=Joint(f"{joint}J3", (1, 0, 0), (-0.261799, 1.5708)),
+            geoms=(_capsule(0.009, 0.02, 0.025),),
+        ),
+        Link(
+            f"{name}middle", f"{name}proximal", (0, 0, 0.045), 0.017, (0, 0, 0.0125),
+            (2.7e-06, 2.6e-06, 8.7e-07), _SWAP_XY,
+            joint=Joint(f"{joint}J2", (1, 0, 0), (0.0, 1.5708)),
+            geoms=(_capsule(0.009, 0.0125, 0.0125),),
+        ),
+        Link(
+            f"{name}distal", f"{name}middle", (0, 0, 0.025), 0.013, (0, 0, 0.0130769),
+            (1.281e-06, 1.121e-06, 5.3e-07), _SWAP_XY,
+            joint=Joint(f"{joint}J1", (1, 0, 0), (0.0, 1.5708)),
+            geoms=(_FINGERTIP,),
+        ),
+    )  # fmt: skip
+
+
+_LITTLE_FINGER_METACARPAL = Link(
+    "lfmetacarpal", "palm", (-0.033, 0, 0.02071), 0.03, (0, 0, 0.04),
+    (1.638e-05, 1.45e-05, 4.272e-06), _SWAP_XY,
+    joint=Joint("LFJ5", (0.573576436, 0, 0.819152044), (0.0, 0.785398)),
+    geoms=(Geom("box", (0.011, 0.012, 0.025), (0.002, 0, 0.033)),),
+)  # fmt: skip
+
+# The left thumb's frames are turned by half a turn about z after mirroring.
+_THUMB = (
+    Link(
+        "thbase", "palm", (0.034, -0.00858, 0.029), 0.01, (0, 0, 0), (1.6e-07, 1.6e-07, 1.6e-07),
+        quat=(0.923879754, 0, 0.382682898, 0), left_quat=(0, -0.382682898, 0, 0.923879754),
+        joint=Joint("THJ5", (0, 0, -1), (-1.0472, 1.0472)),
+        geoms=(Geom("sphere", (0.013,)),),
+    ),
+    Link(
+        "thproximal", "thbase", (0, 0, 0), 0.04, (0, 0, 0.019), (1.36e-05, 1.36e-05, 3.13e-06),
+        joint=Joint("THJ4", (1, 0, 0), (0.0, 1.22173), left_axis=(-1, 0, 0)),
+        geoms=(_capsule(0.0105, 0.009, 0.02),),
+    ),
+    Link(
+        "thhub", "thproximal", (0, 0, 0.038), 0.005, (0, 0, 0), (1e-06, 1e-06, 3e-07),
+        joint=Joint("THJ3", (1, 0, 0), (-0.20944, 0.20944), left_axis=(-1, 0, 0)),
+        geoms=(Geom("sphere", (0.011,)),),
+    ),
+    Link(
+        "thmiddle", "thhub", (0, 0, 0), 0.02, (0, 0, 0.016), (5.1e-06, 5.1e-06, 1.21e-06),
+        joint=Joint("THJ2", (0, -1, 0), (-0.698132, 0.698132), left_axis=(0, -1, 0)),
+        geoms=(_capsule(0.009, 0.009, 0.012), Geom("sphere", (0.01,), (0, 0, 0.03))),
+    ),
+    Link(
+        "thdistal", "thmiddle", (0, 0, 0.032), 0.017, (0, 0, 0.0145588),
+        (2.378e-06, 2.278e-06, 1e-06), _SWAP_XY, quat=(0.707106781, 0, 0, -0.707106781),
+        left_quat=(0.707106781, 0, 0, -0.707106781),
+        joint=Joint("THJ1", (1, 0, 0), (-0.261799, 1.5708)),
+        geoms=(_THUMB_TIP,),
+    ),
+)  # fmt: skip
+
+LINKS: tuple[Link, ...] = (
+    _FOREARM,
+    _WRIST,
+    _PALM,
+    *_finger("ff", "palm", (0.033, 0, 0.095), (0, -1, 0)),
+    *_finger("mf", "palm", (0.011, 0, 0.099), (0, -1, 0)),
+    *_finger("rf", "palm", (-0.011, 0, 0.095), (0, 1, 0)),
+    _LITTLE_FINGER_METACARPAL,
+    *_finger("lf", "lfmetacarpal", (0, 0, 0.06579), (0, 1, 0)),
+    *_THUMB,
+)
+
+COUPLED_FINGERS = ("FF", "MF", "RF", "LF")  # a tendon, J0, pulls J2 and J1 together
+
+
+def _finger_actuators(finger: str) -> tuple[Actuator, ...]:
+    return (
+        Actuator(f"{finger}J4", 1.0, 1.0),
+        Actuator(f"{finger}J3", 1.0, 1.0),
+        Actuator(f"{finger}J0", 0.5, 1.0),
+    )
+
+
+ACTUATORS: tuple[Actuator, ...] = (
+    Actuator("WRJ2", 10.0, 10.0),
+    Actuator("WRJ1", 8.0, 5.0),
+    Actuator("THJ5", 0.4, 3.0),
+    Actuator("THJ4", 1.0, 2.0),
+    Actuator("THJ3", 0.5, 1.0),
+    Actuator("THJ2", 1.5, 1.0),
+    Actuator("THJ1", 1.0, 1.0),
+    *_finger_actuators("FF"),
+    *_finger_actuators("MF"),
+    *_finger_actuators("RF"),
+    Actuator("LFJ5", 1.0, 1.0),
+    *_finger_actuators("LF"),
+)
+COUPLED_CONTROL_RANGE = (0.0, 3.1415)
+
+# What is drawn in place of the boxes that collide: bones of a palm and a forearm, rounded.
+DRAWN: dict[str, tuple[Geom, ...]] = {
+    "forearm": (
+        Geom("capsule", (0.036, 0.085), (0, -0.002, 0.075)),
+        Geom("cylinder", (0.046, 0.03), (0, -0.002, 0.04)),
+        Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.15)),
+    ),
+    "wrist": (Geom("capsule", (0.019, 0.014), (0, 0, 0.016)),),
+    "palm": (
+        Geom("ellipsoid", (0.040, 0.014, 0.052), (-0.002, 0.001, 0.045)),
+        Geom("ellipsoid", (0.018, 0.017, 0.032), (0.023, -0.008, 0.022)),
+        Geom("capsule", (0.0105, 0.034), (0.028, 0.0, 0.062), (0.9945, 0, 0.105, 0)),
+        Geom("capsule", (0.0105, 0.036), (0.010, 0.0, 0.064), (0.9990, 0, 0.030, 0)),
+        Geom("capsule", (0.0105, 0.034), (-0.010, 0.0, 0.062), (0.9990, 0, -0.030, 0)),
+    ),
+    "lfmetacarpal": (Geom("capsule", (0.0105, 0.026), (0.001, 0.0, 0.036)),),
+}

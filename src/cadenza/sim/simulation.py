@@ -1,0 +1,211 @@
+"""A batch of N independent simulations of one scene, stepped by a pool of threads."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.model.scene import Scene
+
+Array = NDArray[np.float64]
+
+_LOG = logging.getLogger(__name__)
+_UNSTABLE = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
+# MuJoCo would otherwise print to the terminal and leave MUJOCO_LOG.TXT wherever it runs.
+mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
+
+
+@dataclass(frozen=True)
+class State:
+    """What the task may know about N simulations after a step.
+
+    Positions, velocities and contacts belong to the new state; actuator forces to the last physics
+    step that led there, as in the published system. J hand joints, A actuators.
+    """
+
+    key_qpos: Array
+    """(N, 88) joint angles of the keys [rad], softly limited to 0..travel."""
+    hand_qpos: Array
+    """(N, J) joint positions of the hands [m, rad]."""
+    hand_qvel: Array
+    """(N, J) their velocities [m/s, rad/s]."""
+    fingertip_xpos: Array
+    """(N, 10, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    actuator_force: Array
+    """(N, A) [N, N m]."""
+    actuator_velocity: Array
+    """(N, A) [m/s, rad/s]."""
+    forearm_contact: NDArray[np.bool_]
+    """(N,) whether the two forearms touch; always False unless it was asked for."""
+    unstable: NDArray[np.bool_]
+    """(N,) whether the simulation has diverged since its last reset and is of no more use."""
+
+
+class Simulation:
+    """N simulations, each with its own `MjData`.
+
+    Every simulation is stepped by one thread at a time and shares nothing with the others, so the
+    results are the same bits for any number of threads.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int = 1,
+        control_timestep: float = 0.05,
+        num_threads: int = 1,
+        watch_forearms: bool = False,
+    ) -> None:
+        """Args:
+            scene: what to simulate.
+            num_envs: N.
+            control_timestep: time that a step takes [s], a multiple of the physics step.
+            num_threads: how many threads share the work.
+            watch_forearms: whether `State.forearm_contact` is wanted.
+
+        Raises:
+            CadenzaError: a number is not positive or the timesteps do not divide.
+        """
+        if num_envs < 1 or num_threads < 1:
+            raise CadenzaError("num_envs and num_threads must be at least 1")
+        self.scene = scene
+        self.num_envs = num_envs
+        self.control_timestep = control_timestep
+        self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
+        self.num_unstable = 0
+        self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
+        self._pool = ThreadPoolExecutor(num_threads) if min(num_threads, num_envs) > 1 else None
+        self._num_threads = num_threads
+        self._watch_forearms = watch_forearms and len(scene.sides) == 2
+        self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
+        for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
+            row[geoms] = True
+        self._allocate()
+        self.reset()
+
+    def _allocate(self) -> None:
+        model, n = self.scene.model, self.num_envs
+        self._qpos = np.zeros((n, model.nq))
+        self._qvel = np.zeros((n, model.nv))
+        self._site_xpos = np.zeros((n, model.nsite, 3))
+        self._force = np.zeros((n, model.nu))
+        self._velocity = np.zeros((n, model.nu))
+        self._forearm_contact = np.zeros(n, bool)
+        self._unstable = np.zeros(n, bool)
+
+    def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
+        """Puts simulations back to the start.
+
+        Args:
+            env_ids: which; all by default.
+            hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
+        """
+        ids = range(self.num_envs) if env_ids is None else env_ids
+        for row, i in enumerate(ids):
+            data = self._data[i]
+            mujoco.mj_resetData(self.scene.model, data)
+            if hand_qpos is not None:
+                data.qpos[self.scene.hand_qpos] = hand_qpos[row]
+            mujoco.mj_step1(self.scene.model, data)
+            self._unstable[i] = False
+            self._read(i)
+
+    def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
+        """Applies `ctrl` (N, A) in actuator units for one control step.
+
+        Args:
+            ctrl: one row for every simulation, also for those not stepped.
+            env_ids: which simulations to step; all by default.
+        """
+        ids = range(self.num_envs) if env_ids is None else env_ids
+        if self._pool is None:
+            self._advance(iter(ids), ctrl)
+            return
+        shared = iter(list(ids))  # each thread takes the next simulation that nobody has taken
+        workers = min(self._num_threads, len(ids))
+        futures = [self._pool.submit(self._advance, shared, ctrl) for _ in range(workers)]
+        for future in futures:
+            future.result()
+
+    def _advance(self, ids: Iterator[int], ctrl: Array) -> None:
+        # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
+        # also reproduces the published recordings, which were made by the same engine.
+        model = self.scene.model
+        for i in ids:
+            data = self._data[i]
+            data.ctrl = ctrl[i]
+            mujoco.mj_step2(model, data)
+            if self.num_substeps > 1:
+                mujoco.mj_step(model, data, self.num_substeps - 1)
+            mujoco.mj_step1(model, data)
+            self._read(i)
+
+    def _read(self, i: int) -> None:
+        data = self._data[i]
+        self._qpos[i] = data.qpos
+        self._qvel[i] = data.qvel
+        self._site_xpos[i] = data.site_xpos
+        self._force[i] = data.actuator_force
+        self._velocity[i] = data.actuator_velocity
+        if self._watch_forearms:
+            right, left = self._is_forearm[:, data.contact.geom].any(axis=2)
+            self._forearm_contact[i] = (right & left).any()
+        if not self._unstable[i] and data.warning.number[_UNSTABLE].any():
+            self._unstable[i] = True
+            self.num_unstable += 1
+            _LOG.warning("simulation %d became unstable at %.2f s", i, data.time)
+
+    @property
+    def state(self) -> State:
+        """The state after the last step, in arrays of its own."""
+        scene = self.scene
+        fingertips = np.zeros((self.num_envs, 10, 3))
+        fingertips[:, scene.fingers] = self._site_xpos[:, scene.fingertip_sites]
+        return State(
+            key_qpos=self._qpos[:, scene.key_qpos],
+            hand_qpos=self._qpos[:, scene.hand_qpos],
+            hand_qvel=self._qvel[:, scene.hand_qvel],
+            fingertip_xpos=fingertips,
+            actuator_force=self._force.copy(),
+            actuator_velocity=self._velocity.copy(),
+            forearm_contact=self._forearm_contact.copy(),
+            unstable=self._unstable.copy(),
+        )
+
+    def copy_from(self, other: Simulation, env_id: int) -> None:
+        """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
+        source = other._data[env_id]
+        for i, data in enumerate(self._data):
+            mujoco.mj_copyData(data, self.scene.model, source)
+            self._unstable[i] = other._unstable[env_id]
+            self._read(i)
+
+    def close(self) -> None:
+        """Stops the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def _divide(control_timestep: float, physics_timestep: float) -> int:
+    substeps = round(control_timestep / physics_timestep)
+    if substeps < 1 or abs(substeps * physics_timestep - control_timestep) > 1e-9:
+        raise CadenzaError(
+            f"control_timestep {control_timestep} s is not a multiple of the physics step "
+            f"{physics_timestep} s"
+        )
+    return substeps
