@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from cadenza.errors import CadenzaError
@@ -15,13 +16,31 @@ UNKNOWN_FINGER = -1
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One note: `start` and `end` in [s], MIDI `pitch` 21..108, `velocity` 1..127, `finger` -1..9."""
+    """One note: `start` and `end` in [s], MIDI `pitch` 21..108, `velocity` 1..127, `finger` -1..9.
+
+    Raises:
+        CadenzaError: a value is outside its range, or the note does not end after it starts.
+    """
 
     start: float
     end: float
     pitch: int
     velocity: int = 80
     finger: int = UNKNOWN_FINGER
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start < self.end < float("inf"):
+            raise CadenzaError(
+                f"note from {self.start} to {self.end} s: it must start at 0 or later and then end"
+            )
+        if not LOWEST_PITCH <= self.pitch <= HIGHEST_PITCH:
+            raise CadenzaError(
+                f"note of pitch {self.pitch}: the piano has {LOWEST_PITCH}..{HIGHEST_PITCH}"
+            )
+        if not 1 <= self.velocity <= 127:
+            raise CadenzaError(f"note of velocity {self.velocity}: give 1..127")
+        if not UNKNOWN_FINGER <= self.finger < NUM_FINGERS:
+            raise CadenzaError(f"note with finger {self.finger}: give 0..9, or -1 for unknown")
 
     @property
     def key(self) -> int:
@@ -31,15 +50,25 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class PedalEvent:
-    """The sustain pedal (MIDI controller 64) moves to `value` 0..127 at `time` [s]."""
+    """The sustain pedal (MIDI controller 64) moves to `value` 0..127 at `time` [s].
+
+    Raises:
+        CadenzaError: a value is outside its range.
+    """
 
     time: float
     value: int
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.time < float("inf"):
+            raise CadenzaError(f"pedal event at {self.time} s: give a time of 0 or later")
+        if not 0 <= self.value <= 127:
+            raise CadenzaError(f"pedal event of value {self.value}: give 0..127")
+
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Notes sorted by (start, pitch) and pedal events sorted by time.
+    """Notes sorted by (start, pitch) and pedal events sorted by time (given in any order).
 
     `remarks` lists in plain words what was repaired when the score was read.
     """
@@ -48,6 +77,12 @@ class Score:
     pedal: tuple[PedalEvent, ...] = ()
     title: str = ""
     remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
+        pedal = tuple(sorted(self.pedal, key=lambda event: event.time))
+        object.__setattr__(self, "notes", notes)
+        object.__setattr__(self, "pedal", pedal)
 
     @property
     def total_time(self) -> float:
@@ -76,19 +111,18 @@ class Score:
             CadenzaError: a note would leave the 88 keys.
         """
         pitches = [note.pitch + semitones for note in self.notes]
-        if pitches and not (LOWEST_PITCH <= min(pitches) and max(pitches) <= HIGHEST_PITCH):
+        if pitches and (min(pitches) < LOWEST_PITCH or max(pitches) > HIGHEST_PITCH):
             raise CadenzaError(
-                f"cannot transpose by {semitones} semitones: pitches {min(pitches)}..{max(pitches)} "
-                f"leave the piano's {LOWEST_PITCH}..{HIGHEST_PITCH}"
+                f"cannot transpose by {semitones} semitones: pitches {min(pitches)}.."
+                f"{max(pitches)} leave the piano's {LOWEST_PITCH}..{HIGHEST_PITCH}"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
         return replace(self, notes=tuple(notes))
 
     def with_silence_trimmed(self) -> Score:
-        """Starts with the first note; what the pedal did before or after the notes is kept in force.
+        """Time 0 is the first note's start, and nothing is left after the last note's end.
 
-        A pedal already down when the first note starts stays down from time 0; pedal events after
-        the last note's end are left out.
+        A pedal that is down when the first note starts is down from time 0.
         """
         if not self.notes:
             return self
@@ -97,7 +131,7 @@ class Score:
         before = [event for event in self.pedal if event.time <= start]
         during = [event for event in self.pedal if start < event.time <= end]
         held = [replace(before[-1], time=start)] if before else []
-        return replace(self, pedal=tuple(held + during))._with_times(lambda time: time - start)
+        return replace(self, pedal=tuple(held + during))._shifted(-start)
 
     def with_initial_silence(self, seconds: float) -> Score:
         """Everything later by `seconds`, so that the hands have time to get into place.
@@ -107,9 +141,14 @@ class Score:
         """
         if not 0 <= seconds < float("inf"):
             raise CadenzaError(f"initial silence of {seconds} s: give zero or more seconds")
-        return self._with_times(lambda time: time + seconds)
+        return self._shifted(seconds)
 
-    def _with_times(self, move) -> Score:
+    def _shifted(self, seconds: float) -> Score:
+        # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
+        # put the note a control step too early.
+        return self._with_times(lambda time: round(time + seconds, 9))
+
+    def _with_times(self, move: Callable[[float], float]) -> Score:
         notes = tuple(replace(n, start=move(n.start), end=move(n.end)) for n in self.notes)
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
         return replace(self, notes=notes, pedal=pedal)

@@ -1,0 +1,71 @@
+"""What should sound at each control step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.music.score import NUM_KEYS, UNKNOWN_FINGER, Score
+
+SUSTAIN_ON = 64  # pedal values from here on hold the strings
+
+
+@dataclass(frozen=True)
+class Goals:
+    """What should sound after each of T control steps.
+
+    keys (T, 88) bool       keys that should be down
+    fingers (T, 88) int8    finger 0..9 that should press the key, -1 none or unknown
+    sustain (T,) bool       whether the pedal should be down
+    """
+
+    keys: NDArray[np.bool_]
+    fingers: NDArray[np.int8]
+    sustain: NDArray[np.bool_]
+
+    @property
+    def num_steps(self) -> int:
+        return len(self.keys)
+
+
+def score_to_goals(score: Score, dt: float) -> Goals:
+    """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.
+
+    A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
+    `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
+    key is struck again on a step before which it already was to sound, it is left out of that one
+    step, so that it has to come up. Of notes that share a key and a step the later one's finger
+    counts. A pedal event (down from value 64) acts from step `int(time / dt)` until the next; of
+    several on one step the last counts.
+
+    Raises:
+        CadenzaError: the score has no notes, or `dt` is not a positive number.
+    """
+    if not score.notes:
+        raise CadenzaError("the score has no notes, so there is nothing to play; choose another")
+    if not 0 < dt < float("inf"):
+        raise CadenzaError(f"control step of {dt} s: give a positive number")
+    fps = 1 / dt
+    num_steps = int(score.total_time * fps + 1)
+    keys = np.zeros((num_steps, NUM_KEYS), bool)
+    struck = np.zeros((num_steps, NUM_KEYS), bool)
+    fingers = np.full((num_steps, NUM_KEYS), UNKNOWN_FINGER, np.int8)
+    for note in score.notes:
+        first = int(note.start * fps)
+        last = max(first + 1, ceil(note.end * fps))
+        keys[first:last, note.key] = True
+        struck[first, note.key] = True
+        fingers[first:last, note.key] = note.finger
+    lifted = np.zeros_like(keys)
+    lifted[1:] = struck[1:] & keys[:-1]
+    keys &= ~lifted
+    fingers[lifted] = UNKNOWN_FINGER
+
+    sustain = np.zeros(num_steps, bool)
+    for event in score.pedal:
+        sustain[int(event.time * fps) :] = event.value >= SUSTAIN_ON
+    return Goals(keys, fingers, sustain)

@@ -1,0 +1,317 @@
+"""Standard MIDI files: reading with repair, and writing."""
+
+from __future__ import annotations
+
+import io
+from bisect import bisect_right
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mido
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_atomically
+from cadenza.music.score import HIGHEST_PITCH, LOWEST_PITCH, Note, PedalEvent, Score
+
+MAX_SECONDS = 3600.0  # a longer song is taken for a broken file
+MAX_BYTES = 4 * 2**20  # an hour of piano music needs about a quarter of it
+
+# What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
+# a second are whole numbers. A time read back differs by at most half a tick (10.4 us).
+_TICKS_PER_QUARTER = 24_000
+_TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
+
+_DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
+_DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
+_SUSTAIN = 64  # controller number of the sustain pedal
+_LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
+
+
+def read_midi(path: str | Path) -> Score:
+    """The piano score in a Standard MIDI file (format 0, 1 or 2).
+
+    All tracks and channels but the drums (channel 10) are played together; of format 2, whose
+    tracks are songs of their own, the first track with notes. Times follow the tempo changes, or
+    the SMPTE division where the file has one. What cannot be played on one piano is repaired, and
+    `Score.remarks` says so:
+
+    - notes outside the 88 keys are left out;
+    - notes that end when they start are left out;
+    - of equal pitches that start together one is kept, as long and as loud as the longest and
+      loudest;
+    - a note still sounding when its pitch starts again is cut there (a note-off ends the oldest
+      note of its track, channel and pitch);
+    - a note that is never released ends with its track.
+
+    Raises:
+        CadenzaError: no such file, not a MIDI file, damaged, without notes, or over an hour long.
+    """
+    path = Path(path)
+    file = _parse(path)
+    remarks = []
+    tracks = list(file.tracks)
+    if file.type == 2:
+        songs = [track for track in tracks if any(message.type == "note_on" for message in track)]
+        if len(songs) > 1:
+            remarks.append(f"the file holds {len(songs)} separate songs: the first is used")
+        tracks = songs[:1]
+
+    clock = _Clock.of(file.ticks_per_beat, tracks, path)
+    counts = Counter[str]()
+    found: list[_Sounding] = []
+    pedal: list[PedalEvent] = []
+    for track in tracks:
+        _collect(track, clock, found, pedal, counts)
+    played = _repaired(found, counts)
+    remarks += _remarks(counts)
+
+    if not played:
+        why = f" left ({'; '.join(remarks)})" if remarks else ""
+        raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
+    length = clock.seconds(max(note.end for note in played))
+    if length > MAX_SECONDS:
+        raise CadenzaError(
+            f"{path}: the song would last {length / 60:.0f} minutes; the longest is "
+            f"{MAX_SECONDS / 60:.0f}, shorten it or check the file's tempo"
+        )
+    notes = tuple(
+        Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
+        for note in played
+    )
+    return Score(notes, tuple(pedal), _title(file, path), tuple(remarks))
+
+
+def write_midi(score: Score, path: str | Path) -> None:
+    """Writes notes, pedal and title as a MIDI file of format 0 with 48,000 ticks a second.
+
+    Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
+    exactly; a note shorter than a tick lasts one. Fingers are not part of MIDI, see
+    `cadenza.music.fingering`.
+
+    Raises:
+        CadenzaError: the score is longer than an hour.
+    """
+    last = max((event.time for event in score.pedal), default=0.0)
+    if max(score.total_time, last) > MAX_SECONDS:
+        raise CadenzaError(
+            f"{path}: cannot write a song of {max(score.total_time, last) / 60:.0f} minutes, "
+            f"the longest is {MAX_SECONDS / 60:.0f}"
+        )
+    # At one tick: first what ends, then the pedal, then what begins.
+    timed: list[tuple[int, int, mido.Message]] = []
+    for note in score.notes:
+        start = _ticks(note.start)
+        end = max(start + 1, _ticks(note.end))
+        on = mido.Message("note_on", note=note.pitch, velocity=note.velocity)
+        timed += [(start, 2, on), (end, 0, mido.Message("note_off", note=note.pitch))]
+    for event in score.pedal:
+        move = mido.Message("control_change", control=_SUSTAIN, value=event.value)
+        timed.append((_ticks(event.time), 1, move))
+    timed.sort(key=lambda item: item[:2])
+
+    title = score.title.encode("utf-8", "replace").decode("utf-8")
+    track = mido.MidiTrack([mido.MetaMessage("track_name", name=title)] if title else [])
+    track.append(mido.MetaMessage("set_tempo", tempo=_DEFAULT_TEMPO))
+    now = 0
+    for tick, _, message in timed:
+        track.append(message.copy(time=tick - now))
+        now = tick
+    file = mido.MidiFile(type=0, ticks_per_beat=_TICKS_PER_QUARTER, charset="utf-8")
+    file.tracks.append(track)
+    with write_atomically(Path(path)) as out:
+        file.save(file=out)
+
+
+@dataclass(slots=True)
+class _Sounding:
+    """A note as found in the file, times in the units of the `_Clock`."""
+
+    start: int
+    end: int
+    pitch: int
+    velocity: int
+    released: bool = False
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Ticks to time in whole numbers, so that a thousand tempo changes add no rounding.
+
+    From `ticks[i]`, which is at `units[i]`, every tick lasts `rates[i]` units.
+    """
+
+    ticks: list[int]
+    units: list[int]
+    rates: list[int]
+    units_per_second: int
+
+    @classmethod
+    def of(cls, division: int, tracks: Iterable[mido.MidiTrack], path: Path) -> _Clock:
+        if division < 0:  # SMPTE: minus the frames a second, and the ticks a frame
+            frames, ticks_per_frame = 256 - ((division >> 8) & 0xFF), division & 0xFF
+            if frames not in (24, 25, 29, 30) or ticks_per_frame == 0:
+                raise CadenzaError(f"{path}: the file's time division is not valid MIDI")
+            if frames == 29:  # stands for 30000/1001 frames a second
+                return cls([0], [0], [1001], 30_000 * ticks_per_frame)
+            return cls([0], [0], [1], frames * ticks_per_frame)
+        if division == 0:
+            raise CadenzaError(f"{path}: the file's time division is zero, not valid MIDI")
+        changes = []
+        for track in tracks:
+            tick = 0
+            for message in track:
+                tick += message.time
+                if message.type == "set_tempo":
+                    changes.append((tick, message.tempo))
+        clock = cls([0], [0], [_DEFAULT_TEMPO], division * 1_000_000)
+        for tick, tempo in sorted(changes, key=lambda change: change[0]):
+            clock.units.append(clock.at(tick))
+            clock.ticks.append(tick)
+            clock.rates.append(tempo)
+        return clock
+
+    def at(self, tick: int) -> int:
+        i = bisect_right(self.ticks, tick) - 1
+        return self.units[i] + (tick - self.ticks[i]) * self.rates[i]
+
+    def seconds(self, units: int) -> float:
+        return units / self.units_per_second
+
+
+class _Bytes(io.BytesIO):
+    """Stops at endless numbers, in which mido would lose itself for hours."""
+
+    _continued = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self._continued = self._continued + 1 if size == 1 and data >= b"\x80" else 0
+        if self._continued > _LONGEST_NUMBER:
+            raise ValueError("a number has too many bytes")
+        return data
+
+
+def _parse(path: Path) -> mido.MidiFile:
+    if path.is_dir():
+        raise CadenzaError(f"{path}: is a folder; give a MIDI file")
+    try:
+        with path.open("rb") as opened:
+            data = opened.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise CadenzaError(f"{path}: there is no such file; give a MIDI file") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise CadenzaError(f"{path}: cannot be read ({reason})") from error
+    if not data:
+        raise CadenzaError(f"{path}: the file is empty; give a MIDI file")
+    if len(data) > MAX_BYTES:
+        raise CadenzaError(f"{path}: over {MAX_BYTES >> 20} MiB, too large for a song in MIDI")
+    if not data.startswith(b"MThd"):
+        raise CadenzaError(f"{path}: not a MIDI file (it does not begin with MThd)")
+    try:
+        file = mido.MidiFile(file=_Bytes(data))
+    except EOFError:
+        raise CadenzaError(f"{path}: the MIDI file is cut short; get it again") from None
+    except Exception as error:  # damaged bytes make mido raise almost anything
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise CadenzaError(f"{path}: the MIDI file is damaged ({reason})") from error
+    if file.type not in (0, 1, 2):
+        raise CadenzaError(f"{path}: MIDI format {file.type} is unknown; give format 0, 1 or 2")
+    return file
+
+
+def _collect(
+    track: mido.MidiTrack,
+    clock: _Clock,
+    found: list[_Sounding],
+    pedal: list[PedalEvent],
+    counts: Counter[str],
+) -> None:
+    """Adds the track's notes and pedal events to `found` and `pedal`."""
+    sounding: defaultdict[tuple[int, int], deque[_Sounding]] = defaultdict(deque)
+    tick = 0
+    for message in track:
+        tick += message.time
+        drums = getattr(message, "channel", None) == _DRUM_CHANNEL
+        if message.type == "note_on" and message.velocity > 0:
+            if drums:
+                counts["drums"] += 1
+            elif not LOWEST_PITCH <= message.note <= HIGHEST_PITCH:
+                counts["outside"] += 1
+            else:
+                now = clock.at(tick)
+                note = _Sounding(now, now, message.note, message.velocity)
+                found.append(note)
+                sounding[message.channel, message.note].append(note)
+        elif message.type in ("note_on", "note_off"):
+            waiting = sounding[message.channel, message.note]
+            if waiting:
+                note = waiting.popleft()
+                note.end, note.released = clock.at(tick), True
+        elif message.is_cc(_SUSTAIN) and not drums:
+            pedal.append(PedalEvent(clock.seconds(clock.at(tick)), message.value))
+    for waiting in sounding.values():
+        for note in waiting:
+            note.end = clock.at(tick)
+
+
+def _repaired(found: list[_Sounding], counts: Counter[str]) -> list[_Sounding]:
+    """At most one note of a pitch at a time, none of length zero."""
+    lasting = [note for note in found if note.end > note.start]
+    counts["zero"] = len(found) - len(lasting)
+    played: list[_Sounding] = []
+    latest: dict[int, _Sounding] = {}
+    for note in sorted(lasting, key=lambda note: note.start):
+        before = latest.get(note.pitch)
+        if before and before.start == note.start:
+            counts["doubled"] += 1
+            _merge(before, note)
+            continue
+        if before and before.end > note.start:
+            counts["cut"] += 1
+            before.end, before.released = note.start, True
+        latest[note.pitch] = replace(note)
+        played.append(latest[note.pitch])
+    counts["unreleased"] = sum(not note.released for note in played)
+    return played
+
+
+def _merge(note: _Sounding, other: _Sounding) -> None:
+    """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
+    note.velocity = max(note.velocity, other.velocity)
+    if note.released == other.released:
+        note.end = max(note.end, other.end)
+    elif other.released:
+        note.end, note.released = other.end, True
+
+
+def _remarks(counts: Counter[str]) -> list[str]:
+    said = {
+        "drums": "{} on the drum channel (10) left out",
+        "outside": "{} outside the piano's 88 keys left out",
+        "zero": "{} of no length left out",
+        "doubled": "{} doubled at the same moment merged",
+        "cut": "{} cut short where the same key is struck again",
+        "unreleased": "{} never released: held to the end of the track",
+    }
+    return [
+        text.format(f"{counts[what]} note{'s' if counts[what] > 1 else ''}")
+        for what, text in said.items()
+        if counts[what]
+    ]
+
+
+def _title(file: mido.MidiFile, path: Path) -> str:
+    """The first track's name, printable and on one line, or the file's name without its suffix."""
+    names = (message.name for message in file.tracks[0] if message.type == "track_name")
+    name = next(names, "")
+    with suppress(UnicodeDecodeError):
+        name = name.encode("latin1").decode("utf-8")  # mido reads every text as Latin-1
+    return " ".join("".join(c if c.isprintable() else " " for c in name).split()) or path.stem
+
+
+def _ticks(seconds: float) -> int:
+    return round(seconds * _TICKS_PER_SECOND)

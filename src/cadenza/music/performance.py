@@ -1,0 +1,75 @@
+"""What was played: from the keys that sounded back to a score."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.music.score import LOWEST_PITCH, NUM_KEYS, Note, PedalEvent, Score
+
+# A key goes down by this angle [rad] until it stops.
+WHITE_KEY_TRAVEL = 0.0666
+BLACK_KEY_TRAVEL = 0.0887
+
+SOFTEST, LOUDEST = 30, 120  # MIDI velocities
+# [s] over which the key's speed is averaged: as short as tells loud from soft at 20 steps a second.
+STRIKE_TIME = 0.1
+
+_PITCHES = np.arange(NUM_KEYS) + LOWEST_PITCH
+_TRAVEL = np.where(np.isin(_PITCHES % 12, (1, 3, 6, 8, 10)), BLACK_KEY_TRAVEL, WHITE_KEY_TRAVEL)
+
+
+def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Stretches of steps over which a key of `roll` (T, 88) is on without a break.
+
+    Returns:
+        first step, step after the last, key; each (number of runs,), by key and then time.
+    """
+    silence = np.zeros((1, roll.shape[1]), np.int8)
+    change = np.diff(roll.astype(bool), axis=0, prepend=silence, append=silence).T
+    key, first = np.nonzero(change == 1)
+    return first, np.nonzero(change == -1)[1], key
+
+
+def performed_score(
+    key_activation: NDArray[Any],
+    sustain: NDArray[Any],
+    dt: float,
+    key_qpos: NDArray[Any] | None = None,
+) -> Score:
+    """The notes that sounded over T control steps of `dt` [s].
+
+    A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
+    just as `score_to_goals` places it. Its velocity is 80, or where `key_qpos` is known
+    `30 + 90 * v * 0.1 s / travel`, at most 120: v [rad/s] is the average speed at which the key
+    went down over the 0.1 s before and including the step on which it began to sound, travel [rad]
+    its way to the bottom. A key pushed down within 0.1 s gives 120, one let down slowly 30.
+
+    Args:
+        key_activation: (T, 88), whether each key sounds after the step.
+        sustain: (T,), whether the pedal is down after the step.
+        key_qpos: (T, 88) [rad], how far each key is down after the step; at rest before the first.
+    """
+    first, last, key = key_runs(key_activation)
+    velocity = np.full(len(first), 80) if key_qpos is None else _velocity(key_qpos, first, key, dt)
+    notes = (
+        Note(float(i * dt), float(j * dt), int(k) + LOWEST_PITCH, int(v))
+        for i, j, k, v in zip(first, last, key, velocity, strict=True)
+    )
+    moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
+    pedal = (PedalEvent(float(i * dt), 127 if sustain[i] else 0) for i in moved)
+    return Score(tuple(notes), tuple(pedal))
+
+
+def _velocity(
+    key_qpos: NDArray[Any], first: NDArray[np.intp], key: NDArray[np.intp], dt: float
+) -> NDArray[np.intp]:
+    """MIDI velocities of keys (N,) that begin to sound on steps `first` (N,)."""
+    depth = np.clip(key_qpos / _TRAVEL, 0, 1)
+    steps = max(1, round(STRIKE_TIME / dt))
+    depth = np.vstack([np.zeros((steps, NUM_KEYS)), depth])  # at rest before the first step
+    travels_per_second = (depth[first + steps, key] - depth[first, key]) / (steps * dt)
+    loudness = np.clip(travels_per_second * STRIKE_TIME, 0, 1)
+    return np.rint(SOFTEST + (LOUDEST - SOFTEST) * loudness).astype(np.intp)

@@ -1,0 +1,99 @@
+import json
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from music_strategies import scores, seconds
+
+from cadenza.errors import CadenzaError
+from cadenza.music.goals import score_to_goals
+from cadenza.music.score import Note, PedalEvent, Score
+
+SONGS = json.loads((Path(__file__).parents[1] / "data/songs.json").read_text())
+
+
+def score_of(song: dict) -> Score:
+    return Score(
+        tuple(Note(*values) for values in song["notes"]),
+        tuple(PedalEvent(*values) for values in song["sustain_cc64"]),
+    )
+
+
+@pytest.mark.parametrize("name", SONGS)
+def test_goals_are_those_recorded_from_the_published_system(name):
+    song = SONGS[name]
+    goals = score_to_goals(score_of(song), 0.05)
+    assert goals.num_steps == len(song["steps_at_0.05s"])
+    for t, expected in enumerate(song["steps_at_0.05s"]):
+        keys = np.flatnonzero(goals.keys[t])
+        assert [[k, goals.fingers[t, k]] for k in keys] == sorted(expected)
+    np.testing.assert_array_equal(goals.sustain, np.array(song["sustain_at_0.05s"], bool))
+
+
+def goals_by_loop(score: Score, dt: float):
+    """The rules of the published system, one step, one key and one event at a time."""
+    fps = 1 / dt
+    steps = int(score.total_time * fps + 1)
+    keys, fingers, sustain = [], [], []
+    pedal = False
+    for t in range(steps):
+        sounding, struck, finger = set(), set(), {}
+        before = set()
+        for note in score.notes:
+            first = int(note.start * fps)
+            last = max(first + 1, ceil(note.end * fps))
+            if first <= t < last:
+                sounding.add(note.key)
+                finger[note.key] = note.finger
+            if first == t:
+                struck.add(note.key)
+            if first <= t - 1 < last:
+                before.add(note.key)
+        wanted = sounding - (struck & before)
+        keys.append([k in wanted for k in range(88)])
+        fingers.append([finger[k] if k in wanted else -1 for k in range(88)])
+        for event in score.pedal:
+            if int(event.time * fps) == t:
+                pedal = event.value >= 64
+        sustain.append(pedal)
+    return np.array(keys), np.array(fingers), np.array(sustain)
+
+
+@given(st.one_of(scores(), scores(seconds)), st.sampled_from([0.05, 0.02, 0.1, 0.03]))
+def test_goals_agree_with_a_plain_loop(score, dt):
+    goals = score_to_goals(score, dt)
+    keys, fingers, sustain = goals_by_loop(score, dt)
+    np.testing.assert_array_equal(goals.keys, keys)
+    np.testing.assert_array_equal(goals.fingers, fingers)
+    np.testing.assert_array_equal(goals.sustain, sustain)
+
+
+def test_a_key_struck_again_comes_up_for_one_step():
+    goals = score_to_goals(Score((Note(0, 0.2, 60, finger=1), Note(0.2, 0.4, 60, finger=2))), 0.05)
+    assert goals.keys[:, 39].tolist() == [1, 1, 1, 1, 0, 1, 1, 1, 0]
+    assert goals.fingers[:, 39].tolist() == [1, 1, 1, 1, -1, 2, 2, 2, -1]
+
+
+def test_the_pedal_holds_between_its_events():
+    score = Score((Note(0, 0.4, 60),), (PedalEvent(0.1, 64), PedalEvent(0.26, 63)))
+    assert score_to_goals(score, 0.05).sustain.tolist() == [0, 0, 1, 1, 1, 0, 0, 0, 0]
+
+
+def test_arrays_have_the_documented_types():
+    goals = score_to_goals(Score((Note(0, 1, 60),)), 0.05)
+    assert goals.keys.shape == goals.fingers.shape == (21, 88)
+    assert (goals.keys.dtype, goals.fingers.dtype, goals.sustain.dtype) == (bool, np.int8, bool)
+
+
+def test_an_empty_score_is_refused():
+    with pytest.raises(CadenzaError, match="no notes"):
+        score_to_goals(Score(()), 0.05)
+
+
+@pytest.mark.parametrize("dt", [0, -0.05, float("nan"), float("inf")])
+def test_the_step_must_be_a_positive_time(dt):
+    with pytest.raises(CadenzaError, match="control step"):
+        score_to_goals(Score((Note(0, 1, 60),)), dt)

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from music_strategies import scores
+
+from cadenza.music.goals import score_to_goals
+from cadenza.music.midi import read_midi, write_midi
+from cadenza.music.performance import performed_score
+from cadenza.music.score import Note, PedalEvent
+
+DT = 0.05
+
+
+def silent(steps):
+    return np.zeros((steps, 88), bool), np.zeros(steps, bool)
+
+
+def test_steps_in_a_row_are_one_note():
+    keys, sustain = silent(10)
+    keys[2:5, 39] = keys[6:10, 39] = True
+    keys[0, 87] = True
+    assert performed_score(keys, sustain, 0.25).notes == (
+        Note(0.0, 0.25, 108),
+        Note(0.5, 1.25, 60),
+        Note(1.5, 2.5, 60),
+    )
+
+
+def test_the_pedal_is_written_where_it_moves():
+    keys, sustain = silent(10)
+    sustain[3:5] = sustain[7:] = True
+    assert performed_score(keys, sustain, 0.25).pedal == (
+        PedalEvent(0.75, 127),
+        PedalEvent(1.25, 0),
+        PedalEvent(1.75, 127),
+    )
+
+
+def test_silence_is_a_score_without_notes():
+    score = performed_score(*silent(5), DT)
+    assert score.notes == ()
+    assert score.pedal == ()
+
+
+@pytest.mark.parametrize(("key", "travel"), [(39, 0.0666), (40, 0.0887)])  # C4, C#4
+@pytest.mark.parametrize(
+    ("seconds_down", "velocity"), [(0.05, 120), (0.1, 120), (0.2, 75), (0.4, 52)]
+)
+def test_velocity_follows_the_speed_of_the_key(key, travel, seconds_down, velocity):
+    steps = round(seconds_down / DT)
+    angle = np.zeros((20, 88))
+    angle[5:, key] = travel
+    angle[4 : 4 + steps + 1, key] = np.linspace(0, travel, steps + 1)
+    keys = angle >= travel - 1e-9
+    score = performed_score(keys, np.zeros(20, bool), DT, angle)
+    assert abs(score.notes[0].velocity - velocity) <= 1
+
+
+def test_a_key_that_lay_just_above_its_bottom_is_soft():
+    angle = np.full((20, 88), 0.06)
+    keys, sustain = silent(20)
+    keys[10:, 39] = True
+    assert performed_score(keys, sustain, DT, angle).notes[0].velocity == 30
+
+
+@given(scores())
+def test_the_goals_played_to_the_letter_are_the_goals_again(score):
+    goals = score_to_goals(score, DT)
+    played = performed_score(goals.keys, goals.sustain, DT)
+    # In whole steps, so that a rounded end does not reach into the next step.
+    again = np.zeros_like(goals.keys)
+    for note in played.notes:
+        again[round(note.start / DT) : round(note.end / DT), note.key] = True
+    np.testing.assert_array_equal(again, goals.keys)
+    pedal = np.zeros_like(goals.sustain)
+    for event in played.pedal:
+        pedal[round(event.time / DT) :] = event.value == 127
+    np.testing.assert_array_equal(pedal, goals.sustain)
+
+
+def test_what_was_played_goes_through_a_midi_file(tmp_path):
+    keys, sustain = silent(40)
+    keys[3:17, 30] = keys[10:20, 60] = True
+    sustain[5:15] = True
+    played = performed_score(keys, sustain, DT)
+    write_midi(played, tmp_path / "played.mid")
+    goals = score_to_goals(read_midi(tmp_path / "played.mid"), DT)
+    np.testing.assert_array_equal(goals.keys, keys[: goals.num_steps])
+    np.testing.assert_array_equal(goals.sustain, sustain[: goals.num_steps])

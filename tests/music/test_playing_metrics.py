@@ -1,0 +1,97 @@
+import json
+from pathlib import Path
+
+import mir_eval
+import numpy as np
+import pytest
+
+from cadenza.music.metrics import playing_metrics, step_metrics
+
+DATA = Path(__file__).parents[1] / "data"
+STILL = np.zeros(40, bool)
+
+
+@pytest.mark.parametrize("episode", "abcd")
+def test_metrics_are_those_recorded_from_the_published_system(episode):
+    with np.load(DATA / f"episode_{episode}.npz") as recorded:
+        observed = np.concatenate([recorded["goal_obs0"][None], recorded["goal_obs"][:-1]])
+        metrics = playing_metrics(
+            recorded["key_activation"],
+            recorded["sustain_activation"],
+            observed[:, :88],
+            observed[:, 88],
+            float(recorded["dt"]),
+        )
+        expected = json.loads(str(recorded["metrics"]))
+    assert {name: metrics[name] for name in expected} == pytest.approx(expected, abs=1e-9)
+
+
+def roll(*notes: tuple[int, int, int]):
+    keys = np.zeros((40, 88), bool)
+    for first, last, key in notes:
+        keys[first:last, key] = True
+    return keys
+
+
+def test_step_metrics_by_hand():
+    goal = roll((0, 3, 10), (1, 3, 20))
+    played = roll((0, 2, 10), (1, 2, 30), (3, 4, 40))
+    precision, recall, f1 = step_metrics(played[:5], goal[:5])
+    np.testing.assert_allclose(precision, [1, 0.5, 1, 0, 1])
+    np.testing.assert_allclose(recall, [1, 0.5, 0, 1, 1])
+    np.testing.assert_allclose(f1, [1, 0.5, 0, 0, 1])
+
+
+def note_f1(played, goal):
+    metrics = playing_metrics(played, STILL, goal, STILL, 0.05)
+    return metrics["note_onset_f1"], metrics["note_onset_offset_f1"]
+
+
+def test_notes_count_as_found_by_key_onset_and_offset():
+    goal = roll((0, 10, 10), (20, 30, 12))
+    assert note_f1(goal, goal) == (1, 1)
+    # One step late is within 50 ms, two are not; the second note's key is wrong.
+    assert note_f1(roll((1, 10, 10), (20, 30, 13)), goal) == (0.5, 0.5)
+    assert note_f1(roll((2, 10, 10), (20, 30, 13)), goal) == (0, 0)
+    # Two steps short of ten are a fifth of the length; three are too much.
+    assert note_f1(roll((0, 8, 10), (20, 27, 12)), goal) == (1, 0.5)
+    # A note found, another invented: precision 1/2, recall 1/2; then precision 2/3, recall 1.
+    assert note_f1(roll((0, 10, 10), (20, 30, 12), (35, 38, 50)), goal)[0] == pytest.approx(0.8)
+
+
+def test_a_key_held_through_a_repeated_note_is_one_note_too_few():
+    goal = roll((0, 10, 10), (11, 20, 10))
+    held, _ = note_f1(roll((0, 20, 10)), goal)
+    assert held == pytest.approx(2 / 3)
+
+
+def test_silence_against_silence_is_perfect_and_against_notes_is_nothing():
+    some = roll((0, 10, 10))
+    assert note_f1(roll(), roll()) == (1, 1)
+    assert note_f1(roll(), some) == (0, 0)
+    assert note_f1(some, roll()) == (0, 0)
+
+
+def test_note_metrics_of_a_skilled_performance_are_those_of_mir_eval():
+    with np.load(DATA / "episode_d.npz") as recorded:
+        played = recorded["key_activation"]
+        goal = np.concatenate([recorded["goal_obs0"][None], recorded["goal_obs"][:-1]])[:, :88] > 0
+    still = np.zeros(len(played), bool)
+    metrics = playing_metrics(played, still, goal, still, 0.05)
+
+    def notes(keys):  # step by step, for mir_eval's own multipitch-free interface
+        found, since = [], {}
+        for t in range(len(keys) + 1):
+            for k in range(88):
+                on = t < len(keys) and keys[t, k]
+                if on and k not in since:
+                    since[k] = t
+                elif not on and k in since:
+                    found.append((since.pop(k) * 0.05, t * 0.05, 27.5 * 2 ** (k / 12)))
+        table = np.array(found)
+        return table[:, :2], table[:, 2]
+
+    expected = mir_eval.transcription.evaluate(*notes(goal), *notes(played))
+    assert metrics["note_onset_f1"] == pytest.approx(expected["F-measure_no_offset"])
+    assert metrics["note_onset_offset_f1"] == pytest.approx(expected["F-measure"])
+    assert metrics["note_onset_f1"] > 0.9

@@ -1,0 +1,121 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from music_strategies import scores, seconds
+
+from cadenza.errors import CadenzaError
+from cadenza.music.score import Note, PedalEvent, Score
+
+TWO = Score(
+    (Note(1.0, 2.0, 60, finger=0), Note(1.5, 3.0, 64, finger=2)),
+    (PedalEvent(0.5, 127), PedalEvent(2.5, 0), PedalEvent(3.5, 127)),
+    "two",
+)
+
+
+def test_notes_and_pedal_come_out_sorted():
+    late, early, high = Note(1, 2, 60), Note(0, 1, 70), Note(1, 2, 62)
+    score = Score((high, late, early), (PedalEvent(2, 0), PedalEvent(1, 127)))
+    assert score.notes == (early, late, high)
+    assert [event.time for event in score.pedal] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"start": -1.0},
+        {"end": 0.0},
+        {"end": float("inf")},
+        {"start": float("nan")},
+        {"pitch": 20},
+        {"pitch": 109},
+        {"velocity": 0},
+        {"velocity": 128},
+        {"finger": 10},
+        {"finger": -2},
+    ],
+)
+def test_impossible_notes_are_refused(values):
+    with pytest.raises(CadenzaError):
+        Note(**{"start": 0.0, "end": 1.0, "pitch": 60} | values)
+
+
+def test_impossible_pedal_events_are_refused():
+    for time, value in ((-1.0, 0), (0.0, 128), (0.0, -1), (float("nan"), 0)):
+        with pytest.raises(CadenzaError):
+            PedalEvent(time, value)
+
+
+def test_stretching_scales_every_time_and_keeps_the_rest():
+    slow = TWO.stretched(2)
+    assert slow.notes == (Note(2, 4, 60, finger=0), Note(3, 6, 64, finger=2))
+    assert [event.time for event in slow.pedal] == [1, 5, 7]
+    assert slow.title == "two"
+
+
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
+def test_stretching_needs_a_positive_number(factor):
+    with pytest.raises(CadenzaError, match="positive"):
+        TWO.stretched(factor)
+
+
+def test_transposing_moves_every_pitch_and_keeps_fingers():
+    assert [(n.pitch, n.finger) for n in TWO.transposed(-3).notes] == [(57, 0), (61, 2)]
+
+
+def test_transposing_off_the_piano_is_refused():
+    with pytest.raises(CadenzaError, match="transpose by 45"):
+        TWO.transposed(45)
+    assert TWO.transposed(44).notes[-1].pitch == 108
+
+
+def test_trimming_keeps_a_held_pedal_and_drops_what_comes_after_the_notes():
+    trimmed = TWO.with_silence_trimmed()
+    assert [(n.start, n.end) for n in trimmed.notes] == [(0, 1), (0.5, 2)]
+    assert trimmed.pedal == (PedalEvent(0, 127), PedalEvent(1.5, 0))
+
+
+def test_trimming_does_not_push_notes_onto_an_earlier_step():
+    score = Score((Note(0.05, 0.1, 60), Note(0.15, 0.2, 60))).with_silence_trimmed()
+    assert score.notes[1].start == 0.1  # 0.15 - 0.05 is 0.09999999999999999
+
+
+def test_initial_silence_delays_everything():
+    assert TWO.with_initial_silence(0.5).notes[0].start == 1.5
+    assert TWO.with_initial_silence(0.5).pedal[0].time == 1.0
+    for wrong in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(CadenzaError, match="initial silence"):
+            TWO.with_initial_silence(wrong)
+
+
+def test_an_empty_score_survives_every_change():
+    empty = Score(())
+    assert empty.total_time == 0
+    assert not empty.has_fingering
+    assert empty.stretched(2) == empty.transposed(5) == empty.with_silence_trimmed() == empty
+
+
+@given(scores())
+def test_a_trimmed_score_starts_at_zero_and_ends_with_its_last_note(score):
+    trimmed = score.with_silence_trimmed()
+    assert trimmed.notes[0].start == 0
+    length = score.total_time - score.notes[0].start
+    assert trimmed.total_time == pytest.approx(length, abs=1e-8)
+    assert all(0 <= event.time <= trimmed.total_time for event in trimmed.pedal)
+    assert trimmed.with_silence_trimmed() == trimmed
+
+
+@given(scores(seconds), st.floats(0.25, 4))
+def test_stretching_back_restores_the_times(score, factor):
+    back = score.stretched(factor).stretched(1 / factor)
+    for note, original in zip(back.notes, score.notes, strict=True):
+        assert note.start == pytest.approx(original.start, abs=1e-7)
+        assert note.end == pytest.approx(original.end, abs=1e-7)
+
+
+@given(scores(), st.floats(0, 5))
+def test_initial_silence_is_what_trimming_takes_away(score, silence):
+    trimmed = score.with_silence_trimmed()
+    later = trimmed.with_initial_silence(silence).with_silence_trimmed()
+    for note, original in zip(later.notes, trimmed.notes, strict=True):
+        assert note.start == pytest.approx(original.start, abs=1e-8)
