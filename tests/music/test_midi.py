@@ -1,0 +1,308 @@
+import io
+import struct
+import time
+
+import mido
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from music_strategies import monophonic_per_key, scores, seconds
+
+from cadenza.errors import CadenzaError
+from cadenza.music.midi import MAX_BYTES, read_midi, write_midi
+from cadenza.music.score import Note, PedalEvent, Score
+
+HALF_TICK = 0.5 / 48_000 + 1e-12
+
+
+def on(pitch, time=0, velocity=80, channel=0):
+    return mido.Message("note_on", note=pitch, velocity=velocity, time=time, channel=channel)
+
+
+def off(pitch, time=0, channel=0):
+    return mido.Message("note_off", note=pitch, time=time, channel=channel)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Saves tracks of messages, 10 ticks a quarter of 0.5 s, and gives the path."""
+
+    def save(*tracks, type=1, ticks_per_beat=10):
+        file = mido.MidiFile(type=type, ticks_per_beat=ticks_per_beat)
+        file.tracks.extend(mido.MidiTrack(track) for track in tracks)
+        path = tmp_path / "song.mid"
+        file.save(path)
+        return path
+
+    return save
+
+
+def played(score):
+    return [(note.start, note.end, note.pitch) for note in score.notes]
+
+
+def test_times_velocities_and_pedal(saved):
+    pedal = mido.Message("control_change", control=64, value=100, time=5)
+    other = mido.Message("control_change", control=1, value=100)
+    score = read_midi(
+        saved([on(60, velocity=33), pedal, other, off(60, 5), on(64, 10), off(64, 10)])
+    )
+    assert score.notes == (Note(0.0, 0.5, 60, 33), Note(1.0, 1.5, 64, 80))
+    assert score.pedal == (PedalEvent(0.25, 100),)
+    assert score.remarks == ()
+    assert not score.has_fingering
+
+
+def test_note_on_with_velocity_zero_ends_a_note(saved):
+    score = read_midi(saved([on(60), on(60, 10, velocity=0), on(60, 10), on(60, 20, velocity=0)]))
+    assert played(score) == [(0.0, 0.5, 60), (1.0, 2.0, 60)]
+    assert score.remarks == ()
+
+
+def test_running_status(tmp_path):
+    events = bytes([0, 0x90, 60, 80, 10, 60, 0, 0, 62, 80, 10, 62, 0, 0, 0xFF, 0x2F, 0])
+    data = b"MThd" + struct.pack(">LHHH", 6, 0, 1, 10) + b"MTrk" + struct.pack(">L", len(events))
+    (tmp_path / "running.mid").write_bytes(data + events)
+    assert played(read_midi(tmp_path / "running.mid")) == [(0.0, 0.5, 60), (0.5, 1.0, 62)]
+
+
+def test_tempo_changes_of_one_track_hold_for_all(saved):
+    tempo = mido.MetaMessage
+    conductor = [tempo("set_tempo", tempo=1_000_000), tempo("set_tempo", tempo=250_000, time=20)]
+    score = read_midi(saved(conductor, [on(60, 10), off(60, 20)], [on(40, 40), off(40, 10)]))
+    assert played(score) == [(1.0, 2.25, 60), (2.5, 2.75, 40)]
+
+
+def test_a_thousand_tempo_changes_add_no_rounding(saved):
+    track = [
+        mido.MetaMessage("set_tempo", tempo=333_333 + 3 * (k % 7), time=1) for k in range(1400)
+    ]
+    expected = (500_000 + sum(333_333 + 3 * (k % 7) for k in range(1399))) / 10_000_000
+    score = read_midi(saved([*track, on(60), off(60, 10)]))
+    assert score.notes[0].start == expected
+
+
+@pytest.mark.parametrize(
+    ("frames", "ticks_per_second"), [(24, 960), (25, 1000), (29, 40 * 30000 / 1001), (30, 1200)]
+)
+def test_smpte_division(tmp_path, frames, ticks_per_second):
+    events = bytes([0, 0x90, 60, 80, 100, 0x80, 60, 0, 0, 0xFF, 0x2F, 0])
+    division = bytes([256 - frames, 40])
+    head = b"MThd" + struct.pack(">LHH", 6, 0, 1) + division
+    (tmp_path / "a.mid").write_bytes(head + b"MTrk" + struct.pack(">L", len(events)) + events)
+    assert read_midi(tmp_path / "a.mid").notes[0].end == pytest.approx(100 / ticks_per_second)
+
+
+def test_separate_songs_of_format_2_are_not_mixed(saved):
+    names = [mido.MetaMessage("track_name", name="Suite")]
+    score = read_midi(saved(names, [on(60), off(60, 10)], [on(70), off(70, 10)], type=2))
+    assert played(score) == [(0.0, 0.5, 60)]
+    assert score.remarks == ("the file holds 2 separate songs: the first is used",)
+
+
+def test_drums_are_left_out(saved):
+    hold = mido.Message("control_change", control=64, value=127, channel=9)
+    score = read_midi(saved([on(60), on(40, channel=9), hold, off(40, 5, 9), off(60, 5)]))
+    assert played(score) == [(0.0, 0.5, 60)]
+    assert score.pedal == ()
+    assert score.remarks == ("1 note on the drum channel (10) left out",)
+
+
+def test_notes_outside_the_piano_are_left_out(saved):
+    score = read_midi(
+        saved([on(20), on(21), on(108), on(109), *(off(p, 5) for p in (20, 21, 108))])
+    )
+    assert [note.pitch for note in score.notes] == [21, 108]
+    assert score.remarks == ("2 notes outside the piano's 88 keys left out",)
+
+
+def test_notes_of_no_length_are_left_out(saved):
+    score = read_midi(saved([on(60), off(60), on(62), off(62, 10)]))
+    assert played(score) == [(0.0, 0.5, 62)]
+    assert score.remarks == ("1 note of no length left out",)
+
+
+def test_overlapping_notes_of_a_pitch_are_cut_where_the_next_begins(saved):
+    one_hand = [on(60), on(60, 10), off(60, 10), off(60, 10)]
+    score = read_midi(saved(one_hand))
+    assert played(score) == [(0.0, 0.5, 60), (0.5, 1.5, 60)]
+    assert score.remarks == ("1 note cut short where the same key is struck again",)
+
+
+def test_the_same_key_in_two_tracks_is_cut_too(saved):
+    score = read_midi(saved([on(60), off(60, 40)], [on(60, 10), off(60, 10)]))
+    assert played(score) == [(0.0, 0.5, 60), (0.5, 1.0, 60)]
+
+
+def test_doubled_notes_are_merged_into_the_longest_and_loudest(saved):
+    score = read_midi(saved([on(60, velocity=90), off(60, 10)], [on(60, velocity=50), off(60, 20)]))
+    assert score.notes == (Note(0.0, 1.0, 60, 90),)
+    assert score.remarks == ("1 note doubled at the same moment merged",)
+
+
+def test_a_double_that_is_never_released_does_not_lengthen_the_note(saved):
+    score = read_midi(saved([on(60), on(60), off(60, 10), on(62, 10), off(62, 10)]))
+    assert played(score) == [(0.0, 0.5, 60), (1.0, 1.5, 62)]
+
+
+def test_notes_never_released_end_with_their_track(saved):
+    end = mido.MetaMessage("end_of_track", time=10)
+    score = read_midi(saved([on(60), on(62, 10), off(62, 10), end]))
+    assert played(score) == [(0.0, 1.5, 60), (0.5, 1.0, 62)]
+    assert score.remarks == ("1 note never released: held to the end of the track",)
+
+
+def test_a_stray_note_off_does_nothing(saved):
+    assert played(read_midi(saved([off(60), on(60), off(60, 10), off(60, 3)]))) == [(0, 0.5, 60)]
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("Für Elise", "Für Elise"), (" a\n\x07 b ", "a b"), ("", "song"), ("猫", "猫")],
+)
+def test_title_is_the_first_tracks_name_or_the_files(saved, name, title):
+    name = mido.MetaMessage("track_name", name=name.encode().decode("latin1"))
+    assert read_midi(saved([name, on(60), off(60, 10)], [])).title == title
+
+
+def test_no_notes_at_all_and_none_left(saved):
+    with pytest.raises(CadenzaError, match="there are no notes; "):
+        read_midi(saved([]))
+    with pytest.raises(CadenzaError, match="no notes left .2 notes outside"):
+        read_midi(saved([on(1), on(2), off(1, 3), off(2)]))
+
+
+def test_a_song_of_hours_is_refused(saved):
+    with pytest.raises(CadenzaError, match="would last 83 minutes"):
+        read_midi(saved([on(60), off(60, 100_000)]))
+
+
+def test_files_that_are_no_songs(tmp_path):
+    good = tmp_path / "good.mid"
+    write_midi(Score((Note(0, 1, 60),)), good)
+    cases = {
+        "missing": (None, "no such file"),
+        "empty": (b"", "is empty"),
+        "text": (b"hello, this is no song", "not a MIDI file"),
+        "short": (good.read_bytes()[:-5], "cut short"),
+        "head": (good.read_bytes()[:9], "cut short"),
+        "format": (good.read_bytes().replace(b"\0\0\0\6\0\0", b"\0\0\0\6\0\7"), "format 7"),
+        "division": (good.read_bytes().replace(struct.pack(">H", 24_000), b"\0\0"), "division"),
+        "frames": (good.read_bytes().replace(struct.pack(">H", 24_000), b"\x99\1"), "division"),
+        "large": (b"MThd" + bytes(MAX_BYTES), "too large"),
+    }
+    for name, (data, message) in cases.items():
+        path = tmp_path / name
+        if data is not None:
+            path.write_bytes(data)
+        with pytest.raises(CadenzaError, match=message) as caught:
+            read_midi(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+    with pytest.raises(CadenzaError, match="is a folder"):
+        read_midi(tmp_path)
+
+
+def test_endless_numbers_end_at_once(tmp_path):
+    head = b"MThd" + struct.pack(">LHHH", 6, 0, 1, 10) + b"MTrk" + struct.pack(">L", 2**31)
+    (tmp_path / "a.mid").write_bytes(head + b"\xff" * (MAX_BYTES - 100))
+    begin = time.perf_counter()
+    with pytest.raises(CadenzaError, match="damaged"):
+        read_midi(tmp_path / "a.mid")
+    assert time.perf_counter() - begin < 5
+
+
+def valid_file() -> bytes:
+    file = mido.MidiFile(type=1, ticks_per_beat=96)
+    sysex = mido.Message("sysex", data=(1, 2, 3))
+    words = mido.MetaMessage("lyrics", text="la " * 20)
+    key = mido.MetaMessage("key_signature", key="F#m")
+    smpte = mido.MetaMessage("smpte_offset")
+    tempo = mido.MetaMessage("set_tempo", tempo=400_000, time=7)
+    bend = mido.Message("pitchwheel", pitch=100)
+    file.tracks.append(mido.MidiTrack([words, key, smpte, tempo]))
+    melody = [message for p in range(60, 80) for message in (on(p, 3), off(p, 30))]
+    file.tracks.append(mido.MidiTrack([sysex, bend, *melody]))
+    out = io.BytesIO()
+    file.save(file=out)
+    return out.getvalue()
+
+
+VALID = valid_file()
+FUZZ = settings(
+    max_examples=300, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+def reads_or_explains(path, data: bytes):
+    path.write_bytes(data)
+    try:
+        score = read_midi(path)
+    except CadenzaError as error:
+        assert "\n" not in str(error)
+    else:
+        assert score.notes
+        assert score.total_time <= 3600
+
+
+@FUZZ
+@given(data=st.binary(max_size=300))
+def test_any_bytes_give_a_score_or_a_clear_error(tmp_path, data):
+    reads_or_explains(tmp_path / "a.mid", data)
+    head = b"MThd" + struct.pack(">LHHH", 6, 1, 1, 96)
+    reads_or_explains(tmp_path / "a.mid", head + data)
+    track = b"MTrk" + struct.pack(">L", len(data))
+    reads_or_explains(tmp_path / "a.mid", head + track + data)
+
+
+@FUZZ
+@given(
+    cut=st.integers(0, len(VALID)),
+    changes=st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), max_size=8),
+)
+def test_damaged_files_give_a_score_or_a_clear_error(tmp_path, cut, changes):
+    reads_or_explains(tmp_path / "a.mid", VALID[:cut])
+    data = bytearray(VALID)
+    for place, value in changes:
+        data[place] = value
+    reads_or_explains(tmp_path / "a.mid", bytes(data))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(score=st.one_of(scores(), scores(seconds)))
+def test_what_is_written_is_read_back(tmp_path, score):
+    score = monophonic_per_key(score)
+    write_midi(score, tmp_path / "a.mid")
+    again = read_midi(tmp_path / "a.mid")
+    assert again.remarks == ()
+
+    def by_pitch(score):
+        return sorted(score.notes, key=lambda n: (n.pitch, n.start))
+
+    for note, original in zip(by_pitch(again), by_pitch(score), strict=True):
+        assert (note.pitch, note.velocity) == (original.pitch, original.velocity)
+        assert note.start == pytest.approx(original.start, abs=HALF_TICK)
+        assert note.end == pytest.approx(original.end, abs=HALF_TICK)
+    assert [event.value for event in again.pedal] == [event.value for event in score.pedal]
+    for event, original in zip(again.pedal, score.pedal, strict=True):
+        assert event.time == pytest.approx(original.time, abs=HALF_TICK)
+
+
+def test_times_on_the_millisecond_and_on_thirds_are_read_back_exactly(tmp_path):
+    times = [k / 1000 for k in range(0, 3000, 7)] + [k / 3 for k in range(10, 40)]
+    notes = [Note(a, b, 60) for a, b in zip(times, times[1:], strict=False)]
+    write_midi(Score(tuple(notes), title="Übung"), tmp_path / "a.mid")
+    again = read_midi(tmp_path / "a.mid")
+    assert again.notes == tuple(notes)
+    assert again.title == "Übung"
+
+
+def test_a_note_shorter_than_a_tick_lasts_one(tmp_path):
+    write_midi(Score((Note(0, 1e-9, 60),)), tmp_path / "a.mid")
+    assert read_midi(tmp_path / "a.mid").notes == (Note(0, 1 / 48_000, 60),)
+
+
+def test_a_score_of_hours_is_not_written(tmp_path):
+    with pytest.raises(CadenzaError, match="67 minutes"):
+        write_midi(Score((Note(0, 4000, 60),)), tmp_path / "a.mid")
+    assert not list(tmp_path.iterdir())
