@@ -1,6 +1,7 @@
 import io
 import struct
 import time
+from itertools import pairwise
 
 import mido
 import pytest
@@ -168,7 +169,7 @@ def test_title_is_the_first_tracks_name_or_the_files(saved, name, title):
 def test_no_notes_at_all_and_none_left(saved):
     with pytest.raises(CadenzaError, match="there are no notes; "):
         read_midi(saved([]))
-    with pytest.raises(CadenzaError, match="no notes left .2 notes outside"):
+    with pytest.raises(CadenzaError, match=r"no notes left \(2 notes outside"):
         read_midi(saved([on(1), on(2), off(1, 3), off(2)]))
 
 
@@ -234,25 +235,23 @@ FUZZ = settings(
 )
 
 
-def reads_or_explains(path, data: bytes):
+def reads_or_explains(path, data: bytes) -> bool:
     path.write_bytes(data)
     try:
         score = read_midi(path)
     except CadenzaError as error:
-        assert "\n" not in str(error)
-    else:
-        assert score.notes
-        assert score.total_time <= 3600
+        return "\n" not in str(error)
+    return bool(score.notes) and score.total_time <= 3600
 
 
 @FUZZ
 @given(data=st.binary(max_size=300))
 def test_any_bytes_give_a_score_or_a_clear_error(tmp_path, data):
-    reads_or_explains(tmp_path / "a.mid", data)
+    assert reads_or_explains(tmp_path / "a.mid", data)
     head = b"MThd" + struct.pack(">LHHH", 6, 1, 1, 96)
-    reads_or_explains(tmp_path / "a.mid", head + data)
+    assert reads_or_explains(tmp_path / "a.mid", head + data)
     track = b"MTrk" + struct.pack(">L", len(data))
-    reads_or_explains(tmp_path / "a.mid", head + track + data)
+    assert reads_or_explains(tmp_path / "a.mid", head + track + data)
 
 
 @FUZZ
@@ -261,11 +260,11 @@ def test_any_bytes_give_a_score_or_a_clear_error(tmp_path, data):
     changes=st.lists(st.tuples(st.integers(0, len(VALID) - 1), st.integers(0, 255)), max_size=8),
 )
 def test_damaged_files_give_a_score_or_a_clear_error(tmp_path, cut, changes):
-    reads_or_explains(tmp_path / "a.mid", VALID[:cut])
+    assert reads_or_explains(tmp_path / "a.mid", VALID[:cut])
     data = bytearray(VALID)
     for place, value in changes:
         data[place] = value
-    reads_or_explains(tmp_path / "a.mid", bytes(data))
+    assert reads_or_explains(tmp_path / "a.mid", bytes(data))
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -290,7 +289,7 @@ def test_what_is_written_is_read_back(tmp_path, score):
 
 def test_times_on_the_millisecond_and_on_thirds_are_read_back_exactly(tmp_path):
     times = [k / 1000 for k in range(0, 3000, 7)] + [k / 3 for k in range(10, 40)]
-    notes = [Note(a, b, 60) for a, b in zip(times, times[1:], strict=False)]
+    notes = [Note(a, b, 60) for a, b in pairwise(times)]
     write_midi(Score(tuple(notes), title="Übung"), tmp_path / "a.mid")
     again = read_midi(tmp_path / "a.mid")
     assert again.notes == tuple(notes)
