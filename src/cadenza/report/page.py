@@ -46,14 +46,19 @@ def write_report(
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top.
         audio: the performance, (n,) or (n, 2) within -1..1, starting with the first step.
     """
+    figures = sorted(_flat(metrics), key=lambda item: item[0] != "f1")
     facts = _facts(episode, dict(_flat(settings)))
     parts = {
         "title": html.escape(episode.song or "Untitled"),
-        "facts": "".join(f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts),
-        "cards": "".join(_card(name, value) for name, value in _flat(metrics)),
+        "facts": "".join(
+            f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts
+        ),
+        "cards": "".join(_card(name, value) for name, value in figures),
         "settings": _table(dict(_flat(settings))),
         "roll_label": html.escape(_in_words(episode)),
-        "data": _json(_recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}),
+        "data": _json(
+            _recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}
+        ),
         "css": _asset("page.css"),
         "three": _asset("three.min.js"),
         "js": "\n".join(map(_asset, _SCRIPTS)),
@@ -103,17 +108,18 @@ def _sound(episode: Episode, audio: NDArray[np.floating], rate: int) -> bytes:
 
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:
-    named = {name.rsplit(".", 1)[-1]: value for name, value in reversed(settings.items())}
-    facts = [(name, str(named[name])) for name in ("agent", "seed") if name in named]
+    named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
+    facts = [(name, str(named[name])) for name in ("agent", "seed") if named.get(name) is not None]
     seconds = episode.num_steps * episode.dt
     return [*facts, ("length", f"{seconds:.1f} s"), ("control steps", str(episode.num_steps))]
 
 
 def _in_words(episode: Episode) -> str:
     goal, played = episode["goal_keys"], episode["key_activation"]
+    hit, wrong = np.sum(goal & played), np.sum(played & ~goal)
     return (
-        f"Piano roll of {episode.num_steps * episode.dt:.1f} seconds: of {int(goal.sum())} key steps "
-        f"to play, {int((goal & played).sum())} were hit; {int((played & ~goal).sum())} were wrong"
+        f"Piano roll of {episode.num_steps * episode.dt:.1f} seconds: of {goal.sum()} key steps "
+        f"to play, {hit} were hit; {wrong} were wrong"
     )
 
 

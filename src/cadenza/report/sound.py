@@ -150,10 +150,13 @@ def _ring(
     """
     step = (-decay + 2j * np.pi * frequency) / rate
     block = int(np.sqrt(length)) + 1
-    coarse = level * np.exp(np.outer(np.arange(0, length, block), step))
-    fine = np.exp(np.outer(step, np.arange(block)))
-    real, imag = np.float32(coarse.real), np.float32(coarse.imag)
-    return (real @ np.float32(fine.imag) + imag @ np.float32(fine.real)).ravel()[:length]
+    starts = np.arange(0, length, block)
+    coarse = np.exp(np.multiply.outer(starts, step)) * level
+    fine = np.exp(np.multiply.outer(step, np.arange(block)))
+    # The imaginary part of coarse @ fine, in single precision.
+    left = np.hstack([coarse.real, coarse.imag]).astype(np.float32)
+    right = np.vstack([fine.imag, fine.real]).astype(np.float32)
+    return (left @ right).ravel()[:length]
 
 
 def _damping(pitch: int) -> float:
@@ -161,9 +164,7 @@ def _damping(pitch: int) -> float:
     return 1.2 if pitch > _LAST_DAMPER else 8 * _DAMPING
 
 
-def _damped(
-    tone: NDArray[np.float32], held: float, pitch: int, rate: int
-) -> NDArray[np.float32]:
+def _damped(tone: NDArray[np.float32], held: float, pitch: int, rate: int) -> NDArray[np.float32]:
     """The tone with the damper falling `held` [s] after its start, (n,)."""
     sound = tone[: int((held + _damping(pitch)) * rate)].copy()
     after = sound[int(held * rate) :]
@@ -185,7 +186,7 @@ def _in_room(mix: NDArray[np.float32], rate: int) -> NDArray[np.float32]:
     time = np.arange(int(_TAIL * rate)) / rate
     noise = np.random.default_rng(88).standard_normal((len(time), 2))
     band = signal.butter(1, [200, 3500], "bandpass", fs=rate, output="sos")
-    response = signal.sosfilt(band, noise * np.exp(-8 * time)[:, None], axis=0)
+    response = np.asarray(signal.sosfilt(band, noise * np.exp(-8 * time)[:, None], axis=0))
     response[: int(0.012 * rate)] = 0  # the first wall is some metres away
     response *= _ROOM * 4 / np.linalg.norm(response, axis=0)
     fade = np.linspace(1, 0, len(time))[:, None]

@@ -1,5 +1,6 @@
 // A picture of the same scene on a plain canvas, for browsers without WebGL: boxes as faces, round
-// things as thick lines, the farthest first. No shadows.
+// things as thick lines; furniture first, then white keys, black keys and hands, of each the
+// farthest first. No shadows.
 
 const FACES = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
 
@@ -25,7 +26,7 @@ function createFlatRenderer(canvas) {
       if (normal.dot(camera.position.clone().sub(middle)) <= 0) continue;
       const points = [p, q, r, s].map(project);
       const fill = paint(solid.material.color, 0.45 + 0.55 * Math.max(0, normal.dot(sun)));
-      shapes.push({ depth: camera.position.distanceTo(middle), fill, points });
+      shapes.push({ order: solid.renderOrder, depth: camera.position.distanceTo(middle), fill, points });
     }
   }
 
@@ -33,7 +34,7 @@ function createFlatRenderer(canvas) {
     const ends = [-half, half].map((z) => project(new THREE.Vector3(0, 0, z).applyMatrix4(solid.matrixWorld)));
     const depth = (ends[0].depth + ends[1].depth) / 2;
     const thickness = (radius * height) / (depth * Math.tan((camera.fov * Math.PI) / 360));
-    shapes.push({ depth: depth - radius, stroke: paint(solid.material.color, 0.85), points: ends, thickness });
+    shapes.push({ order: solid.renderOrder, depth: depth - radius, stroke: paint(solid.material.color, 0.85), points: ends, thickness });
   }
 
   return {
@@ -51,10 +52,10 @@ function createFlatRenderer(canvas) {
         else if (type === "capsule" || type === "cylinder") rod(solid, size[0], size[1], shapes);
         else if (type) rod(solid, size[0], 1e-6, shapes);
       });
-      shapes.sort((a, b) => b.depth - a.depth);
+      shapes.sort((a, b) => a.order - b.order || b.depth - a.depth);
       context.setTransform(ratio, 0, 0, ratio, 0, 0);
       context.clearRect(0, 0, width, height);
-      context.lineCap = "round";
+      context.lineCap = context.lineJoin = "round";
       for (const { points, fill, stroke, thickness } of shapes) {
         context.beginPath();
         points.forEach(({ x, y }) => context.lineTo(x, y));

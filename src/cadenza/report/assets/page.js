@@ -74,12 +74,16 @@ function show(time) {
   });
 }
 
-let drawn = -1;
+let drawn = -1, frameAt = 0, pace = 0, slow = false;
 function frame() {
   const time = now();
+  // Without a graphics card a frame takes long: then play coarsely, and stand still sharply.
+  pace += 0.3 * (Math.min(performance.now() - frameAt, 300) - pace);
+  frameAt = performance.now();
+  slow = !audio.paused && (slow || pace > 70);
   if (time !== drawn) show(drawn = time);
   if (time >= duration && !audio.paused) audio.pause();
-  stage?.draw();
+  stage?.draw(slow);
   requestAnimationFrame(frame);
 }
 

@@ -21,6 +21,7 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
     const solid = mesh(geom.type, geom.size, colour, finger === null ? 0.45 : 0.35);
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
+    solid.renderOrder = geom.body < 0 ? 0 : 3;
     (geom.body < 0 ? scene : bodies[geom.body]).add(solid);
   }
   const keys = parts.keys.map((key) => {
@@ -28,6 +29,7 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
     hinge.position.fromArray(key.hinge);
     const solid = mesh("box", key.size, new THREE.Color(key.black ? 0x17181b : 0xf4f1ea), key.black ? 0.25 : 0.35);
     solid.position.fromArray(key.pos).sub(hinge.position);
+    solid.renderOrder = key.black ? 2 : 1;
     scene.add(hinge.add(solid));
     const marked = key.black ? 0.85 : 1;
     return {
@@ -35,6 +37,7 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
       colours: [solid.material.color.clone(), ...colours.map((c) => new THREE.Color(c).multiplyScalar(marked))],
     };
   });
+  scene.updateMatrixWorld();
   const keyboard = new THREE.Box3();
   for (const key of keys) keyboard.expandByObject(key.solid);
   scene.add(...furniture(keyboard));
@@ -68,16 +71,18 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
     stale = true;
   }
 
-  new ResizeObserver(() => {
+  let coarse = false;
+  function fit() {
     const { clientWidth: width, clientHeight: height } = canvas;
     if (!width || !height) return;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (coarse ? 0.5 : 1));
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
     if (view) look(view);
     stale = true;
-  }).observe(canvas);
+  }
+  new ResizeObserver(fit).observe(canvas);
 
   const [from, to] = [new THREE.Quaternion(), new THREE.Quaternion()];
   let shown = -1;
@@ -106,8 +111,14 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
   }
 
   return {
-    move, look, view: () => view,
-    draw() {
+    move,
+    look,
+    /** Draws if anything changed; `quick` trades sharpness for speed. */
+    draw(quick) {
+      if (quick !== coarse) {
+        coarse = quick;
+        fit();
+      }
       controls.update();
       if (!stale) return;
       stale = false;

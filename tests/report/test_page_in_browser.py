@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+from conftest import DT, STEPS, make_episode
+from headless import Browser, needs_chromium
+
+from cadenza.episode import Episode
+from cadenza.music.performance import performed_score
+from cadenza.report.page import write_report
+from cadenza.report.sound import synthesize
+
+pytestmark = needs_chromium
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    browser = Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def write(tmp_path):
+    def written(episode):
+        path = tmp_path / "page.html"
+        played = episode["key_activation"], episode["sustain_activation"]
+        audio = synthesize(performed_score(*played, episode.dt))
+        write_report(path, episode, {"f1": float("nan")}, {"agent": "none", "seed": 0}, audio)
+        return path
+
+    return written
+
+
+def test_the_page_opens_plays_and_shows_two_hands_over_a_keyboard(browser, write, episode):
+    browser.open(write(episode))
+    assert browser.problems() == []
+    assert [
+        url for url in browser.loaded() if not url.startswith(("file:", "blob:", "data:"))
+    ] == []
+    assert browser.evaluate("cadenza.duration") == pytest.approx(STEPS * DT)
+
+    browser.evaluate("cadenza.seek(0.5)")
+    with_hands = browser.picture("#view").astype(int)
+    width = with_hands.shape[1]
+    colour = with_hands.max(axis=2) - with_hands.min(axis=2)
+    fingertips = colour > 90
+    assert fingertips[:, : width // 2].sum() > 100
+    assert fingertips[:, width // 2 :].sum() > 100
+    bright = with_hands.min(axis=2) > 150
+    changes = np.abs(np.diff(bright.astype(int), axis=1)).sum(axis=1)
+    assert changes.max() > 50  # some line of the picture crosses white and black keys
+
+    browser.evaluate("cadenza.play()")
+    browser.wait("cadenza.time > 0.9")
+    assert (
+        abs(browser.evaluate("cadenza.time - document.getElementById('audio').currentTime")) < 0.6
+    )
+    browser.wait("!cadenza.playing")
+    assert browser.evaluate("cadenza.time") == pytest.approx(STEPS * DT)
+    assert browser.problems() == []
+
+
+@pytest.mark.slow
+def test_seeking_moves_the_hands_the_cursor_and_the_sound(browser, write, episode):
+    browser.open(write(episode))
+    pictures = []
+    for time in (0.2, 1.0):
+        browser.evaluate(f"cadenza.seek({time})")
+        pictures.append(
+            [browser.picture(part).astype(int) for part in ("#view", "#roll", "#rewards")]
+        )
+        assert browser.evaluate("document.getElementById('audio').currentTime") == pytest.approx(
+            time
+        )
+    for before, after in zip(*pictures, strict=True):
+        assert (np.abs(after - before).max(axis=2) > 40).sum() > 100
+
+
+@pytest.mark.slow
+def test_clicks_and_keys_seek_and_play(browser, write, episode):
+    browser.open(write(episode))
+    box = browser.evaluate(
+        "(({left, top, width}) => [left, top, width])"
+        "(document.getElementById('roll').getBoundingClientRect())"
+    )
+    at = {
+        "x": box[0] + 44 + 0.5 * (box[2] - 44),
+        "y": box[1] + 30,
+        "button": "left",
+        "clickCount": 1,
+    }
+    browser.call("Input.dispatchMouseEvent", type="mousePressed", **at)
+    browser.call("Input.dispatchMouseEvent", type="mouseReleased", **at)
+    browser.settle()
+    assert browser.evaluate("cadenza.time") == pytest.approx(STEPS * DT / 2, abs=0.02)
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft")
+    browser.settle()
+    assert browser.evaluate("cadenza.time") == pytest.approx(STEPS * DT / 2 - 0.5, abs=0.02)
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ", code="Space", text=" ")
+    browser.wait("cadenza.playing")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "episode",
+    [
+        make_episode(steps=1),
+        make_episode(hands=1),
+        make_episode(hands=0),
+        Episode("no drawing", DT, make_episode().arrays, {}),
+        make_episode(song="</script><script>cadenza.error = 'injected'</script>"),
+        make_episode(steps=6000),
+    ],
+    ids=["one step", "one hand", "no hands", "no drawing", "markup in the title", "five minutes"],
+)
+def test_unusual_episodes_open(browser, write, episode):
+    browser.open(write(episode))
+    assert browser.evaluate("document.querySelector('h1').textContent") == episode.song
+    browser.evaluate(f"cadenza.seek({0.7 * episode.num_steps * DT})")
+    browser.settle()
+    assert browser.evaluate("cadenza.time") == pytest.approx(0.7 * episode.num_steps * DT)
+    assert browser.evaluate("cadenza.error") is None
+    assert browser.problems() == []
+
+
+@pytest.mark.slow
+def test_without_webgl_the_hands_are_drawn_flat(tmp_path, write):
+    browser = Browser(tmp_path / "profile", "--disable-3d-apis")
+    pictures = []
+    for hands in (2, 0):
+        browser.open(write(make_episode(hands=hands)))
+        browser.evaluate("cadenza.seek(0.5)")
+        pictures.append(browser.picture("#view").astype(int))
+    browser.close()
+    changed = np.abs(pictures[0] - pictures[1]).max(axis=2) > 40
+    width = changed.shape[1]
+    assert changed[:, : width // 2].sum() > 2000
+    assert changed[:, width // 2 :].sum() > 2000

@@ -1,0 +1,45 @@
+import av
+import numpy as np
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.music.score import Note, Score
+from cadenza.report.sound import synthesize
+from cadenza.report.video import write_video
+
+
+def test_pictures_and_sound_are_read_back(tmp_path):
+    audio = synthesize(Score((Note(0, 1, 60),)))
+    path = tmp_path / "a.mp4"
+    write_video(path, (np.full((121, 163, 3), 5 * i, np.uint8) for i in range(40)), 20, audio)
+    with av.open(str(path)) as file:
+        video, sound = file.streams.video[0], file.streams.audio[0]
+        assert (video.codec.name, sound.codec.name) == ("h264", "aac")
+        assert (video.width, video.height, video.average_rate) == (162, 120, 20)
+        assert float(video.duration * video.time_base) == pytest.approx(2, abs=0.01)
+        pictures = [frame.to_ndarray(format="rgb24").mean() for frame in file.decode(video)]
+        file.seek(0)
+        heard = np.concatenate([frame.to_ndarray() for frame in file.decode(sound)], axis=1)
+    assert pictures == pytest.approx(5 * np.arange(40), abs=6)
+    assert np.abs(heard[:, :44100]).max() > 0.5 * np.abs(audio).max()
+
+
+def test_sound_does_not_go_on_long_after_the_pictures(tmp_path):
+    write_video(
+        tmp_path / "a.mp4", np.zeros((20, 64, 64, 3), np.uint8), 20, np.zeros(441000, np.float32)
+    )
+    with av.open(str(tmp_path / "a.mp4")) as file:
+        assert file.duration / 1e6 == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("frames", "problem"),
+    [
+        ([], "at least one picture"),
+        ([np.zeros((64, 64, 3), np.uint8), np.zeros((32, 64, 3), np.uint8)], "picture 1"),
+    ],
+)
+def test_what_cannot_be_a_video_is_refused_and_leaves_no_file(tmp_path, frames, problem):
+    with pytest.raises(CadenzaError, match=problem):
+        write_video(tmp_path / "a.mp4", frames, 20, np.zeros((100, 2), np.float32))
+    assert not list(tmp_path.iterdir())
