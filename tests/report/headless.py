@@ -48,7 +48,7 @@ class Browser:
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=1000,
-            height=900,
+            height=1700,
             deviceScaleFactor=1,
             mobile=False,
         )

@@ -154,8 +154,8 @@ def _ring(
     coarse = np.exp(np.multiply.outer(starts, step)) * level
     fine = np.exp(np.multiply.outer(step, np.arange(block)))
     # The imaginary part of coarse @ fine, in single precision.
-    left = np.hstack([coarse.real, coarse.imag]).astype(np.float32)
-    right = np.vstack([fine.imag, fine.real]).astype(np.float32)
+    left = np.hstack([np.real(coarse), np.imag(coarse)]).astype(np.float32)
+    right = np.vstack([np.imag(fine), np.real(fine)]).astype(np.float32)
     return (left @ right).ravel()[:length]
 
 
