@@ -100,7 +100,7 @@ def test_six_songs_are_those_of_the_published_system(name):
         ("MaryHadALittleLamb", "DDUURRDRRUURDDDUURRRDRUDD"),
         ("FrereJacques", "UUDRUUDUUUDUURUDDDDUUDDDDRDURDU"),
         ("AuClairDeLaLune", "RRUUDDUDRDRRRUUDDUDRD"),
-        ("JingleBells", "RRRRRRUDUUURRRRDRRRDRUDU"),
+        ("JingleBells", "RRRRRRUDUUURRRRDRRRRDRUDU"),
         ("InTheHallOfTheMountainKing", "UUUUDUDDUDDUDUUUUDUUDDDUU"),
         ("FurEliseOpening", "DUDUDUDDDUUUDUUUDUDUDUDUDDDUUUDUDD"),
         ("MinuetInG", "DUUUUDRUDUUUUDRUUDDDUUDDDDUUUDU"),
