@@ -17,7 +17,7 @@ from cadenza.files import write_atomically
 from cadenza.music.score import HIGHEST_PITCH, LOWEST_PITCH, Note, PedalEvent, Score
 
 MAX_SECONDS = 3600.0  # a longer song is taken for a broken file
-MAX_BYTES = 4 * 2**20  # an hour of piano music needs about a quarter of it
+MAX_BYTES = 2 * 2**20  # an hour of dense piano music needs about half of it
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).
