@@ -70,8 +70,9 @@ def test_running_status(tmp_path):
 def test_tempo_changes_of_one_track_hold_for_all(saved):
     tempo = mido.MetaMessage
     conductor = [tempo("set_tempo", tempo=1_000_000), tempo("set_tempo", tempo=250_000, time=20)]
-    score = read_midi(saved(conductor, [on(60, 10), off(60, 20)], [on(40, 40), off(40, 10)]))
-    assert played(score) == [(1.0, 2.25, 60), (2.5, 2.75, 40)]
+    bass = [on(40), off(40, 5), on(40, 35), off(40, 10)]
+    score = read_midi(saved(conductor, [on(60, 10), off(60, 20)], bass))
+    assert played(score) == [(0.0, 0.5, 40), (1.0, 2.25, 60), (2.5, 2.75, 40)]
 
 
 def test_a_thousand_tempo_changes_add_no_rounding(saved):
