@@ -1,5 +1,10 @@
-"""Two simulated Shadow Hands play the piano from any MIDI file."""
+"""Two simulated Shadow Hands play the piano from any MIDI file.
 
-from importlib.metadata import version
+Importing the package registers its environments with Gymnasium as `cadenza/<Song>-v0`.
+"""
 
-__version__ = version("cadenza")
+from cadenza.tasks.registration import register_envs
+
+__version__ = "0.1.0"
+
+register_envs()

@@ -1,14 +1,20 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import DT, STEPS, make_episode
 from headless import Browser, needs_chromium
 
 from cadenza.episode import Episode
+from cadenza.model.config import SceneConfig
+from cadenza.model.drawing import body_poses, drawing
+from cadenza.model.scene import build_scene
 from cadenza.music.performance import performed_score
 from cadenza.report.page import write_report
 from cadenza.report.sound import synthesize
 
 pytestmark = needs_chromium
+DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +141,50 @@ def test_without_webgl_the_hands_are_drawn_flat(tmp_path, write):
     width = changed.shape[1]
     assert changed[:, : width // 2].sum() > 2000
     assert changed[:, width // 2 :].sum() > 2000
+
+
+@pytest.mark.slow
+def test_keys_light_up_where_they_are(browser, write):
+    browser.open(write(make_episode(hands=0)))
+    browser.evaluate("document.querySelector('[data-view=top]').click()")
+    browser.evaluate("document.querySelectorAll('#stage > :not(canvas)').forEach(e => e.remove())")
+    browser.evaluate("document.querySelector('#view').parentElement.append(sounding)")
+
+    def place(time, colour, other):
+        """Where along the picture's width (0..1) `colour` outshines `other`."""
+        browser.evaluate(f"cadenza.seek({time})")
+        picture = browser.picture("#view").astype(int)
+        lit = np.argwhere(picture[..., colour] > picture[..., other] + 70)
+        assert len(lit) > 300
+        return lit[:, 1].mean() / picture.shape[1]
+
+    red, green, blue = 0, 1, 2
+    hit = place(0.5, green, red)  # key 39
+    missed, wrong = place(1.3, blue, red), place(1.3, red, green)  # keys 43 and 50
+    assert 0.4 < hit < missed < wrong < 0.65
+    # Whole tones of the white row: 39 is its 23rd key, 43 its 25th, 50 its 29th.
+    assert (missed - hit) / (wrong - missed) == pytest.approx(2 / 4, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_recorded_performance_of_the_real_hands_is_drawn(browser, write):
+    scene = build_scene(SceneConfig(reduced_action_space=True))
+    recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)
+    xpos, xquat = body_poses(scene, recorded["hand_qpos"])
+    steps = len(xpos)
+    wanted = ("action", "key_qpos", "key_activation", "sustain_activation", "reward_total")
+    arrays = {name: recorded[name] for name in wanted}
+    arrays |= {"goal_keys": recorded["key_activation"], "goal_sustain": np.zeros(steps, bool)}
+    arrays |= {"body_xpos": xpos, "body_xquat": xquat}
+    with_hands = Episode("scale", 0.05, arrays, drawing(scene))
+    parts = with_hands.scene | {"geoms": [g for g in with_hands.scene["geoms"] if g["body"] < 0]}
+    pictures = []
+    for episode in (with_hands, Episode("scale", 0.05, arrays, parts)):
+        browser.open(write(episode))
+        browser.evaluate("cadenza.seek(3.2)")
+        pictures.append(browser.picture("#view").astype(int))
+        assert browser.problems() == []
+    changed = np.abs(pictures[0] - pictures[1]).max(axis=2) > 40
+    width = changed.shape[1]
+    for half in (changed[:, : width // 2], changed[:, width // 2 :]):
+        assert 0.01 < half.mean() < 0.3

@@ -1,0 +1,1 @@
+"""Agents: whatever chooses actions. One folder for each larger family."""

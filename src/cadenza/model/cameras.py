@@ -20,12 +20,13 @@ def add_cameras(spec: mujoco.MjSpec) -> None:
     world = spec.worldbody
     for name, (pos, quat, fovy) in CAMERAS.items():
         world.add_camera(name=name, pos=pos, quat=quat, fovy=fovy)
-    world.add_light(pos=(0.5, 0.3, 1.6), dir=(-0.3, -0.2, -1.0), diffuse=(0.7, 0.7, 0.7))
-    spec.visual.headlight.ambient = (0.45, 0.45, 0.45)
-    spec.visual.headlight.diffuse = (0.35, 0.35, 0.35)
+    world.add_light(pos=(0.5, 0.3, 1.6), dir=(-0.3, -0.2, -1.0), diffuse=(0.55, 0.55, 0.55))
+    spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
+    spec.visual.headlight.diffuse = (0.25, 0.25, 0.25)
+    spec.visual.quality.shadowsize = 2048
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.add_texture(
-        name="sky",
+        name="background",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=(0.93, 0.94, 0.96),

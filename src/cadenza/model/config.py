@@ -17,7 +17,7 @@ class SceneConfig:
 
     hands: Hands = "both"
     """Which hands play; with none the 88 keys are actuated and the piano plays itself."""
-    reduced_action_space: bool = False
+    reduced_action_space: bool = True
     """Leave out thumb joints 5 and 1 and little finger joint 5, as the paper does."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")
     """How the forearms can move: slides along (tx), towards (ty) and above (tz) the keys, turns."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -141,9 +143,9 @@ def _resolve(config: SceneConfig, model: mujoco.MjModel, sides: tuple[Side, ...]
     )
 
 
-def _ids_with_prefix(count: int, named, prefix: str) -> list[int]:
+def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> list[int]:
     return [i for i in range(count) if named(i).name.startswith(prefix)]
 
 
-def _array(values) -> Ids:
+def _array(values: Iterable[int]) -> Ids:
     return np.array(list(values), dtype=np.intp)

@@ -163,8 +163,8 @@ class Simulation:
         self._force[i] = data.actuator_force
         self._velocity[i] = data.actuator_velocity
         if self._watch_forearms:
-            right, left = self._is_forearm[:, data.contact.geom].any(axis=2)
-            self._forearm_contact[i] = (right & left).any()
+            touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
+            self._forearm_contact[i] = touched.all(axis=0).any()
         if not self._unstable[i] and data.warning.number[_UNSTABLE].any():
             self._unstable[i] = True
             self.num_unstable += 1

@@ -1,0 +1,1 @@
+"""Playing a score as a task: observation, reward, termination, Gymnasium environments."""

@@ -1,0 +1,1 @@
+"""Agents that plan with the simulator itself."""

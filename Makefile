@@ -1,0 +1,43 @@
+# `make play` and `make test` need nothing but Python 3.11 to 3.13 and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SONG ?= TwinkleTwinkleLittleStar
+
+.PHONY: play test check bench lock clean
+.DEFAULT_GOAL := help
+
+.PHONY: help
+help:
+	@echo "make play    two robot hands play SONG=$(SONG), and leave a page to open"
+	@echo "make test    run the tests"
+	@echo "make check   lint, formatting, types"
+	@echo "make bench   measure speed, as ratios in one run"
+
+# The lock file pins every version; the stamp is renewed when it or the project changes.
+$(VENV)/installed: pyproject.toml requirements.lock
+	$(PYTHON) -c 'import sys; assert (3, 11) <= sys.version_info[:2] <= (3, 13), "cadenza needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + ": make PYTHON=python3.11"'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+play: $(VENV)/installed
+	$(BIN)/cadenza play $(SONG)
+
+test: $(VENV)/installed
+	$(BIN)/python -m pytest
+
+check: $(VENV)/installed
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: $(VENV)/installed
+	$(BIN)/python -m cadenza.bench.speed
+
+lock:
+	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache

@@ -1,0 +1,43 @@
+"""What an agent is, and the two simplest."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.tasks.piano_task import PianoTask
+
+Array = NDArray[np.float64]
+
+
+class Agent(Protocol):
+    """Chooses the actions of a task with one environment."""
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        """An episode of `task` begins; all that is random comes from `rng`."""
+
+    def act(self) -> Array:
+        """(A,) the next action in actuator units, the pedal last."""
+
+
+class ZeroAgent:
+    """Holds the hands where they start and leaves the pedal up."""
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        start = np.zeros(task.action_size)
+        self._action = np.clip(start, task.action_low, task.action_high)
+
+    def act(self) -> Array:
+        return self._action
+
+
+class RandomAgent:
+    """Draws every action anew, uniformly over the actuators' ranges."""
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        self._low, self._high, self._rng = task.action_low, task.action_high, rng
+
+    def act(self) -> Array:
+        return self._rng.uniform(self._low, self._high)

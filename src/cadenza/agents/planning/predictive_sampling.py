@@ -1,0 +1,100 @@
+"""Predictive sampling, the paper's planner (Zakka et al., CoRL 2023, appendix on MPC).
+
+Howell et al., "Predictive Sampling: Real-time Behaviour Synthesis with MuJoCo" (2022): of N plans
+drawn around the last one, itself among them, the cheapest in simulation is carried out.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.music.score import NUM_KEYS
+from cadenza.sim.simulation import Simulation
+from cadenza.tasks import reward
+from cadenza.tasks.piano_task import PianoTask
+
+
+class PredictiveSampling:
+    """Plans anew at every control step.
+
+    A plan is a cubic spline through knots over the horizon, sampled where the task will take its
+    next actions and held in between, as the task holds them. The pedal follows the score: the cost
+    says nothing about it.
+    """
+
+    def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
+        self.config = config or PredictiveSamplingConfig()
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        config = self.config
+        self._task, self._rng = task, rng
+        self._low, self._high = task.action_low[:-1], task.action_high[:-1]
+        self._rollouts = Simulation(
+            task.scene,
+            config.num_candidates,
+            config.planning_timestep,
+            num_threads=available_cores(),
+        )
+        self._knot_times = np.linspace(0.0, config.horizon, config.num_knots)
+        self._nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
+
+    def act(self) -> Array:
+        for _ in range(self.config.iterations):
+            candidates = self._draw()
+            self._nominal = candidates[np.argmin(self._roll_out(candidates))]
+        best = CubicSpline(self._knot_times, self._nominal)
+        shifted = self._knot_times + self._task.config.control_timestep
+        self._nominal = self._clip(best(np.minimum(shifted, self.config.horizon)))
+        pedal = float(self._task.goal_ahead(1)[0, 0, NUM_KEYS])
+        return np.append(self._clip(best(0.0)), pedal)
+
+    def _draw(self) -> Array:
+        """(num_candidates, num_knots, A - 1) knots; the first candidate is the nominal itself."""
+        shape = (self.config.num_candidates, *self._nominal.shape)
+        noise = self._rng.standard_normal(shape)
+        noise[0] = 0.0
+        half_range = (self._high - self._low) / 2.0
+        return self._clip(self._nominal + self.config.sigma * half_range * noise)
+
+    def _clip(self, ctrl: Array) -> Array:
+        return np.clip(ctrl, self._low, self._high)
+
+    def _roll_out(self, candidates: Array) -> Array:
+        """(num_candidates,) cost of carrying the candidates out from the task's present state."""
+        config, hold = self.config, self._task.config.control_timestep
+        times = (
+            np.arange(round(config.horizon / config.planning_timestep)) * config.planning_timestep
+        )
+        rows = np.floor(times / hold + 1e-9).astype(np.intp)  # control step of each planning step
+        ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
+        goals = self._task.goal_ahead(rows[-1] + 1)[0, :, :NUM_KEYS]
+        fingers = self._task.fingers_ahead(rows[-1] + 1)[0]
+        self._rollouts.copy_from(self._task.simulation, 0)
+        cost = np.zeros(config.num_candidates)
+        for k, row in enumerate(rows):
+            self._rollouts.step(ctrl[:, k])
+            cost += self._cost(goals[row], fingers[row])
+        return np.where(self._rollouts.state.unstable, np.inf, cost)
+
+    def _cost(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> Array:
+        """Distances of keys from how the goal wants them and of fingers from their keys."""
+        state, n = self._rollouts.state, self.config.num_candidates
+        keys = np.linalg.norm(reward.key_state(state.key_qpos) - goal, axis=1)
+        points = reward.press_points(state.key_qpos)
+        if self._task.transports_fingers[0]:
+            tips = state.fingertip_xpos[:, self._task.scene.fingers]
+            pairs = reward.transport_distances(tips, points, np.tile(goal, (n, 1)))
+        else:
+            pairs = reward.finger_distances(state.fingertip_xpos, points, np.tile(fingers, (n, 1)))
+        return keys + np.bincount(*pairs, minlength=n)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

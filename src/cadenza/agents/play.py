@@ -1,0 +1,137 @@
+"""Has an agent play one episode and keeps everything that happened."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cadenza.agents.agent import Agent
+from cadenza.episode import Episode
+from cadenza.model.drawing import body_poses, drawing
+from cadenza.music.score import NUM_KEYS
+from cadenza.tasks.piano_task import PianoTask
+
+
+@dataclass(frozen=True)
+class Performance:
+    """An episode and how it went."""
+
+    episode: Episode
+    metrics: dict[str, float]
+    """The scores of `music.metrics`, `return`, `reward/<term>` summed over the episode, `steps`,
+    `planning_seconds` spent by the agent, `playing_seconds` by the simulation, `unstable`."""
+
+
+def play(
+    task: PianoTask,
+    agent: Agent,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Performance:
+    """Plays one episode of `task`, which has one environment, from the beginning.
+
+    Args:
+        task: what to play.
+        agent: who plays.
+        seed: of everything random, in the task and in the agent.
+        progress: called after every step with the steps done and in all.
+
+    Raises:
+        CadenzaError: the agent cannot play this task.
+    """
+    task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
+    task.reset([task_rng], [0])
+    agent.reset(task, agent_rng)
+    record = _Record(task)
+    planning = playing = 0.0
+    ended = unstable = False
+    while not ended:
+        started = time.perf_counter()
+        action = agent.act()
+        decided = time.perf_counter()
+        transition = task.step(action[None])
+        playing += time.perf_counter() - decided
+        planning += decided - started
+        record.add(action, transition.reward[0], {k: v[0] for k, v in transition.terms.items()})
+        ended = bool(transition.terminated[0] or transition.truncated[0])
+        unstable = bool(transition.unstable[0])
+        if progress:
+            progress(int(task.steps_done[0]), int(task.num_steps[0]))
+    metrics = task.episode_metrics(0) | record.sums()
+    metrics |= {
+        "steps": int(task.steps_done[0]),
+        "planning_seconds": planning,
+        "playing_seconds": playing,
+        "unstable": float(unstable),
+    }
+    return Performance(record.episode(metrics), metrics)
+
+
+class _Record:
+    """Collects the rows of an episode's arrays (see `cadenza.episode`)."""
+
+    def __init__(self, task: PianoTask) -> None:
+        self._task = task
+        self._rows: dict[str, list[Any]] = defaultdict(list)
+        self._start = {"hand_qpos0": task.state.hand_qpos[0]} | {
+            f"{name}0": part for name, part in self._score_observations().items()
+        }
+        total = int(task.num_steps[0])
+        goal, self._fingers = task.goal_ahead(total)[0], task.fingers_ahead(total)[0]
+        self._goal_keys, self._goal_sustain = goal[:, :NUM_KEYS], goal[:, NUM_KEYS]
+
+    def _score_observations(self) -> dict[str, Any]:
+        observation, layout = self._task.observation()[0], self._task.observation_layout
+        names = [name for name in ("goal", "fingering") if name in layout]
+        return {f"{name}_obs": observation[layout[name]].astype(np.uint8) for name in names}
+
+    def add(self, action: Any, total: float, terms: dict[str, float]) -> None:
+        task, state = self._task, self._task.state
+        row = {
+            "action": action,
+            "hand_qpos": state.hand_qpos[0],
+            "hand_qvel": state.hand_qvel[0],
+            "key_qpos": state.key_qpos[0],
+            "key_activation": task.sounding[0],
+            "sustain_activation": task.pedal_down[0],
+            "fingertip_xpos": state.fingertip_xpos[0],
+            "reward_total": total,
+        }
+        row |= {f"reward_{name}": value for name, value in terms.items()}
+        for name, value in {**row, **self._score_observations()}.items():
+            self._rows[name].append(value)
+
+    def sums(self) -> dict[str, float]:
+        terms = {n: float(np.sum(v)) for n, v in self._rows.items() if n.startswith("reward_")}
+        total = terms.pop("reward_total")
+        return {"return": total} | {n.replace("_", "/", 1): value for n, value in terms.items()}
+
+    def episode(self, metrics: dict[str, float]) -> Episode:
+        task, scene = self._task, self._task.scene
+        rows = {name: np.array(values) for name, values in self._rows.items()}
+        steps = len(rows["action"])
+        xpos, xquat = body_poses(scene, rows["hand_qpos"])
+        about = {
+            "action_min": task.action_low,
+            "action_max": task.action_high,
+            "actuator_names": np.array(scene.actuator_names),
+            "hand_joint_names": np.array(scene.hand_joint_names, dtype=np.str_),
+            "reduced_action_space": np.array(scene.config.reduced_action_space),
+            "trim_silence": np.array(task.config.trim_silence),
+            "goal_keys": self._goal_keys[:steps],
+            "goal_fingers": self._fingers[:steps],
+            "goal_sustain": self._goal_sustain[:steps],
+            "body_xpos": xpos,
+            "body_xquat": xquat,
+            "metrics": np.array(json.dumps(metrics)),
+        }
+        title = task.songs[0].title
+        return Episode(
+            title, task.config.control_timestep, self._start | rows | about, drawing(scene)
+        )

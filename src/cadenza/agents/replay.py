@@ -1,0 +1,65 @@
+"""Plays actions that were recorded or planned before."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Array
+from cadenza.errors import CadenzaError
+from cadenza.tasks.piano_task import PianoTask
+
+
+class ReplayAgent:
+    """Plays `plan` (T, A), actions in actuator units, the pedal last."""
+
+    def __init__(self, plan: Array) -> None:
+        self._plan = plan
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        """Raises:
+        CadenzaError: the plan is not as wide as the actions or not as long as the episode.
+        """
+        steps, width = self._plan.shape
+        if width != task.action_size:
+            raise CadenzaError(
+                f"the plan has {width} actions a step and this task {task.action_size}: "
+                f"{_other_space(task)}"
+            )
+        if steps != task.num_steps[0]:
+            raise CadenzaError(
+                f"the plan has {steps} steps and the song {task.num_steps[0]}: "
+                "was it made for another song, tempo or initial silence?"
+            )
+        self._step = 0
+
+    def act(self) -> Array:
+        action = self._plan[self._step]
+        self._step += 1
+        return action
+
+
+def _other_space(task: PianoTask) -> str:
+    flag = "no-reduced" if task.scene.config.reduced_action_space else "reduced"
+    return f"was it made for other hands or the other action space (--{flag}-action-space)?"
+
+
+def load_plan(path: Path) -> NDArray[np.float64]:
+    """The array `action` (T, A) of a plan or of a recorded episode.
+
+    Raises:
+        CadenzaError: the file is not there or holds no such array.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            plan = np.asarray(file["action"], np.float64)
+    except KeyError as error:
+        raise CadenzaError(f"{path}: holds no array named action") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+        raise CadenzaError(f"{path}: not a plan; give a .npz file with an array action") from error
+    if plan.ndim != 2 or not np.isfinite(plan).all():
+        raise CadenzaError(f"{path}: action has shape {plan.shape}; give finite (steps, actions)")
+    return plan

@@ -1,0 +1,303 @@
+"""The task as Gymnasium's `Env` and `VectorEnv`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.music.library import load_score
+from cadenza.music.score import NUM_KEYS, Score
+from cadenza.sim.render import Picture, Renderer
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask, Transition
+
+Song = str | Score
+Observation = Any  # an array, or with pixels a dictionary of two
+
+
+def configure(options: dict[str, Any]) -> tuple[TaskConfig, SceneConfig]:
+    """Sorts keyword options into the two configurations that have them as fields.
+
+    Raises:
+        CadenzaError: no configuration has such an option.
+    """
+    known: dict[type, set[str]] = {
+        kind: {field.name for field in fields(kind)} for kind in (TaskConfig, SceneConfig)
+    }
+    names = set().union(*known.values())
+    if unknown := sorted(options.keys() - names):
+        raise CadenzaError(
+            f"no option {', '.join(unknown)}: choose from {', '.join(sorted(names))}"
+        )
+
+    def chosen(kind: type) -> dict[str, Any]:
+        return {name: options[name] for name in known[kind] & options.keys()}
+
+    return TaskConfig(**chosen(TaskConfig)), SceneConfig(**chosen(SceneConfig))
+
+
+def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
+    """One or several songs: bundled names, paths of MIDI files, or scores."""
+    songs = [song] if isinstance(song, str | Score) else list(song)
+    return tuple(load_score(s) if isinstance(s, str) else s for s in songs)
+
+
+class PianoVectorEnv(VectorEnv):
+    """N copies of the task, stepped together on a pool of threads.
+
+    Actions are in [-1, 1], scaled to the actuators' ranges, the pedal last. Observations are
+    float32 arrays whose parts `observation_layout` names; with `pixels` a dictionary of them,
+    "state", and of pictures, "pixels". `infos` holds the reward terms as "reward/<term>", and in
+    the last step of an episode its scores as "metrics/<name>".
+
+    The score's end truncates an episode (the published environment gives it a discount of 1); a
+    wrong key that ends it, or a simulation that became unstable, terminates it.
+    """
+
+    def __init__(
+        self,
+        song: Song | Sequence[Song],
+        num_envs: int = 1,
+        num_threads: int = 1,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        picture: Picture | None = None,
+        pixels: bool = False,
+        **options: Any,
+    ) -> None:
+        """Args:
+            song: a bundled song's name, the path of a MIDI file, a `Score`, or several of them, of
+                which one is drawn per episode.
+            num_envs: N.
+            num_threads: threads that share the simulation.
+            autoreset_mode: when finished environments are reset.
+            render_mode: "rgb_array" to draw.
+            picture: size and camera of what is drawn.
+            pixels: observe pictures too.
+            options: fields of `TaskConfig` and `SceneConfig`.
+
+        Raises:
+            CadenzaError: a song cannot be played or an option makes no sense.
+        """
+        config, scene = configure(options)
+        self.task = PianoTask(load_songs(song), config, scene, num_envs, num_threads)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": round(1 / config.control_timestep),
+            "autoreset_mode": AutoresetMode(autoreset_mode),
+        }
+        self._picture = picture or Picture()
+        self._pixels = pixels
+        self._renderer: Renderer | None = None
+        self._rngs: list[np.random.Generator] | None = None
+        self._finished = np.zeros(num_envs, bool)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.single_observation_space = self._observation_space()
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    @property
+    def observation_layout(self) -> dict[str, slice]:
+        """Name -> slice of an observation (see `PianoTask.observation`)."""
+        return self.task.observation_layout
+
+    def _observation_space(self) -> spaces.Space:
+        low = np.zeros(self.task.observation_size, np.float32)
+        high = np.ones(self.task.observation_size, np.float32)
+        if "joints" in self.observation_layout:
+            joints = self.observation_layout["joints"]
+            low[joints], high[joints] = -np.inf, np.inf  # joint limits are soft
+        state = spaces.Box(low, high, dtype=np.float32)
+        if not self._pixels:
+            return state
+        shape = (self._picture.height, self._picture.width, 3)
+        return spaces.Dict({"state": state, "pixels": spaces.Box(0, 255, shape, np.uint8)})
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts new episodes.
+
+        Args:
+            seed: of the first environment, the others' follow; or one for each.
+            options: {"reset_mask": (N,) bool} to reset some of the environments only.
+        """
+        self._seed(seed)
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        self._restart(np.flatnonzero(mask))
+        return self._observe(), {}
+
+    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+        if seed is None and self._rngs is not None:
+            return
+        if seed is None or isinstance(seed, int | np.integer):
+            first = seeding.np_random(None if seed is None else int(seed))
+            self._np_random, self._np_random_seed = first
+            if seed is None:
+                self._rngs = list(self._np_random.spawn(self.num_envs))
+                return
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        self._rngs = [seeding.np_random(s)[0] for s in seed]
+
+    def _restart(self, env_ids: NDArray[np.intp]) -> None:
+        assert self._rngs is not None, "reset() comes before step()"
+        if len(env_ids):
+            self.task.reset([self._rngs[i] for i in env_ids], env_ids.tolist())
+            self._finished[env_ids] = False
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """One control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
+        mode = self.metadata["autoreset_mode"]
+        if mode == AutoresetMode.DISABLED and self._finished.any():
+            over = np.flatnonzero(self._finished).tolist()
+            raise CadenzaError(f"episodes {over} have ended: reset them before stepping on")
+        fresh = self._finished.copy()
+        self._restart(np.flatnonzero(fresh))
+        moving = np.flatnonzero(~fresh).tolist() if fresh.any() else None
+        ctrl = self.task.scale_action(np.asarray(actions, np.float64))
+        result = self.task.step(ctrl, moving)
+        reward = np.where(fresh, 0.0, result.reward)
+        terminated, truncated = result.terminated & ~fresh, result.truncated & ~fresh
+        infos = self._infos(result, fresh)
+        ended = terminated | truncated
+        if ended.any():
+            self._add_metrics(infos, ended)
+        observation = self._observe()
+        if mode == AutoresetMode.SAME_STEP and ended.any():
+            infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
+            self._restart(np.flatnonzero(ended))
+            observation = self._observe()
+        else:
+            self._finished = ended
+        return observation, reward, terminated, truncated, infos
+
+    def _infos(self, result: Transition, fresh: NDArray[np.bool_]) -> dict[str, Any]:
+        infos: dict[str, Any] = {}
+        for name, values in {**result.terms, "unstable": result.unstable}.items():
+            key = name if name == "unstable" else f"reward/{name}"
+            infos[key] = np.where(fresh, np.zeros_like(values), values)
+            infos[f"_{key}"] = ~fresh
+        return infos
+
+    def _add_metrics(self, infos: dict[str, Any], ended: NDArray[np.bool_]) -> None:
+        for env in np.flatnonzero(ended):
+            for name, value in self.task.episode_metrics(int(env)).items():
+                key = f"metrics/{name}"
+                infos.setdefault(key, np.zeros(self.num_envs))[env] = value
+                infos[f"_{key}"] = ended
+
+    def _observe(self) -> Observation:
+        state = self.task.observation()
+        return {"state": state, "pixels": self._draw()} if self._pixels else state
+
+    def _draw(self) -> NDArray[np.uint8]:
+        if self._renderer is None:
+            self._renderer = Renderer(self.task.scene, self._picture)
+        state, task = self.task.state, self.task
+        goal = task.goal_ahead(1)[:, 0, :NUM_KEYS]
+        return np.stack(
+            [
+                self._renderer.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])
+                for i, sounding in enumerate(task.sounding)
+            ]
+        )
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (height, width, 3) of each environment, if `render_mode` asks for it."""
+        return tuple(self._draw()) if self.render_mode == "rgb_array" else None
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Frees threads and graphics."""
+        self.task.close()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+class PianoEnv(gymnasium.Env):
+    """One copy of the task: a batch of one. Everything is as in `PianoVectorEnv`."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(
+        self,
+        song: Song | Sequence[Song],
+        render_mode: str | None = None,
+        picture: Picture | None = None,
+        pixels: bool = False,
+        **options: Any,
+    ) -> None:
+        """See `PianoVectorEnv`."""
+        self._batch = PianoVectorEnv(
+            song, 1, 1, AutoresetMode.DISABLED, render_mode, picture, pixels, **options
+        )
+        self.task = self._batch.task
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": self._batch.metadata["render_fps"]}
+        self.observation_space = self._batch.single_observation_space
+        self.action_space = self._batch.single_action_space
+
+    @property
+    def observation_layout(self) -> dict[str, slice]:
+        """Name -> slice of an observation (see `PianoTask.observation`)."""
+        return self.task.observation_layout
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts a new episode."""
+        super().reset(seed=seed)
+        self._batch._rngs = [self.np_random]
+        observation, _ = self._batch.reset()
+        return _row(observation), {}
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """One control step, as `gymnasium.Env.step`."""
+        observation, reward, terminated, truncated, infos = self._batch.step(action[None])
+        info = {name: value[0].item() for name, value in infos.items() if name[0] != "_"}
+        return _row(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture (height, width, 3), if `render_mode` asks for it."""
+        frames = self._batch.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Frees graphics."""
+        self._batch.close()
+
+
+def _row(observation: Observation) -> Observation:
+    if isinstance(observation, dict):
+        return {name: part[0] for name, part in observation.items()}
+    return observation[0]
+
+
+def _rows(observation: Observation, ended: NDArray[np.bool_]) -> NDArray[Any]:
+    """The observations of ended episodes as Gymnasium's vector environments give them."""
+    rows = np.full(len(ended), None, dtype=object)
+    for i in np.flatnonzero(ended):
+        rows[i] = (
+            _row({k: v[i : i + 1] for k, v in observation.items()})
+            if isinstance(observation, dict)
+            else observation[i]
+        )
+    return rows

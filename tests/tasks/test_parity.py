@@ -1,0 +1,154 @@
+"""The task against recorded episodes of the published system (see tests/data)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cadenza.model.config import SceneConfig
+from cadenza.model.scene import Scene, build_scene
+from cadenza.music.library import load_score
+from cadenza.music.metrics import playing_metrics
+from cadenza.tasks import reward
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.music import goals_of, prepare
+from cadenza.tasks.piano_task import PianoTask
+
+DATA = Path(__file__).parents[1] / "data"
+EXACT = {"rtol": 0, "atol": 1e-6}
+
+
+class Recording:
+    """One recorded episode, the scene that it was recorded in, and the score that was asked for."""
+
+    def __init__(self, name: str) -> None:
+        with np.load(DATA / f"episode_{name}.npz") as file:
+            self.arrays = dict(file)
+        self.config = TaskConfig(
+            trim_silence=bool(self["trim_silence"]), sustain_term=True, forearm_term=True
+        )
+        self.scene = build_scene(
+            SceneConfig(reduced_action_space=bool(self["reduced_action_space"]))
+        )
+        self.score = load_score(str(self["song"]))
+        (prepared,) = prepare([self.score], self.config)
+        self.goals = goals_of(prepared, self.config)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.arrays[name]
+
+    def task(self) -> PianoTask:
+        task = PianoTask([self.score], self.config, self.scene)
+        task.reset([np.random.default_rng(0)], [0])
+        return task
+
+
+@pytest.fixture(scope="module", params="abcd")
+def recording(request: pytest.FixtureRequest) -> Recording:
+    return Recording(request.param)
+
+
+def test_names_and_ranges_of_actions(recording: Recording) -> None:
+    scene = recording.scene
+    assert_allclose(scene.action_low, recording["action_min"], **EXACT)
+    assert_allclose(scene.action_high, recording["action_max"], **EXACT)
+    published = [name.split("/")[1] for name in recording["actuator_names"]]
+    assert [n.replace("A_forearm", "forearm")[3:] for n in scene.actuator_names] == [
+        n.removeprefix("rh_").removeprefix("lh_") for n in published
+    ]
+    assert [n.removeprefix("rh_").removeprefix("lh_") for n in scene.hand_joint_names] == [
+        n.split("/")[1].removeprefix("rh_").removeprefix("lh_")
+        for n in recording["hand_joint_names"]
+    ]
+
+
+def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
+    goals = recording.goals
+    key_qpos = recording["key_qpos"]
+    state, activation = reward.key_state(key_qpos), reward.key_activation(key_qpos)
+    assert_array_equal(activation, recording["key_activation"])
+    force, velocity = servo_force_and_velocity(recording)
+    pairs = reward.finger_distances(
+        recording["fingertip_xpos"], reward.press_points(key_qpos), goals.fingers
+    )
+    terms = {
+        "key_press": reward.key_press(state, activation, goals.keys),
+        "fingering": reward.nearness(*pairs, goals.num_steps, otherwise=0.0),
+        "energy": reward.energy(force, velocity, recording.config.energy_coefficient),
+        "sustain": reward.sustain(recording["sustain_activation"], goals.sustain),
+        "forearm": reward.forearm(np.zeros(goals.num_steps, bool)),
+    }
+    for name, term in terms.items():
+        assert_allclose(term, recording[f"reward_{name}"], err_msg=name, **EXACT)
+    assert_allclose(sum(terms.values()), recording["reward_total"], **EXACT)
+
+
+def servo_force_and_velocity(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """What the servos did in the last physics step before each recorded state.
+
+    A semi-implicit Euler step moves positions by the new velocity, so the positions that the
+    forces came from are one step of the new velocity earlier.
+    """
+    scene: Scene = recording.scene
+    model, data = scene.model, mujoco.MjData(scene.model)
+    force, velocity = [], []
+    for action, qpos, qvel in zip(
+        recording["action"], recording["hand_qpos"], recording["hand_qvel"], strict=True
+    ):
+        data.qvel[scene.hand_qvel] = qvel
+        data.qpos[scene.hand_qpos] = qpos - model.opt.timestep * qvel
+        data.ctrl = action[:-1]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        force.append(data.actuator_force.copy())
+        velocity.append(data.actuator_velocity.copy())
+    return np.array(force), np.array(velocity)
+
+
+def test_metrics_follow_from_recorded_states(recording: Recording) -> None:
+    goals = recording.goals
+    ours = playing_metrics(
+        recording["key_activation"],
+        recording["sustain_activation"],
+        goals.keys,
+        goals.sustain,
+        recording.config.control_timestep,
+    )
+    published = json.loads(str(recording["metrics"]))
+    assert_allclose([ours[name] for name in published], list(published.values()), **EXACT)
+
+
+def test_replaying_the_actions(recording: Recording) -> None:
+    """Goal and fingering are observed as recorded, hands and keys move as recorded."""
+    task = recording.task()
+    goal, fingering = task.observation_layout["goal"], task.observation_layout["fingering"]
+    assert_array_equal(task.observation()[0, goal], recording["goal_obs0"])
+    assert_array_equal(task.observation()[0, fingering], recording["fingering_obs0"])
+    assert_array_equal(task.state.hand_qpos[0], recording["hand_qpos0"])
+    seen: dict[str, list[np.ndarray]] = {name: [] for name in ("goal", "fingering")}
+    moved: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("hand_qpos", "hand_qvel", "key_qpos", "fingertip_xpos")
+    }
+    for step, action in enumerate(recording["action"]):
+        transition = task.step(action[None])
+        assert bool(transition.truncated[0]) == (step == len(recording["action"]) - 1)
+        seen["goal"].append(task.observation()[0, goal])
+        seen["fingering"].append(task.observation()[0, fingering])
+        for name, values in moved.items():
+            values.append(getattr(task.state, name)[0])
+    assert_array_equal(seen["goal"], recording["goal_obs"])
+    assert_array_equal(seen["fingering"], recording["fingering_obs"])
+    for name in ("hand_qpos", "key_qpos", "fingertip_xpos"):
+        assert_allclose(
+            np.array(moved[name])[:40], recording[name][:40], rtol=0, atol=1e-3, err_msg=name
+        )
+    published = json.loads(str(recording["metrics"]))
+    ours = task.episode_metrics(0)
+    for name, value in published.items():
+        assert abs(ours[name] - value) < 0.05, name
