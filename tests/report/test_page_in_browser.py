@@ -147,8 +147,9 @@ def test_without_webgl_the_hands_are_drawn_flat(tmp_path, write):
 def test_keys_light_up_where_they_are(browser, write):
     browser.open(write(make_episode(hands=0)))
     browser.evaluate("document.querySelector('[data-view=top]').click()")
-    browser.evaluate("document.querySelectorAll('#stage > :not(canvas)').forEach(e => e.remove())")
-    browser.evaluate("document.querySelector('#view').parentElement.append(sounding)")
+    browser.evaluate(
+        "document.querySelectorAll('#stage > :not(canvas)').forEach(e => { e.hidden = true; })"
+    )
 
     def place(time, colour, other):
         """Where along the picture's width (0..1) `colour` outshines `other`."""
