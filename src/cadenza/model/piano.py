@@ -47,8 +47,8 @@ _STIFFNESS = 2.0  # [N m / rad]
 _SPRING_REFERENCE = -np.deg2rad(1.0)
 _DAMPING = 0.05  # [N m s / rad]
 _ARMATURE = 0.001  # [kg m^2]
-_SERVO_STIFFNESS = 100.0  # [N m / rad], of the piano that plays itself
-_SERVO_DAMPING = 0.6  # [N m s / rad]
+_SERVO_STIFFNESS = 25.0  # [N m / rad], of the piano that plays itself
+_SERVO_DAMPING = 0.05  # [N m s / rad], stable at physics steps up to 0.01 s
 _CONTACT = {"contype": 0, "conaffinity": 1, "solref": (0.01, 1.0)}
 
 WHITE_RGBA = (0.93, 0.92, 0.89, 1.0)

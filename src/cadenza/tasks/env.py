@@ -186,7 +186,7 @@ class PianoVectorEnv(VectorEnv):
             self._restart(np.flatnonzero(ended))
             observation = self._observe()
         else:
-            self._finished = ended
+            self._finished = ended.copy()
         return observation, reward, terminated, truncated, infos
 
     def _infos(self, result: Transition, fresh: NDArray[np.bool_]) -> dict[str, Any]:

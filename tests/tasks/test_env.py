@@ -1,0 +1,206 @@
+"""The Gymnasium classes: what Gymnasium's own checkers demand, and what users rely on."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_array_equal
+
+import cadenza
+from cadenza.errors import CadenzaError
+from cadenza.music.library import songs
+from cadenza.music.score import Note, Score
+from cadenza.tasks.env import PianoEnv, PianoVectorEnv
+
+ID = "cadenza/TwinkleTwinkleLittleStar-v0"
+SHORT = Score((Note(0.0, 0.1, 60, finger=0), Note(0.1, 0.25, 62, finger=1)), title="short")
+SHORT_STEPS = 6
+
+
+def test_every_bundled_song_is_registered() -> None:
+    for piece in songs():
+        assert f"cadenza/{piece.name}-v0" in gym.registry
+    assert cadenza.__version__
+
+
+def test_gymnasium_checks_the_env() -> None:
+    check_env(gym.make(ID).unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_checks_the_env_when_it_draws() -> None:
+    check_env(gym.make(ID, render_mode="rgb_array").unwrapped)
+
+
+def test_make_takes_options() -> None:
+    env = gym.make(ID, reduced_action_space=False, n_steps_lookahead=2)
+    assert env.action_space.shape == (45,)
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    assert env.unwrapped.observation_layout["goal"] == slice(0, 3 * 89)
+    with pytest.raises(CadenzaError, match="no option speed: choose from"):
+        gym.make(ID, speed=2)
+
+
+def test_episode_ends_with_the_score() -> None:
+    env = gym.make("cadenza/Piano-v0", song=SHORT)
+    env.reset(seed=0)
+    for step in range(SHORT_STEPS):
+        _, reward, terminated, truncated, info = env.step(np.zeros(39, np.float32))
+        assert not terminated
+        assert truncated == (step == SHORT_STEPS - 1)
+        terms = [value for name, value in info.items() if name.startswith("reward/")]
+        assert reward == pytest.approx(sum(terms))
+    assert 0 <= info["metrics/f1"] <= 1
+    with pytest.raises(CadenzaError, match="have ended"):
+        env.step(np.zeros(39, np.float32))
+
+
+def test_make_vec_picks_the_batched_env() -> None:
+    envs = gym.make_vec(ID, num_envs=3, num_threads=2)
+    assert isinstance(envs.unwrapped, PianoVectorEnv)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    observation, _ = envs.reset(seed=0)
+    assert observation in envs.observation_space
+    result = envs.step(envs.action_space.sample())
+    assert result[0] in envs.observation_space
+    assert [part.shape for part in result[1:4]] == [(3,)] * 3
+    envs.close()
+
+
+def test_a_batch_is_its_environments_one_by_one() -> None:
+    """Environment i of a batch seeded with s is a single one seeded with s + i."""
+    options = {"song": ["OdeToJoy", SHORT], "random_hand_position": 0.05, "random_pitch_shift": 5}
+    envs = PianoVectorEnv(num_envs=3, num_threads=2, **options)
+    single = [PianoEnv(**options) for _ in range(3)]
+    batch, _ = envs.reset(seed=7)
+    rows = [env.reset(seed=7 + i)[0] for i, env in enumerate(single)]
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        assert_array_equal(batch, rows)
+        actions = rng.uniform(-1, 1, envs.action_space.shape)
+        batch, rewards, *_ = envs.step(actions)
+        steps = [env.step(action) for env, action in zip(single, actions, strict=True)]
+        rows = [step[0] for step in steps]
+        assert_array_equal(rewards, [step[1] for step in steps])
+    envs.close()
+
+
+def test_same_seed_same_episode_and_reset_draws_anew() -> None:
+    env = PianoEnv("OdeToJoy", random_hand_position=0.05)
+    first, _ = env.reset(seed=3)
+    again, _ = env.reset()
+    repeated, _ = env.reset(seed=3)
+    assert_array_equal(first, repeated)
+    assert (first != again).any()
+
+
+def test_list_of_seeds() -> None:
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2, random_hand_position=0.05)
+    both, _ = envs.reset(seed=[4, 4])
+    assert_array_equal(both[0], both[1])
+
+
+def scripted(mode: AutoresetMode, steps: int) -> list[tuple]:
+    """Two songs of different lengths, so that the environments end at different times."""
+    longer = SHORT.with_initial_silence(0.05 * 3)
+    envs = PianoVectorEnv(
+        [SHORT, longer], num_envs=6, autoreset_mode=mode, trim_silence=False, num_threads=2
+    )
+    envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    return [envs.step(rng.uniform(-1, 1, envs.action_space.shape)) for _ in range(steps)]
+
+
+def test_autoreset_on_the_next_step() -> None:
+    results = scripted(AutoresetMode.NEXT_STEP, 2 * SHORT_STEPS)
+    ended = np.array([result[3] for result in results])
+    assert ended[SHORT_STEPS - 1].any()
+    assert not ended[SHORT_STEPS - 1].all()
+    for now, (_, reward, terminated, truncated, info) in enumerate(results):
+        fresh = ended[now - 1] if now else np.zeros(6, bool)
+        assert (reward[fresh] == 0).all()
+        assert not (terminated | truncated)[fresh].any()
+        assert_array_equal(info["_reward/key_press"], ~fresh)
+        if ended[now].any():
+            assert_array_equal(info["_metrics/f1"], ended[now])
+
+
+def test_a_reset_row_starts_over() -> None:
+    results = scripted(AutoresetMode.NEXT_STEP, 2 * SHORT_STEPS)
+    ended = np.flatnonzero(results[SHORT_STEPS - 1][3])
+    fresh = results[SHORT_STEPS][0][ended]
+    joints = slice(-46, None)
+    assert_array_equal(fresh[:, joints], np.zeros((len(ended), 46)))
+
+
+def test_autoreset_on_the_same_step_keeps_the_last_observation() -> None:
+    next_step = scripted(AutoresetMode.NEXT_STEP, SHORT_STEPS)
+    same_step = scripted(AutoresetMode.SAME_STEP, SHORT_STEPS)
+    observation, _, _, truncated, info = same_step[-1]
+    assert_array_equal(info["_final_obs"], truncated)
+    for i in np.flatnonzero(truncated):
+        assert_array_equal(info["final_obs"][i], next_step[-1][0][i])
+        assert_array_equal(observation[i, -46:], np.zeros(46))
+
+
+def test_disabled_autoreset_resets_by_mask() -> None:
+    envs = PianoVectorEnv(SHORT, num_envs=2, autoreset_mode=AutoresetMode.DISABLED)
+    envs.reset(seed=0)
+    for _ in range(SHORT_STEPS):
+        *_, truncated, _ = envs.step(envs.action_space.sample())
+    assert truncated.all()
+    with pytest.raises(CadenzaError, match="reset them"):
+        envs.step(envs.action_space.sample())
+    envs.reset(options={"reset_mask": np.array([True, True])})
+    envs.step(envs.action_space.sample())
+
+
+def test_an_unstable_simulation_ends_its_episode_only() -> None:
+    envs = PianoVectorEnv("OdeToJoy", num_envs=3)
+    envs.reset(seed=0)
+    envs.task.simulation._data[1].qvel[:] = 1e12
+    observation, reward, terminated, _, info = envs.step(np.zeros((3, 39)))
+    assert_array_equal(terminated, [False, True, False])
+    assert_array_equal(info["unstable"], [False, True, False])
+    assert np.isfinite(observation).all()
+    assert np.isfinite(reward).all()
+
+
+def test_pixels() -> None:
+    env = gym.make(ID, pixels=True)
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    picture = observation["pixels"]
+    assert picture.shape == (360, 640, 3)
+    assert picture.std() > 20  # not an empty picture
+    envs = PianoVectorEnv(SHORT, num_envs=2, pixels=True, autoreset_mode=AutoresetMode.SAME_STEP)
+    observation, _ = envs.reset(seed=0)
+    assert observation in envs.observation_space
+    for _ in range(SHORT_STEPS):
+        *_, info = envs.step(envs.action_space.sample())
+    assert info["final_obs"][0]["pixels"].shape == (360, 640, 3)
+
+
+def test_rendered_keys_light_up() -> None:
+    env = PianoEnv("OdeToJoy", hands="none", render_mode="rgb_array")
+    env.reset(seed=0)
+    action = -np.ones(89)
+    before = env.render().astype(int)
+    action[51] = 1  # not what the score asks for: red
+    env.step(action)
+    change = env.render().astype(int) - before
+    reddened = (change[..., 1] < -40) & (change[..., 0] > -40)
+    assert 20 < reddened.sum() < 4000
+
+
+def test_observation_sees_the_score_and_the_keys() -> None:
+    env = PianoEnv(SHORT)
+    observation, _ = env.reset(seed=0)
+    layout = env.observation_layout
+    goal = observation[layout["goal"]].reshape(11, 89)
+    assert_array_equal(np.argwhere(goal), [[0, 39], [1, 39], [2, 41], [3, 41], [4, 41]])
+    assert_array_equal(observation[layout["fingering"]], np.eye(10)[0])
+    assert sum(part.stop - part.start for part in layout.values()) == len(observation)
