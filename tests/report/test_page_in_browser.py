@@ -161,7 +161,7 @@ def test_keys_light_up_where_they_are(browser, write):
 
     red, green, blue = 0, 1, 2
     hit = place(0.5, green, red)  # key 39
-    missed, wrong = place(1.3, blue, red), place(1.3, red, green)  # keys 43 and 50
+    missed, wrong = place(1.3, blue, green), place(1.3, red, green)  # keys 43 and 50
     assert 0.4 < hit < missed < wrong < 0.65
     # Whole tones of the white row: 39 is its 23rd key, 43 its 25th, 50 its 29th.
     assert (missed - hit) / (wrong - missed) == pytest.approx(2 / 4, rel=0.1)

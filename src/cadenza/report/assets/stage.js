@@ -1,7 +1,7 @@
 // The performance in three dimensions. The world is the simulation's: x towards the player,
 // y to the player's right, z up, in metres.
 
-const FINGERS = [0xf2b134, 0xe4572e, 0x3d8bd4, 0x8e5bc0, 0x2fa57c]; // thumb to little, both hands
+const FINGERS = [0xf2c14e, 0xe0608c, 0x3d9bd9, 0x2f4b9b, 0x8a5a3c]; // thumb to little, both hands
 const VIEWS = { // from where the camera looks at the keyboard
   player: [0.4, 0, 0.92], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
