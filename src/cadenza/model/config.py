@@ -28,7 +28,7 @@ class SceneConfig:
     gravity_compensation: bool = True
     """Hold the weight of the hands, as the paper does."""
     primitive_fingertips: bool = True
-    """Collide fingertips as capsules; otherwise as ellipsoids that fill the fingertip's bounds."""
+    """Collide fingertips as capsules; otherwise as ellipsoids with the bounds of their shells."""
     hand_collisions: bool = True
     """Let the two hands (and the fingers of one) hit each other."""
     physics: Physics = "published"

@@ -144,7 +144,7 @@ def _add_geoms(body: mujoco.MjsBody, side: Side, link: Link, config: SceneConfig
     drawn = figures.DRAWN.get(link.name)
     for geom in link.geoms:
         if tip and not config.primitive_fingertips:
-            geom = figures.fingertip_ellipsoid(geom)
+            geom = figures.ROUND_FINGERTIPS[finger]
         _add_geom(
             body, side, geom,
             group=COLLIDING_GROUP if drawn else DRAWN_GROUP,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.model.cameras import add_cameras
-from cadenza.model.config import SceneConfig, Side
+from cadenza.model.config import Hands, Physics, SceneConfig, Side
 from cadenza.model.hand import add_hand, prefix
 from cadenza.model.piano import NUM_KEYS, add_piano, key_name
 from cadenza.model.shadow_hand import FINGERS, FOREARM_DOFS
@@ -89,6 +89,11 @@ def _sides(config: SceneConfig) -> tuple[Side, ...]:
 
 
 def _check(config: SceneConfig) -> None:
+    for name, choices in (("hands", get_args(Hands)), ("physics", get_args(Physics))):
+        if getattr(config, name) not in choices:
+            raise CadenzaError(
+                f"{name} {getattr(config, name)!r}: choose from {', '.join(choices)}"
+            )
     unknown = [dof for dof in config.forearm_dofs if dof not in FOREARM_DOFS]
     if unknown or len(set(config.forearm_dofs)) < len(config.forearm_dofs):
         raise CadenzaError(
@@ -97,6 +102,8 @@ def _check(config: SceneConfig) -> None:
         )
     if not 0 <= config.hand_spacing <= 1.2:
         raise CadenzaError(f"hand_spacing {config.hand_spacing} m: choose 0 to 1.2 m")
+    if not -180 <= config.attachment_yaw <= 180:
+        raise CadenzaError(f"attachment_yaw {config.attachment_yaw} degrees: choose -180 to 180")
 
 
 def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:

@@ -9,7 +9,7 @@ quaternions w, x, y, z; frames of the links: z along the link, y out of the back
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -131,10 +131,23 @@ _THUMB_TIP = Geom(
 )
 
 
-def fingertip_ellipsoid(capsule: Geom) -> Geom:
-    """The rounder fingertip that fills the same bounds as its capsule."""
-    radius, half_length = capsule.size
-    return replace(capsule, type="ellipsoid", size=(radius, radius, radius + half_length))
+# The rounder fingertips: ellipsoids along the axes of the link, with the bounds of the published
+# mesh. They hold 0.79 (fingers) and 0.87 (thumb) of its volume, the most that an ellipsoid can.
+_ROUND_FINGERTIP = Geom(
+    "ellipsoid",
+    (0.00856893111, 0.00716911199, 0.01366313501),
+    (-2.839e-05, -0.0001691117746, 0.01835379425),
+    mirrored=False,
+)
+_ROUND_THUMB_TIP = Geom(
+    "ellipsoid",
+    (0.01058339494, 0.008914186407, 0.01582727551),
+    (-2e-07, 8.581401573e-05, 0.01916883371),
+    mirrored=False,
+)
+ROUND_FINGERTIPS = {
+    finger: _ROUND_THUMB_TIP if finger == "th" else _ROUND_FINGERTIP for finger in FINGERS
+}
 
 
 _FOREARM = Link(
