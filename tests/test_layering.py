@@ -1,0 +1,87 @@
+"""Data flows one way: which folder of the package may import which."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cadenza
+
+PACKAGE = Path(cadenza.__file__).parent
+EVERYWHERE = {"errors", "files", "episode"}
+# What a folder stands on; it may import that, and what that stands on.
+STANDS_ON: dict[str, set[str]] = {
+    "music": set(),
+    "model": set(),
+    "sim": {"model"},
+    "tasks": {"music", "model", "sim"},
+    "agents": {"tasks"},
+    "report": {"music"},
+    "bench": {"music", "model", "sim", "tasks", "agents", "report"},
+}
+LIBRARIES: dict[str, set[str]] = {
+    "music": {"numpy", "mido", "mir_eval"},
+    "model": {"numpy", "mujoco"},
+    "sim": {"numpy", "mujoco"},
+    "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
+    "agents": {"numpy", "scipy"},
+    "report": {"numpy", "scipy", "av"},
+}
+
+
+def allowed(folder: str) -> set[str]:
+    below = STANDS_ON[folder]
+    return below | {folder} | EVERYWHERE | {name for part in below for name in allowed(part)}
+
+
+def imports(file: Path) -> Iterator[str]:
+    """Full names of all modules that `file` imports, also inside functions."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{file}: a relative import"
+            # `from cadenza.music import goals` names a module, too.
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def imported_parts(folder: str) -> set[tuple[str, str]]:
+    """(file, part of cadenza or library) for all that a folder imports."""
+    found = set()
+    for file in sorted((PACKAGE / folder).rglob("*.py")):
+        for name in imports(file):
+            parts = name.split(".")
+            of_ours = parts[0] == "cadenza"
+            found.add((str(file.relative_to(PACKAGE)), parts[1] if of_ours else f"lib {parts[0]}"))
+    return found
+
+
+def test_every_folder_has_its_place() -> None:
+    folders = {path.name for path in PACKAGE.iterdir() if any(path.glob("*.py"))}
+    assert folders == STANDS_ON.keys()
+
+
+@pytest.mark.parametrize("folder", STANDS_ON)
+def test_imports_only_what_it_stands_on(folder: str) -> None:
+    ours = {(f, part) for f, part in imported_parts(folder) if not part.startswith("lib ")}
+    assert [(f, part) for f, part in ours if part not in allowed(folder)] == []
+
+
+@pytest.mark.parametrize("folder", LIBRARIES)
+def test_imports_only_the_libraries_it_is_about(folder: str) -> None:
+    """MuJoCo stays in model and sim: tasks and agents see arrays."""
+    libraries = {(f, part[4:]) for f, part in imported_parts(folder) if part.startswith("lib ")}
+    known = LIBRARIES[folder] | sys.stdlib_module_names
+    assert [(f, name) for f, name in libraries if name not in known] == []
+
+
+def test_what_all_may_import_stands_on_nothing() -> None:
+    for name in EVERYWHERE:
+        parts = {
+            n.split(".")[1] for n in imports(PACKAGE / f"{name}.py") if n.startswith("cadenza.")
+        }
+        assert parts <= EVERYWHERE
