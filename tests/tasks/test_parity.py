@@ -74,7 +74,7 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     assert_array_equal(activation, recording["key_activation"])
     force, velocity = servo_force_and_velocity(recording)
     pairs = reward.finger_distances(
-        recording["fingertip_xpos"], reward.press_points(key_qpos), goals.fingers
+        recording["fingertip_xpos"], key_qpos, goals.fingers
     )
     terms = {
         "key_press": reward.key_press(state, activation, goals.keys),

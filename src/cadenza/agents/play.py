@@ -62,10 +62,10 @@ def play(
         ended = bool(transition.terminated[0] or transition.truncated[0])
         unstable = bool(transition.unstable[0])
         if progress:
-            progress(int(task.steps_done[0]), int(task.num_steps[0]))
+            progress(int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
     metrics = task.episode_metrics(0) | record.sums()
     metrics |= {
-        "steps": int(task.steps_done[0]),
+        "steps": int(task.sheets.steps_done[0]),
         "planning_seconds": planning,
         "playing_seconds": playing,
         "unstable": float(unstable),
@@ -82,8 +82,7 @@ class _Record:
         self._start = {"hand_qpos0": task.state.hand_qpos[0]} | {
             f"{name}0": part for name, part in self._score_observations().items()
         }
-        total = int(task.num_steps[0])
-        goal, self._fingers = task.goal_ahead(total)[0], task.fingers_ahead(total)[0]
+        goal, self._fingers = task.sheets.part(0, 0, int(task.sheets.num_steps[0]))
         self._goal_keys, self._goal_sustain = goal[:, :NUM_KEYS], goal[:, NUM_KEYS]
 
     def _score_observations(self) -> dict[str, Any]:
@@ -131,7 +130,7 @@ class _Record:
             "body_xquat": xquat,
             "metrics": np.array(json.dumps(metrics)),
         }
-        title = task.songs[0].title
+        title = task.sheets.songs[0].title
         return Episode(
             title, task.config.control_timestep, self._start | rows | about, drawing(scene)
         )

@@ -29,9 +29,9 @@ class ReplayAgent:
                 f"the plan has {width} actions a step and this task {task.action_size}: "
                 f"{_other_space(task)}"
             )
-        if steps != task.num_steps[0]:
+        if steps != task.sheets.num_steps[0]:
             raise CadenzaError(
-                f"the plan has {steps} steps and the song {task.num_steps[0]}: "
+                f"the plan has {steps} steps and the song {task.sheets.num_steps[0]}: "
                 "was it made for another song, tempo or initial silence?"
             )
         self._step = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -35,12 +35,12 @@ class Scene:
     config: SceneConfig
     model: mujoco.MjModel
     sides: tuple[Side, ...]
-    key_qpos: Ids
-    """(88,) addresses of the keys' joints in qpos."""
-    hand_qpos: Ids
-    """(J,) addresses of the hands' joints in qpos."""
-    hand_qvel: Ids
-    """(J,) addresses of the hands' joints in qvel."""
+    key_qpos: slice
+    """Where the 88 keys' joints are in qpos."""
+    hand_qpos: slice
+    """Where the J joints of the hands are in qpos."""
+    hand_qvel: slice
+    """Where the J joints of the hands are in qvel."""
     hand_joint_names: tuple[str, ...]
     actuator_names: tuple[str, ...]
     fingertip_sites: Ids
@@ -135,9 +135,9 @@ def _resolve(config: SceneConfig, model: mujoco.MjModel, sides: tuple[Side, ...]
         config=config,
         model=model,
         sides=sides,
-        key_qpos=np.array(hinge),
-        hand_qpos=model.jnt_qposadr[joints].astype(np.intp),
-        hand_qvel=model.jnt_dofadr[joints].astype(np.intp),
+        key_qpos=_as_slice(hinge),
+        hand_qpos=_as_slice(model.jnt_qposadr[joints]),
+        hand_qvel=_as_slice(model.jnt_dofadr[joints]),
         hand_joint_names=tuple(model.joint(j).name for j in joints),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
         fingertip_sites=_array(model.site(f"{p}{f}tip").id for p in prefixes for f in FINGERS),
@@ -152,6 +152,13 @@ def _resolve(config: SceneConfig, model: mujoco.MjModel, sides: tuple[Side, ...]
 
 def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> list[int]:
     return [i for i in range(count) if named(i).name.startswith(prefix)]
+
+
+def _as_slice(addresses: Sequence[int]) -> slice:
+    """Hinges and slides added one after the other take consecutive addresses."""
+    first, count = (int(addresses[0]), len(addresses)) if len(addresses) else (0, 0)
+    assert list(addresses) == list(range(first, first + count))
+    return slice(first, first + count)
 
 
 def _array(values: Iterable[int]) -> Ids:

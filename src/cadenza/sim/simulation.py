@@ -17,14 +17,8 @@ from cadenza.model.scene import Scene
 Array = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
-_UNSTABLE = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
+# Bad positions, velocities and accelerations are neighbours among MuJoCo's warnings.
+_UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 
 # MuJoCo would otherwise print to the terminal and leave MUJOCO_LOG.TXT wherever it runs.
 mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
@@ -89,6 +83,7 @@ class Simulation:
         self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
         self.num_unstable = 0
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
+        self._warnings = [data.warning.number[_UNSTABLE] for data in self._data]  # views
         self._pool = ThreadPoolExecutor(num_threads) if min(num_threads, num_envs) > 1 else None
         self._num_threads = num_threads
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
@@ -102,7 +97,7 @@ class Simulation:
         model, n = self.scene.model, self.num_envs
         self._qpos = np.zeros((n, model.nq))
         self._qvel = np.zeros((n, model.nv))
-        self._site_xpos = np.zeros((n, model.nsite, 3))
+        self._fingertip_xpos = np.zeros((n, 10, 3))
         self._force = np.zeros((n, model.nu))
         self._velocity = np.zeros((n, model.nu))
         self._forearm_contact = np.zeros(n, bool)
@@ -156,16 +151,16 @@ class Simulation:
             self._read(i)
 
     def _read(self, i: int) -> None:
-        data = self._data[i]
+        data, scene = self._data[i], self.scene
         self._qpos[i] = data.qpos
         self._qvel[i] = data.qvel
-        self._site_xpos[i] = data.site_xpos
+        self._fingertip_xpos[i, scene.fingers] = data.site_xpos[scene.fingertip_sites]
         self._force[i] = data.actuator_force
         self._velocity[i] = data.actuator_velocity
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
             self._forearm_contact[i] = touched.all(axis=0).any()
-        if not self._unstable[i] and data.warning.number[_UNSTABLE].any():
+        if self._warnings[i].any() and not self._unstable[i]:
             self._unstable[i] = True
             self.num_unstable += 1
             _LOG.warning("simulation %d became unstable at %.2f s", i, data.time)
@@ -174,13 +169,11 @@ class Simulation:
     def state(self) -> State:
         """The state after the last step, in arrays of its own."""
         scene = self.scene
-        fingertips = np.zeros((self.num_envs, 10, 3))
-        fingertips[:, scene.fingers] = self._site_xpos[:, scene.fingertip_sites]
         return State(
-            key_qpos=self._qpos[:, scene.key_qpos],
-            hand_qpos=self._qpos[:, scene.hand_qpos],
-            hand_qvel=self._qvel[:, scene.hand_qvel],
-            fingertip_xpos=fingertips,
+            key_qpos=self._qpos[:, scene.key_qpos].copy(),
+            hand_qpos=self._qpos[:, scene.hand_qpos].copy(),
+            hand_qvel=self._qvel[:, scene.hand_qvel].copy(),
+            fingertip_xpos=self._fingertip_xpos.copy(),
             actuator_force=self._force.copy(),
             actuator_velocity=self._velocity.copy(),
             forearm_contact=self._forearm_contact.copy(),

@@ -139,8 +139,9 @@ class PianoVectorEnv(VectorEnv):
             options: {"reset_mask": (N,) bool} to reset some of the environments only.
         """
         self._seed(seed)
-        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
         self._restart(np.flatnonzero(mask))
+        self._finished = self._finished & ~mask
         return self._observe(), {}
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
@@ -159,7 +160,6 @@ class PianoVectorEnv(VectorEnv):
         assert self._rngs is not None, "reset() comes before step()"
         if len(env_ids):
             self.task.reset([self._rngs[i] for i in env_ids], env_ids.tolist())
-            self._finished[env_ids] = False
 
     def step(
         self, actions: NDArray[Any]
@@ -169,32 +169,31 @@ class PianoVectorEnv(VectorEnv):
         if mode == AutoresetMode.DISABLED and self._finished.any():
             over = np.flatnonzero(self._finished).tolist()
             raise CadenzaError(f"episodes {over} have ended: reset them before stepping on")
-        fresh = self._finished.copy()
-        self._restart(np.flatnonzero(fresh))
-        moving = np.flatnonzero(~fresh).tolist() if fresh.any() else None
-        ctrl = self.task.scale_action(np.asarray(actions, np.float64))
-        result = self.task.step(ctrl, moving)
-        reward = np.where(fresh, 0.0, result.reward)
-        terminated, truncated = result.terminated & ~fresh, result.truncated & ~fresh
-        infos = self._infos(result, fresh)
-        ended = terminated | truncated
-        if ended.any():
+        fresh, moving = self._finished, None
+        if fresh.any():
+            self._restart(np.flatnonzero(fresh))
+            moving = np.flatnonzero(~fresh).tolist()
+        result = self.task.step(self.task.scale_action(actions), moving)
+        if moving is not None:
+            result = _blanked(result, fresh)
+        infos = self._infos(result, ~fresh)
+        ended = result.terminated | result.truncated
+        any_ended = bool(ended.any())
+        if any_ended:
             self._add_metrics(infos, ended)
         observation = self._observe()
-        if mode == AutoresetMode.SAME_STEP and ended.any():
+        self._finished = ended
+        if any_ended and mode == AutoresetMode.SAME_STEP:
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
+            self._finished = np.zeros_like(ended)
             observation = self._observe()
-        else:
-            self._finished = ended.copy()
-        return observation, reward, terminated, truncated, infos
+        return observation, result.reward, result.terminated, result.truncated, infos
 
-    def _infos(self, result: Transition, fresh: NDArray[np.bool_]) -> dict[str, Any]:
-        infos: dict[str, Any] = {}
-        for name, values in {**result.terms, "unstable": result.unstable}.items():
-            key = name if name == "unstable" else f"reward/{name}"
-            infos[key] = np.where(fresh, np.zeros_like(values), values)
-            infos[f"_{key}"] = ~fresh
+    def _infos(self, result: Transition, stepped: NDArray[np.bool_]) -> dict[str, Any]:
+        infos: dict[str, Any] = {"unstable": result.unstable, "_unstable": stepped}
+        for name, values in result.terms.items():
+            infos[f"reward/{name}"], infos[f"_reward/{name}"] = values, stepped
         return infos
 
     def _add_metrics(self, infos: dict[str, Any], ended: NDArray[np.bool_]) -> None:
@@ -212,7 +211,7 @@ class PianoVectorEnv(VectorEnv):
         if self._renderer is None:
             self._renderer = Renderer(self.task.scene, self._picture)
         state, task = self.task.state, self.task
-        goal = task.goal_ahead(1)[:, 0, :NUM_KEYS]
+        goal = task.sheets.goal[:, :NUM_KEYS]
         return np.stack(
             [
                 self._renderer.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])
@@ -289,6 +288,17 @@ def _row(observation: Observation) -> Observation:
     if isinstance(observation, dict):
         return {name: part[0] for name, part in observation.items()}
     return observation[0]
+
+
+def _blanked(result: Transition, fresh: NDArray[np.bool_]) -> Transition:
+    """The same with nothing in the rows of environments that were reset instead of stepped."""
+    return Transition(
+        reward=np.where(fresh, 0.0, result.reward),
+        terms={name: np.where(fresh, 0.0, values) for name, values in result.terms.items()},
+        terminated=result.terminated & ~fresh,
+        truncated=result.truncated & ~fresh,
+        unstable=result.unstable & ~fresh,
+    )
 
 
 def _rows(observation: Observation, ended: NDArray[np.bool_]) -> NDArray[Any]:

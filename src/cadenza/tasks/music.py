@@ -1,14 +1,23 @@
-"""The music of an episode: which score, changed how, as goals per control step."""
+"""The music of the episodes: which score, changed how, as goals per control step."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals, score_to_goals
-from cadenza.music.score import HIGHEST_PITCH, LOWEST_PITCH, Score
+from cadenza.music.score import (
+    HIGHEST_PITCH,
+    LOWEST_PITCH,
+    NUM_FINGERS,
+    NUM_KEYS,
+    UNKNOWN_FINGER,
+    Score,
+)
 from cadenza.tasks.config import TaskConfig
 
 _OCTAVE = 12
@@ -66,3 +75,101 @@ def goals_of(score: Score, config: TaskConfig) -> Goals:
         fingers=np.pad(goals.fingers, ((silent, 0), (0, 0)), constant_values=-1),
         sustain=np.pad(goals.sustain, (silent, 0)),
     )
+
+
+class Sheets:
+    """What N environments have to play, step by step, and how far they have got.
+
+    Attributes:
+        songs: the score of each environment.
+        num_steps: (N,) control steps of its episode.
+        steps_done: (N,) control steps since its reset.
+        row: (N,) the step that comes next; after the last, as in the published system, the last.
+        transports_fingers: (N,) whether fingers are assigned to keys by optimal transport.
+    """
+
+    def __init__(self, num_envs: int, lookahead: int, fingers: NDArray[np.intp]) -> None:
+        """Args:
+        num_envs: N.
+        lookahead: rows after the next that are observed.
+        fingers: those of the hands that are there.
+        """
+        self.songs: list[Score] = [Score(())] * num_envs
+        self.num_steps = np.ones(num_envs, np.intp)
+        self.steps_done = np.zeros(num_envs, np.intp)
+        self.row = np.zeros(num_envs, np.intp)
+        self.transports_fingers = np.zeros(num_envs, bool)
+        self._env_ids = np.arange(num_envs)
+        self._ahead = lookahead + 1
+        self._there = fingers
+        # Rows past an episode's end are silent; `_ahead` more of them keep the lookahead inside.
+        self._goal = np.zeros((num_envs, self._ahead, NUM_KEYS + 1), bool)
+        self._fingers = np.full((num_envs, self._ahead, NUM_KEYS), UNKNOWN_FINGER, np.int8)
+        self._wanted = np.zeros((num_envs, self._ahead, NUM_FINGERS), bool)
+        self._look_ahead()
+
+    def put(self, env: int, score: Score, config: TaskConfig) -> None:
+        """Gives environment `env` a score to play from the beginning."""
+        goals = goals_of(score, config)
+        length = goals.num_steps
+        self._make_room(length + self._ahead)
+        self.songs[env], self.num_steps[env] = score, length
+        self.steps_done[env] = self.row[env] = 0
+        self.transports_fingers[env] = config.fingering == "transport" or not score.has_fingering
+        fingers = np.where(np.isin(goals.fingers, self._there), goals.fingers, UNKNOWN_FINGER)
+        self._goal[env], self._fingers[env], self._wanted[env] = False, UNKNOWN_FINGER, False
+        self._goal[env, :length, :NUM_KEYS] = goals.keys
+        self._goal[env, :length, NUM_KEYS] = goals.sustain
+        self._fingers[env, :length] = fingers
+        step, key = (fingers >= 0).nonzero()
+        self._wanted[env, step, fingers[step, key]] = True
+
+    def _make_room(self, length: int) -> None:
+        grow = length - self._goal.shape[1]
+        if grow > 0:
+            pad = ((0, 0), (0, grow), (0, 0))
+            self._goal = np.pad(self._goal, pad)
+            self._fingers = np.pad(self._fingers, pad, constant_values=UNKNOWN_FINGER)
+            self._wanted = np.pad(self._wanted, pad)
+            self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        flat = self._goal.reshape(len(self._goal), -1)
+        windows = sliding_window_view(flat, self._ahead * (NUM_KEYS + 1), axis=1)
+        self._windows = windows[:, :: NUM_KEYS + 1]  # (N, steps, lookahead rows), a view
+
+    def advance(self, env_ids: NDArray[np.intp]) -> None:
+        """These environments have taken a step."""
+        self.steps_done[env_ids] += 1
+        self.row = np.minimum(self.steps_done, self.num_steps - 1)
+
+    @property
+    def goal(self) -> NDArray[np.bool_]:
+        """(N, 89) keys and pedal of the next step."""
+        return self._goal[self._env_ids, self.row]
+
+    @property
+    def fingers(self) -> NDArray[np.int8]:
+        """(N, 88) the fingers for the keys of the next step, -1 for none."""
+        return self._fingers[self._env_ids, self.row]
+
+    @property
+    def fingers_wanted(self) -> NDArray[np.bool_]:
+        """(N, 10) which fingers have a key to press in the next step."""
+        return self._wanted[self._env_ids, self.row]
+
+    @property
+    def lookahead(self) -> NDArray[np.bool_]:
+        """(N, (lookahead + 1) * 89) the next step's goal and those of the steps after it."""
+        return self._windows[self._env_ids, self.row]
+
+    def part(self, env: int, first: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+        """Goals (last - first, 89) and fingers (last - first, 88) of steps of one environment.
+
+        Past the end nothing is to be played.
+        """
+        rows = np.arange(first, last)
+        inside = rows < self.num_steps[env]
+        rows = np.minimum(rows, self.num_steps[env] - 1)
+        goal = self._goal[env, rows] & inside[:, None]
+        return goal, np.where(inside[:, None], self._fingers[env, rows], np.int8(UNKNOWN_FINGER))

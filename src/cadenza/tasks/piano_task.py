@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from cadenza.model.config import SceneConfig
 from cadenza.model.scene import Scene, build_scene
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import NUM_KEYS, Score
-from cadenza.sim.simulation import Simulation, State
+from cadenza.sim.simulation import Simulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
 
@@ -51,10 +52,11 @@ class PianoTask:
         simulation: the physics; planners copy its state.
         action_low, action_high: (A,) ranges of an action in actuator units, the pedal last.
         observation_layout: name -> slice of an observation.
-        songs: the drawn score of each environment, a list of N.
-        steps_done: (N,) control steps since the last reset.
-        num_steps: (N,) control steps that the episode has.
-        transports_fingers: (N,) whether fingers are assigned to keys by optimal transport.
+        observation_size: D.
+        sheets: the music that each environment plays and how far it has got.
+        state: what the simulation was like after the last step, or reset.
+        key_state: (N, 88) how far the keys are down, 0..1.
+        sounding: (N, 88) which keys sound.
     """
 
     def __init__(
@@ -89,19 +91,16 @@ class PianoTask:
         )
         self.action_low = self.scene.action_low
         self.action_high = self.scene.action_high
-        self._lookahead = self._steps_lookahead()
-        self.observation_layout = self._lay_out_observation()
-        self.songs: list[Score] = [self._scores[0]] * num_envs
-        self.steps_done = np.zeros(num_envs, np.intp)
-        self.num_steps = np.zeros(num_envs, np.intp)
-        self._goal = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
-        self._fingers = np.zeros((num_envs, 0, NUM_KEYS), np.int8)
-        self.transports_fingers = np.zeros(num_envs, bool)
+        self._action_centre = (self.action_low + self.action_high) / 2
+        self._action_scale = (self.action_high - self.action_low) / 2
+        lookahead = self._steps_lookahead()
+        self.sheets = music.Sheets(num_envs, lookahead, self.scene.fingers)
+        self.observation_layout = self._lay_out_observation(lookahead)
+        self.observation_size = max(part.stop for part in self.observation_layout.values())
         self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
         self._pedal = np.zeros(num_envs)
         self._env_ids = np.arange(num_envs)
-        self._ahead = np.arange(self._lookahead + 1)
-        self.state: State = self.simulation.state
+        self._look()
 
     # Shapes and ranges
 
@@ -110,14 +109,10 @@ class PianoTask:
         """A: actuators and the pedal."""
         return len(self.action_low)
 
-    @property
-    def observation_size(self) -> int:
-        return max(part.stop for part in self.observation_layout.values())
-
-    def scale_action(self, action: Array) -> Array:
+    def scale_action(self, action: NDArray[Any]) -> Array:
         """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
-        unit = (np.clip(action, -1.0, 1.0) + 1.0) / 2.0
-        return self.action_low + unit * (self.action_high - self.action_low)
+        ctrl = np.asarray(action, np.float64) * self._action_scale + self._action_centre
+        return np.clip(ctrl, self.action_low, self.action_high)
 
     def _steps_lookahead(self) -> int:
         seconds = self.config.n_seconds_lookahead
@@ -128,13 +123,13 @@ class PianoTask:
             raise CadenzaError(f"a lookahead of {steps} steps: choose 0 or more")
         return steps
 
-    def _lay_out_observation(self) -> dict[str, slice]:
-        sizes = {"goal": (self._lookahead + 1) * (NUM_KEYS + 1)}
+    def _lay_out_observation(self, lookahead: int) -> dict[str, slice]:
+        sizes = {"goal": (lookahead + 1) * (NUM_KEYS + 1)}
         if self.config.fingering != "off" and self.scene.sides:
             sizes["fingering"] = 10
         sizes |= {"key_state": NUM_KEYS, "pedal": 1}
         if self.scene.sides:
-            sizes["joints"] = len(self.scene.hand_qpos)
+            sizes["joints"] = len(self.scene.hand_joint_names)
         ends = np.cumsum(list(sizes.values()))
         return {
             name: slice(int(end) - size, int(end))
@@ -152,43 +147,21 @@ class PianoTask:
 
     def reset(self, rngs: Sequence[np.random.Generator], env_ids: Sequence[int]) -> None:
         """Starts new episodes in `env_ids`, each with a generator of its own."""
-        start = np.zeros((len(env_ids), len(self.scene.hand_qpos)))
+        start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
         for row, (env, rng) in enumerate(zip(env_ids, rngs, strict=True)):
-            self._set_music(env, music.draw(self._scores, self.config, rng))
+            self.sheets.put(env, music.draw(self._scores, self.config, rng), self.config)
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
+        missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
+        self._played = np.pad(self._played, ((0, 0), (0, max(missing, 0)), (0, 0)))
         self.simulation.reset(env_ids, start)
-        self.steps_done[list(env_ids)] = 0
         self._pedal[list(env_ids)] = 0.0
+        self._look()
+
+    def _look(self) -> None:
         self.state = self.simulation.state
-
-    def _set_music(self, env: int, score: Score) -> None:
-        goals = music.goals_of(score, self.config)
-        length = goals.num_steps
-        self._make_room(length)
-        self.songs[env] = score
-        self.num_steps[env] = length
-        self._goal[env] = False
-        self._goal[env, :length, :NUM_KEYS] = goals.keys
-        self._goal[env, :length, NUM_KEYS] = goals.sustain
-        self._fingers[env] = -1
-        self._fingers[env, :length] = np.where(
-            np.isin(goals.fingers, self.scene.fingers), goals.fingers, -1
-        )
-        self._played[env] = False
-        self.transports_fingers[env] = (
-            self.config.fingering == "transport" or not score.has_fingering
-        )
-
-    def _make_room(self, length: int) -> None:
-        grow = length - self._fingers.shape[1]
-        if grow <= 0:
-            return
-        pad = ((0, 0), (0, grow), (0, 0))
-        ahead = self._lookahead + 1 if not self._goal.shape[1] else 0
-        self._goal = np.pad(self._goal, ((0, 0), (0, grow + ahead), (0, 0)))
-        self._fingers = np.pad(self._fingers, pad, constant_values=-1)
-        self._played = np.pad(self._played, pad)
+        self.key_state = reward.key_state(self.state.key_qpos)
+        self.sounding = reward.key_activation(self.state.key_qpos)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Takes one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
@@ -198,39 +171,34 @@ class PianoTask:
             env_ids: the environments that take the step, all by default; the rows of the others
                 in the result mean nothing.
         """
-        moving = self._env_ids if env_ids is None else np.asarray(env_ids, np.intp)
-        now = np.minimum(self.steps_done, self.num_steps - 1)
-        goal, fingers = self._goal[self._env_ids, now], self._fingers[self._env_ids, now]
+        sheets = self.sheets
+        goal, fingers, row = sheets.goal, sheets.fingers, sheets.row
         self.simulation.step(ctrl[:, :-1], env_ids)
-        self.state = state = self.simulation.state
+        self._look()
+        moving = self._env_ids if env_ids is None else np.asarray(env_ids, np.intp)
         self._pedal[moving] = ctrl[moving, -1]
+        self._played[moving, row[moving], :NUM_KEYS] = self.sounding[moving]
+        self._played[moving, row[moving], NUM_KEYS] = self.pedal_down[moving]
+        sheets.advance(moving)
 
-        activation = reward.key_activation(state.key_qpos)
-        pedal_down = self.pedal_down
-        self._played[moving, now[moving], :NUM_KEYS] = activation[moving]
-        self._played[moving, now[moving], NUM_KEYS] = pedal_down[moving]
-        self.steps_done[moving] += 1
-
-        terms = self._reward_terms(state, activation, goal, fingers)
-        terminated = state.unstable.copy()
+        terms = self._reward_terms(goal, fingers)
+        terminated = self.state.unstable
         if self.config.wrong_press_termination:
-            terminated |= (activation & ~goal[:, :NUM_KEYS]).any(axis=1)
+            terminated = terminated | (self.sounding > goal[:, :NUM_KEYS]).any(axis=1)
         return Transition(
             reward=sum(terms.values(), np.zeros(self.num_envs)),
             terms=terms,
             terminated=terminated,
-            truncated=(self.steps_done >= self.num_steps) & ~terminated,
-            unstable=state.unstable,
+            truncated=(sheets.steps_done >= sheets.num_steps) > terminated,
+            unstable=self.state.unstable,
         )
 
-    def _reward_terms(
-        self, state: State, activation: Mask, goal: Mask, fingers: NDArray[np.int8]
-    ) -> dict[str, Array]:
-        config, keys = self.config, goal[:, :NUM_KEYS]
-        terms = {"key_press": reward.key_press(reward.key_state(state.key_qpos), activation, keys)}
+    def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
+        config, state, keys = self.config, self.state, goal[:, :NUM_KEYS]
+        terms = {"key_press": reward.key_press(self.key_state, self.sounding, keys)}
         if self.scene.sides:
             if config.fingering != "off":
-                terms["fingering"] = self._fingering_term(state, keys, fingers)
+                terms["fingering"] = self._fingering_term(keys, fingers)
             terms["energy"] = reward.energy(
                 state.actuator_force, state.actuator_velocity, config.energy_coefficient
             )
@@ -240,19 +208,16 @@ class PianoTask:
             terms["forearm"] = reward.forearm(state.forearm_contact)
         return terms
 
-    def _fingering_term(self, state: State, keys: Mask, fingers: NDArray[np.int8]) -> Array:
-        points, n = reward.press_points(state.key_qpos), self.num_envs
-        by_score = by_transport = np.zeros(n)
-        if not self.transports_fingers.all():
-            pairs = reward.finger_distances(state.fingertip_xpos, points, fingers)
-            by_score = reward.nearness(*pairs, n, otherwise=0.0)
-        if self.transports_fingers.any():
-            tips = state.fingertip_xpos[:, self.scene.fingers]
-            pairs = reward.transport_distances(
-                tips, points, keys & self.transports_fingers[:, None]
-            )
-            by_transport = reward.nearness(*pairs, n, otherwise=1.0)
-        return np.where(self.transports_fingers, by_transport, by_score)
+    def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
+        state, transported = self.state, self.sheets.transports_fingers
+        pairs = reward.finger_distances(state.fingertip_xpos, state.key_qpos, fingers)
+        by_score = reward.nearness(*pairs, self.num_envs, otherwise=0.0)
+        if not transported.any():
+            return by_score
+        tips = state.fingertip_xpos[:, self.scene.fingers]
+        pairs = reward.transport_distances(tips, state.key_qpos, keys & transported[:, None])
+        by_transport = reward.nearness(*pairs, self.num_envs, otherwise=1.0)
+        return np.where(transported, by_transport, by_score)
 
     # What is seen
 
@@ -261,60 +226,28 @@ class PianoTask:
         """(N,) whether the pedal is down."""
         return self._pedal >= PEDAL_DOWN
 
-    @property
-    def sounding(self) -> Mask:
-        """(N, 88) which keys sound."""
-        return reward.key_activation(self.state.key_qpos)
-
-    def goal_ahead(self, num_rows: int) -> Mask:
-        """(N, num_rows, 89) goals of the next steps, keys and pedal; False past the end.
-
-        After the last step, as in the published system, those of the last step once more.
-        """
-        now = np.minimum(self.steps_done, self.num_steps - 1)
-        rows = now[:, None] + np.arange(num_rows)
-        inside = rows < self.num_steps[:, None]
-        goal = self._goal[self._env_ids[:, None], np.minimum(rows, self._goal.shape[1] - 1)]
-        return goal & inside[:, :, None]
-
-    def fingers_ahead(self, num_rows: int) -> NDArray[np.int8]:
-        """(N, num_rows, 88) fingers of the next steps, -1 for none, and past the end."""
-        now = np.minimum(self.steps_done, self.num_steps - 1)
-        rows = now[:, None] + np.arange(num_rows)
-        last = self._fingers.shape[1] - 1
-        fingers = self._fingers[self._env_ids[:, None], np.minimum(rows, last)]
-        return np.where((rows < self.num_steps[:, None])[:, :, None], fingers, np.int8(-1))
-
     def observation(self) -> NDArray[np.float32]:
         """(N, D) what an agent sees; `observation_layout` names the parts.
 
-        goal: the rows of `goal_ahead`, 0 or 1; fingering: 1 for each finger that has a key to
-        press now; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints: positions [m, rad].
+        goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
+        finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
+        positions [m, rad].
         """
         layout = self.observation_layout
         result = np.empty((self.num_envs, self.observation_size), np.float32)
-        now = np.minimum(self.steps_done, self.num_steps - 1)
-        rows = self._goal[self._env_ids[:, None], now[:, None] + self._ahead]
-        result[:, layout["goal"]] = rows.reshape(self.num_envs, -1)
+        result[:, layout["goal"]] = self.sheets.lookahead
         if "fingering" in layout:
-            result[:, layout["fingering"]] = self._fingers_wanted(now)
-        result[:, layout["key_state"]] = reward.key_state(self.state.key_qpos)
+            result[:, layout["fingering"]] = self.sheets.fingers_wanted
+        result[:, layout["key_state"]] = self.key_state
         result[:, layout["pedal"]] = self._pedal[:, None]
         if "joints" in layout:
             result[:, layout["joints"]] = self.state.hand_qpos
         return result
 
-    def _fingers_wanted(self, now: NDArray[np.intp]) -> NDArray[np.float32]:
-        wanted = np.zeros((self.num_envs, 10), np.float32)
-        fingers = self._fingers[self._env_ids, now]
-        env, key = np.nonzero(fingers >= 0)
-        wanted[env, fingers[env, key]] = 1.0
-        return wanted
-
     def episode_metrics(self, env: int) -> dict[str, float]:
         """How well environment `env` has played its score so far (see `music.metrics`)."""
-        done = slice(0, int(self.steps_done[env]))
-        played, goal = self._played[env, done], self._goal[env, done]
+        done = int(self.sheets.steps_done[env])
+        played, (goal, _) = self._played[env, :done], self.sheets.part(env, 0, done)
         return playing_metrics(
             played[:, :NUM_KEYS],
             played[:, NUM_KEYS],

@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 _LOG_VALUE_AT_MARGIN = np.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
 _FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
+_SOUNDS_FROM = KEY_TRAVEL - SOUND_TOLERANCE  # [rad]
 # Where on a key a finger is wanted, from the centre of its box.
 _PRESS_OFFSET = np.stack(
     [0.35 * KEY_HALF_SIZE[:, 0], np.zeros(len(KEY_HALF_SIZE)), 0.5 * KEY_HALF_SIZE[:, 2]], axis=1
@@ -26,55 +27,63 @@ _PRESS_OFFSET = np.stack(
 
 def tolerance(x: Array, bound: float, margin: float) -> Array:
     """1 for 0 <= x <= bound, falling off as a Gaussian to 0.1 at `margin` beyond either side."""
-    distance = np.maximum(x - bound, 0.0) + np.maximum(-x, 0.0)
-    return np.exp(_LOG_VALUE_AT_MARGIN / margin**2 * distance**2)
+    distance = np.maximum(np.maximum(x - bound, -x), 0.0)
+    return np.exp(distance * distance * (_LOG_VALUE_AT_MARGIN / margin**2))
 
 
 def key_state(key_qpos: Array) -> Array:
     """How far the keys are down, 0..1, of the same shape `(..., 88)` as their angles [rad]."""
-    return np.clip(key_qpos / KEY_TRAVEL, 0.0, 1.0)
+    return np.minimum(np.maximum(key_qpos / KEY_TRAVEL, 0.0), 1.0)
 
 
 def key_activation(key_qpos: Array) -> Mask:
     """Which keys sound, `(..., 88)`: those within half a degree of their stop."""
-    return key_qpos >= KEY_TRAVEL - SOUND_TOLERANCE
+    return key_qpos >= _SOUNDS_FROM
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     """Half for goal keys that are down, half for no other key sounding; arrays (N, 88) to (N,)."""
-    count = goal.sum(axis=1)
-    down = tolerance(1.0 - state, _KEY_BOUND, _KEY_MARGIN)
-    pressed = np.where(goal, down, 0.0).sum(axis=1) / np.maximum(count, 1)
-    wrong = (activation & ~goal).any(axis=1)
-    return 0.5 * pressed + 0.5 * ~wrong
+    env, key = goal.nonzero()
+    down = tolerance(1.0 - state[env, key], _KEY_BOUND, _KEY_MARGIN)
+    wrong = (activation > goal).any(axis=1)
+    return 0.5 * (_mean_by_row(env, down, len(goal), otherwise=0.0) + ~wrong)
 
 
-def press_points(key_qpos: Array) -> Array:
-    """World points `(..., 88, 3)` on the keys where the reward wants the fingertips [m]."""
-    return key_centres(key_qpos) + _PRESS_OFFSET
+def _mean_by_row(
+    row: NDArray[np.intp], values: Array, num_rows: int, otherwise: float
+) -> NDArray[np.float64]:
+    """(num_rows,) means of the values (P,) that belong to each row, `otherwise` where none does."""
+    count = np.bincount(row, minlength=num_rows)
+    total = np.bincount(row, values, num_rows)
+    return np.where(count, total / np.maximum(count, 1), otherwise)
+
+
+def press_points(key: NDArray[np.intp], key_qpos: Array) -> Array:
+    """Points `(P, 3)` [m] where fingers should touch keys `key` (P,) at angles (P,) [rad]."""
+    return key_centres(key, key_qpos) + _PRESS_OFFSET[key]
 
 
 def finger_distances(
-    fingertips: Array, points: Array, fingers: NDArray[np.int8]
+    fingertips: Array, key_qpos: Array, fingers: NDArray[np.int8]
 ) -> tuple[NDArray[np.intp], Array]:
     """How far fingers are from the keys they should press.
 
     Args:
         fingertips: (N, 10, 3) [m].
-        points: (N, 88, 3), see `press_points`.
+        key_qpos: (N, 88) [rad].
         fingers: (N, 88) the finger that each key wants, -1 for none.
 
     Returns:
         For each of P pairs of finger and key the row 0..N-1 that it belongs to (P,), and its
         distance (P,) [m].
     """
-    env, key = np.nonzero(fingers >= 0)
-    offset = fingertips[env, fingers[env, key]] - points[env, key]
-    return env, np.sqrt((offset**2).sum(axis=1))
+    env, key = (fingers >= 0).nonzero()
+    offset = fingertips[env, fingers[env, key]] - press_points(key, key_qpos[env, key])
+    return env, np.sqrt((offset * offset).sum(axis=1))
 
 
 def transport_distances(
-    fingertips: Array, points: Array, goal: Mask
+    fingertips: Array, key_qpos: Array, goal: Mask
 ) -> tuple[NDArray[np.intp], Array]:
     """As `finger_distances`, with the fingers that get to the keys by the least way in sum.
 
@@ -83,7 +92,8 @@ def transport_distances(
     """
     envs, distances = [np.zeros(0, np.intp)], [np.zeros(0)]
     for env in np.flatnonzero(goal.any(axis=1)):
-        offsets = fingertips[env][:, None] - points[env, goal[env]]
+        key = np.flatnonzero(goal[env])
+        offsets = fingertips[env][:, None] - press_points(key, key_qpos[env, key])
         distance = np.sqrt((offsets**2).sum(axis=-1))
         assigned = distance[linear_sum_assignment(distance)]
         envs.append(np.full(len(assigned), env))
@@ -98,9 +108,7 @@ def nearness(env: NDArray[np.intp], distance: Array, num_envs: int, otherwise: f
     code), 1 with optimal transport (RP1M).
     """
     near = tolerance(distance, _FINGER_BOUND, _FINGER_MARGIN)
-    count = np.bincount(env, minlength=num_envs)
-    total = np.bincount(env, near, num_envs)
-    return np.where(count, total / np.maximum(count, 1), otherwise)
+    return _mean_by_row(env, near, num_envs, otherwise)
 
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:

@@ -51,7 +51,7 @@ class PredictiveSampling:
         best = CubicSpline(self._knot_times, self._nominal)
         shifted = self._knot_times + self._task.config.control_timestep
         self._nominal = self._clip(best(np.minimum(shifted, self.config.horizon)))
-        pedal = float(self._task.goal_ahead(1)[0, 0, NUM_KEYS])
+        pedal = float(self._task.sheets.goal[0, NUM_KEYS])
         return np.append(self._clip(best(0.0)), pedal)
 
     def _draw(self) -> Array:
@@ -73,25 +73,25 @@ class PredictiveSampling:
         )
         rows = np.floor(times / hold + 1e-9).astype(np.intp)  # control step of each planning step
         ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
-        goals = self._task.goal_ahead(rows[-1] + 1)[0, :, :NUM_KEYS]
-        fingers = self._task.fingers_ahead(rows[-1] + 1)[0]
+        now = int(self._task.sheets.row[0])
+        goals, fingers = self._task.sheets.part(0, now, now + rows[-1] + 1)
         self._rollouts.copy_from(self._task.simulation, 0)
         cost = np.zeros(config.num_candidates)
         for k, row in enumerate(rows):
             self._rollouts.step(ctrl[:, k])
-            cost += self._cost(goals[row], fingers[row])
+            cost += self._cost(goals[row, :NUM_KEYS], fingers[row])
         return np.where(self._rollouts.state.unstable, np.inf, cost)
 
     def _cost(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> Array:
         """Distances of keys from how the goal wants them and of fingers from their keys."""
         state, n = self._rollouts.state, self.config.num_candidates
         keys = np.linalg.norm(reward.key_state(state.key_qpos) - goal, axis=1)
-        points = reward.press_points(state.key_qpos)
-        if self._task.transports_fingers[0]:
+        if self._task.sheets.transports_fingers[0]:
             tips = state.fingertip_xpos[:, self._task.scene.fingers]
-            pairs = reward.transport_distances(tips, points, np.tile(goal, (n, 1)))
+            pairs = reward.transport_distances(tips, state.key_qpos, np.tile(goal, (n, 1)))
         else:
-            pairs = reward.finger_distances(state.fingertip_xpos, points, np.tile(fingers, (n, 1)))
+            each = np.tile(fingers, (n, 1))
+            pairs = reward.finger_distances(state.fingertip_xpos, state.key_qpos, each)
         return keys + np.bincount(*pairs, minlength=n)
 
 
