@@ -58,7 +58,7 @@ def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:
     assert sum(key["black"] for key in keys) == 36
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    for key, adr in zip(keys, scene.key_qpos, strict=True):
+    for key, adr in zip(keys, range(model.nq)[scene.key_qpos], strict=True):
         (joint,) = np.flatnonzero(model.jnt_qposadr == adr)
         geom = model.body_geomadr[model.jnt_bodyid[joint]]
         assert_allclose(key["pos"], data.geom_xpos[geom], atol=1e-6)

@@ -1,0 +1,201 @@
+"""The reward terms against their published formulas, written out as plain loops."""
+
+from __future__ import annotations
+
+import math
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cadenza.model.piano import IS_BLACK, KEY_CENTRE, KEY_HALF_SIZE, KEY_TRAVEL, NUM_KEYS
+from cadenza.tasks import reward
+
+CLOSE = {"rtol": 1e-9, "atol": 1e-12}
+few = settings(max_examples=25, deadline=None)
+sizes = st.integers(1, 4)
+
+
+def arrays(shape: Any, low: float, high: float) -> st.SearchStrategy[np.ndarray]:
+    return npst.arrays(float, shape, elements=st.floats(low, high, width=64))
+
+
+def key_angles(n: int) -> st.SearchStrategy[np.ndarray]:
+    """At rest, pressed, and anything between and a little beyond."""
+    return arrays((n, NUM_KEYS), -0.01, 0.1)
+
+
+def masks(n: int, *more: int) -> st.SearchStrategy[np.ndarray]:
+    """Few are on, as in music."""
+    few_on = st.sampled_from([True] + 9 * [False])
+    return npst.arrays(bool, (n, *more), elements=few_on, fill=st.just(False))
+
+
+def gaussian(x: float, low: float, high: float, margin: float) -> float:
+    """dm_control's tolerance."""
+    if low <= x <= high:
+        return 1.0
+    distance = low - x if x < low else x - high
+    return math.exp(-0.5 * (distance / margin * math.sqrt(-2 * math.log(0.1))) ** 2)
+
+
+@given(st.floats(-3, 3), st.sampled_from([(0.05, 0.5), (0.01, 0.1)]))
+def test_tolerance(x: float, bound_and_margin: tuple[float, float]) -> None:
+    bound, margin = bound_and_margin
+    ours = reward.tolerance(np.array([x]), bound, margin)
+    assert_allclose(ours, gaussian(x, 0.0, bound, margin), **CLOSE)
+
+
+def test_tolerance_is_a_tenth_at_the_margin() -> None:
+    x = np.array([-0.5, 0.0, 0.05, 0.55])
+    assert_allclose(reward.tolerance(x, 0.05, 0.5), [0.1, 1.0, 1.0, 0.1])
+
+
+@few
+@given(sizes.flatmap(key_angles))
+def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
+    state, sounds = reward.key_state(key_qpos), reward.key_activation(key_qpos)
+    for index, angle in np.ndenumerate(key_qpos):
+        most = KEY_TRAVEL[index[1]]
+        clipped = min(max(angle, 0.0), most)
+        assert_allclose(state[index], clipped / most, **CLOSE)
+        assert sounds[index] == (abs(clipped - most) <= 0.00872665)
+
+
+@few
+@given(st.data(), sizes)
+def test_key_press(data: st.DataObject, n: int) -> None:
+    key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, NUM_KEYS))
+    sounds = data.draw(masks(n, NUM_KEYS))
+    state = reward.key_state(key_qpos)
+    ours = reward.key_press(state, sounds, goal)
+    for env in range(n):
+        near = [
+            gaussian(1 - s, 0, 0.05, 0.5) for s, g in zip(state[env], goal[env], strict=True) if g
+        ]
+        silent = not any(sounds[env, key] and not goal[env, key] for key in range(NUM_KEYS))
+        assert_allclose(ours[env], 0.5 * (sum(near) / max(len(near), 1)) + 0.5 * silent, **CLOSE)
+
+
+def test_key_press_with_nothing_to_press() -> None:
+    nothing = np.zeros((2, NUM_KEYS), bool)
+    wrong = nothing.copy()
+    wrong[1, 40] = True
+    assert_array_equal(reward.key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
+
+
+def point(key: int, angle: float) -> list[float]:
+    """Centre of the key's box, turned about its hinge, and from there along the world's axes."""
+    x, y, z = KEY_CENTRE[key]
+    half_length, half_height = KEY_HALF_SIZE[key, 0], KEY_HALF_SIZE[key, 2]
+    hinge = x - half_length
+    centre = [hinge + half_length * math.cos(angle), y, z - half_length * math.sin(angle)]
+    return [centre[0] + 0.35 * half_length, centre[1], centre[2] + 0.5 * half_height]
+
+
+def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
+    """Around the keyboard, some of them right at a key."""
+    return arrays((n, fingers, 3), -0.2, 0.2)
+
+
+@few
+@given(st.data(), sizes)
+def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
+    tips, key_qpos = data.draw(fingertips(n)), data.draw(key_angles(n))
+    some = st.sampled_from([-1] * 9 + list(range(10)))
+    fingers = data.draw(npst.arrays(np.int8, (n, NUM_KEYS), elements=some, fill=st.just(-1)))
+    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    ours = reward.nearness(*pairs, n, otherwise=0.0)
+    for env in range(n):
+        near = [
+            gaussian(
+                math.dist(tips[env, fingers[env, k]], point(k, key_qpos[env, k])), 0, 0.01, 0.1
+            )
+            for k in range(NUM_KEYS)
+            if fingers[env, k] >= 0
+        ]
+        assert_allclose(ours[env], sum(near) / len(near) if near else 0.0, **CLOSE)
+
+
+@pytest.mark.parametrize("key", [0, 1, 39, 87])
+def test_a_finger_at_its_key_gets_all(key: int) -> None:
+    assert bool(IS_BLACK[key]) == (key == 1)
+    tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, NUM_KEYS), -1, np.int8)
+    fingers[0, key] = 7
+    tips[0, 7] = point(key, 0.03)
+    key_qpos = np.full((1, NUM_KEYS), 0.03)
+    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [1.0])
+    tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
+    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [0.1], rtol=1e-6)
+
+
+@few
+@given(st.data(), st.integers(1, 5), st.lists(st.integers(0, 87), unique=True, max_size=5))
+def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int]) -> None:
+    """No assignment of fingers to keys, or of keys to fingers where they are more, is shorter."""
+    tips, key_qpos = data.draw(fingertips(1, num_fingers)), data.draw(key_angles(1))
+    goal = np.zeros((1, NUM_KEYS), bool)
+    goal[0, keys] = True
+    env, distance = reward.transport_distances(tips, key_qpos, goal)
+    assert env.tolist() == [0] * min(num_fingers, len(keys))
+    way = [[math.dist(tip, point(k, key_qpos[0, k])) for k in keys] for tip in tips[0]]
+    if num_fingers < len(keys):
+        sums = (
+            sum(way[f][k] for f, k in enumerate(chosen))
+            for chosen in permutations(range(len(keys)), num_fingers)
+        )
+    else:
+        sums = (
+            sum(way[f][k] for k, f in enumerate(chosen))
+            for chosen in permutations(range(num_fingers), len(keys))
+        )
+    assert_allclose(distance.sum(), min(sums), **CLOSE)
+
+
+def test_optimal_transport_row_by_row() -> None:
+    """Rows without a key to press have no pairs, and are worth what was said."""
+    tips, key_qpos = np.zeros((3, 10, 3)), np.zeros((3, NUM_KEYS))
+    goal = np.zeros((3, NUM_KEYS), bool)
+    goal[1, [3, 50]] = True
+    tips[1, 2], tips[1, 8] = point(50, 0.0), point(3, 0.0)
+    env, distance = reward.transport_distances(tips, key_qpos, goal)
+    assert env.tolist() == [1, 1]
+    assert_allclose(distance, 0.0, atol=1e-12)
+    for otherwise in (0.0, 1.0):
+        near = reward.nearness(env, distance, 3, otherwise=otherwise)
+        assert_allclose(near, [otherwise, 1.0, otherwise])
+
+
+def test_optimal_transport_of_nothing() -> None:
+    nothing = reward.transport_distances(
+        np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS)), np.zeros((2, NUM_KEYS), bool)
+    )
+    assert [len(part) for part in nothing] == [0, 0]
+
+
+@few
+@given(st.data(), sizes, st.integers(1, 44), st.floats(0, 1))
+def test_energy(data: st.DataObject, n: int, actuators: int, coefficient: float) -> None:
+    force, velocity = (data.draw(arrays((n, actuators), -20, 20)) for _ in range(2))
+    ours = reward.energy(force, velocity, coefficient)
+    for env in range(n):
+        power = sum(abs(f) * abs(v) for f, v in zip(force[env], velocity[env], strict=True))
+        assert_allclose(ours[env], -coefficient * power, **CLOSE)
+
+
+@pytest.mark.parametrize("down", [True, False])
+@pytest.mark.parametrize("goal", [True, False])
+def test_sustain(down: bool, goal: bool) -> None:
+    expected = gaussian(float(goal) - float(down), 0, 0.05, 0.5)
+    assert_allclose(reward.sustain(np.array([down]), np.array([goal])), [expected], **CLOSE)
+
+
+def test_forearm() -> None:
+    assert_array_equal(reward.forearm(np.array([True, False])), [0.0, 0.5])
