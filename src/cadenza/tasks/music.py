@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -18,9 +19,21 @@ from cadenza.music.score import (
     UNKNOWN_FINGER,
     Score,
 )
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import Fingering, TaskConfig
 
 _OCTAVE = 12
+_MOST = {  # of options that are 0 or more
+    "control_timestep": 60,
+    "n_steps_lookahead": 100_000,
+    "n_seconds_lookahead": 3600,
+    "initial_buffer_time": 3600,
+    "energy_coefficient": 1000,
+    "random_hand_position": 1,
+    "random_stretch": 0.99,
+    "random_pitch_shift": NUM_KEYS,
+    "random_octave_shift": NUM_KEYS // _OCTAVE,
+    "randomization_probability": 1,
+}
 
 
 def prepare(scores: Sequence[Score], config: TaskConfig) -> tuple[Score, ...]:
@@ -33,11 +46,18 @@ def prepare(scores: Sequence[Score], config: TaskConfig) -> tuple[Score, ...]:
         raise CadenzaError("no song to play: give at least one score")
     if empty := [score.title for score in scores if not score.notes]:
         raise CadenzaError(f"nothing to play: {empty[0] or 'the score'} has no notes")
-    if not 0 <= config.random_stretch < 1:
-        raise CadenzaError(f"random_stretch {config.random_stretch}: choose 0 up to below 1")
-    if config.initial_buffer_time < 0:
-        raise CadenzaError(f"initial_buffer_time {config.initial_buffer_time} s: choose 0 or more")
+    _check(config)
     return tuple(s.with_silence_trimmed() if config.trim_silence else s for s in scores)
+
+
+def _check(config: TaskConfig) -> None:
+    if config.fingering not in get_args(Fingering):
+        choices = ", ".join(get_args(Fingering))
+        raise CadenzaError(f"fingering {config.fingering!r}: choose from {choices}")
+    for name, most in _MOST.items():
+        value = getattr(config, name)
+        if value is not None and not 0 <= value <= most:
+            raise CadenzaError(f"{name} {value}: choose 0 to {most}")
 
 
 def draw(scores: Sequence[Score], config: TaskConfig, rng: np.random.Generator) -> Score:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +28,7 @@ Mask = NDArray[np.bool_]
 PEDAL_DOWN = 0.5  # the pedal sounds from here on
 
 
-@dataclass(frozen=True)
-class Transition:
+class Transition(NamedTuple):
     """What came of one control step; arrays over the batch (N,)."""
 
     reward: Array
@@ -119,8 +117,6 @@ class PianoTask:
         steps = self.config.n_steps_lookahead
         if seconds is not None:
             steps = math.ceil(round(seconds / self.config.control_timestep, 9))
-        if steps < 0:
-            raise CadenzaError(f"a lookahead of {steps} steps: choose 0 or more")
         return steps
 
     def _lay_out_observation(self, lookahead: int) -> dict[str, slice]:
@@ -137,10 +133,16 @@ class PianoTask:
         }
 
     def _find_offset_joints(self) -> NDArray[np.intp]:
-        names = self.scene.hand_joint_names
+        names, most = self.scene.hand_joint_names, self.config.random_hand_position
         slides = [j for j, name in enumerate(names) if name.endswith("forearm_tx")]
-        if self.config.random_hand_position and not slides:
+        if most and not slides:
             raise CadenzaError("random_hand_position needs the forearm's tx joint: add it")
+        reach = min((abs(self.scene.model.joint(names[j]).range).min() for j in slides), default=0)
+        if most > reach:
+            raise CadenzaError(
+                f"random_hand_position {most} m: the hands reach the keyboard's end after "
+                f"{reach:.2f} m, choose less"
+            )
         return np.array(slides, np.intp)
 
     # Episodes

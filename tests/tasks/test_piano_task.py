@@ -1,0 +1,549 @@
+"""What is asked for, seen and rewarded under every option of the task."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.model.piano import KEY_TRAVEL
+from cadenza.model.scene import Scene, build_scene
+from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask, Transition
+
+DT = 0.05
+ROW = NUM_KEYS + 1
+TERMS = {"key_press", "fingering", "energy"}
+
+# Half a second of silence, then three notes for both hands, ten steps in all.
+SONG = Score(
+    (
+        Note(0.5, 0.6, 60, finger=0),
+        Note(0.6, 0.8, 64, finger=2),
+        Note(0.7, 0.95, 43, finger=5),
+    ),
+    (PedalEvent(0.7, 127),),
+    title="Three notes",
+)
+UNFINGERED = Score(tuple(dataclasses.replace(note, finger=-1) for note in SONG.notes))
+SHORT = Score((Note(0, 0.1, 50, finger=6),), title="One note")
+
+
+HANDS: tuple[Any, ...] = ("both", "right", "left", "none")
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, Scene]:
+    return {hands: build_scene(SceneConfig(hands=hands)) for hands in HANDS}
+
+
+class Player:
+    """A task and what it has seen, from reset on; the hands rest unless told otherwise."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        *scores: Score,
+        seeds: tuple[int, ...] = (0,),
+        **options: Any,
+    ) -> None:
+        self.task = PianoTask(scores or [SONG], TaskConfig(**options), scene, len(seeds))
+        self.seeds = seeds
+        self.reset()
+
+    def reset(self) -> None:
+        rngs = [np.random.default_rng(seed) for seed in self.seeds]
+        self.task.reset(rngs, range(len(rngs)))
+
+    def seen(self, part: str) -> np.ndarray:
+        return self.task.observation()[:, self.task.observation_layout[part]]
+
+    def goal(self) -> np.ndarray:
+        """(N, rows, 89)"""
+        return self.seen("goal").reshape(len(self.seeds), -1, ROW)
+
+    def rest(self) -> Transition:
+        ctrl = np.clip(0.0, self.task.action_low, self.task.action_high)
+        return self.task.step(np.tile(ctrl, (len(self.seeds), 1)))
+
+    def act(self, rng: np.random.Generator) -> Transition:
+        low, high = self.task.action_low, self.task.action_high
+        return self.task.step(rng.uniform(low, high, (len(self.seeds), len(low))))
+
+    def play_on(self) -> list[Transition]:
+        """To the end of the first environment's episode."""
+        result = [self.rest()]
+        while not (result[-1].terminated[0] or result[-1].truncated[0]):
+            result.append(self.rest())
+        return result
+
+
+def wanted_keys(row: np.ndarray) -> list[int]:
+    return np.flatnonzero(row[:NUM_KEYS]).tolist()
+
+
+# What is asked for
+
+
+def test_trimmed_song_begins_with_its_first_note(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"])
+    rows = player.goal()[0]
+    c, e, g = (pitch - 21 for pitch in (60, 64, 43))
+    expected = [[c], [c], [e], [e], [g, e], [g, e], [g], [g], [g], []]
+    assert [wanted_keys(row) for row in rows] == [*expected, []]
+    assert rows[:, NUM_KEYS].tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 0]
+    assert len(player.play_on()) == 10
+
+
+def test_untrimmed_song_keeps_its_silence(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"], trim_silence=False)
+    assert [wanted_keys(row) for row in player.goal()[0]] == [[]] * 10 + [[39]]
+    assert player.task.sheets.num_steps.tolist() == [20]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "silent_steps"),
+    [(0.0, 0), (0.02, 0), (0.125, 2), (0.2, 4), (0.375, 8), (0.13, 3)],  # half to even
+)
+def test_initial_buffer(scenes: dict[str, Scene], seconds: float, silent_steps: int) -> None:
+    player = Player(scenes["both"], initial_buffer_time=seconds)
+    rows = player.goal()[0]
+    assert [wanted_keys(row) for row in rows[: silent_steps + 1]] == [[]] * silent_steps + [[39]]
+    assert not rows[:silent_steps, NUM_KEYS].any()
+    assert player.task.sheets.num_steps.tolist() == [10 + silent_steps]
+
+
+@pytest.mark.parametrize(
+    ("options", "rows"),
+    [
+        ({}, 11),
+        ({"n_steps_lookahead": 0}, 1),
+        ({"n_steps_lookahead": 3}, 4),
+        ({"n_steps_lookahead": 30}, 31),
+        ({"n_seconds_lookahead": 0.5}, 11),
+        ({"n_seconds_lookahead": 0.12, "n_steps_lookahead": 7}, 4),
+        ({"n_seconds_lookahead": 0.15}, 4),
+        ({"n_seconds_lookahead": 0.3}, 7),
+        ({"n_seconds_lookahead": 0.0}, 1),
+        ({"n_seconds_lookahead": 0.12, "control_timestep": 0.02}, 7),
+    ],
+)
+def test_lookahead(scenes: dict[str, Scene], options: dict, rows: int) -> None:
+    player = Player(scenes["both"], **options)
+    assert player.goal().shape == (1, rows, ROW)
+    assert player.task.observation_layout["goal"] == slice(0, rows * ROW)
+
+
+@pytest.mark.parametrize("lookahead", [0, 4, 30])
+def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(
+    scenes: dict[str, Scene], lookahead: int
+) -> None:
+    whole = Player(scenes["both"], n_steps_lookahead=9).goal()[0]
+    padded = np.vstack([whole, np.zeros((lookahead + 1, ROW))])
+    player = Player(scenes["both"], n_steps_lookahead=lookahead)
+    for step in (*range(10), 9):  # the last observation repeats the last goal
+        assert_array_equal(player.goal()[0], padded[step : step + lookahead + 1])
+        player.rest()
+
+
+def test_control_timestep(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"], control_timestep=0.1)
+    assert [wanted_keys(row) for row in player.goal()[0][:5]] == [[39], [43], [22, 43], [22], [22]]
+    assert len(player.play_on()) == player.task.sheets.num_steps[0] == 5
+    assert player.task.simulation.num_substeps == 20
+
+
+# What is seen
+
+
+@pytest.mark.parametrize(
+    ("hands", "options", "sizes"),
+    [
+        ("both", {}, {"goal": 979, "fingering": 10, "key_state": 88, "pedal": 1, "joints": 46}),
+        ("both", {"fingering": "off"}, {"goal": 979, "key_state": 88, "pedal": 1, "joints": 46}),
+        ("left", {}, {"goal": 979, "fingering": 10, "key_state": 88, "pedal": 1, "joints": 23}),
+        ("none", {}, {"goal": 979, "key_state": 88, "pedal": 1}),
+    ],
+)
+def test_layout_of_the_observation(
+    scenes: dict[str, Scene], hands: str, options: dict, sizes: dict
+) -> None:
+    player = Player(scenes[hands], **options)
+    layout = player.task.observation_layout
+    assert {name: part.stop - part.start for name, part in layout.items()} == sizes
+    assert [part.start for part in layout.values()] == [0, *np.cumsum(list(sizes.values()))[:-1]]
+    assert player.task.observation().shape == (1, sum(sizes.values()))
+    assert player.task.observation().dtype == np.float32
+
+
+def test_parts_of_the_observation(scenes: dict[str, Scene]) -> None:
+    player, rng = Player(scenes["both"]), np.random.default_rng(0)
+    fingers = [np.flatnonzero(player.seen("fingering")[0]).tolist()]
+    for _ in range(9):
+        ctrl = rng.uniform(player.task.action_low, player.task.action_high)
+        player.task.step(ctrl[None])
+        fingers.append(np.flatnonzero(player.seen("fingering")[0]).tolist())
+        state = player.task.state
+        assert_array_equal(player.seen("joints"), state.hand_qpos.astype(np.float32))
+        assert_allclose(player.seen("key_state"), np.clip(state.key_qpos / KEY_TRAVEL, 0, 1), 1e-6)
+        assert player.seen("pedal") == np.float32(ctrl[-1])
+    assert fingers == [[0], [0], [2], [2], [2, 5], [2, 5], [5], [5], [5], []]
+
+
+def test_one_hand_is_asked_for_its_own_fingers_only(scenes: dict[str, Scene]) -> None:
+    for hands, fingers in (("right", [2]), ("left", [5])):
+        player = Player(scenes[hands])
+        for _ in range(4):
+            player.rest()
+        assert np.flatnonzero(player.seen("fingering")[0]).tolist() == fingers
+
+
+# What is rewarded
+
+
+@pytest.mark.parametrize(
+    ("hands", "options", "terms"),
+    [
+        ("both", {}, TERMS),
+        ("both", {"fingering": "transport"}, TERMS),
+        ("both", {"fingering": "off"}, TERMS - {"fingering"}),
+        ("both", {"sustain_term": True, "forearm_term": True}, TERMS | {"sustain", "forearm"}),
+        ("right", {"sustain_term": True}, TERMS | {"sustain"}),
+        ("none", {}, {"key_press"}),
+        ("none", {"sustain_term": True}, {"key_press", "sustain"}),
+    ],
+)
+def test_terms_add_up_to_the_reward(
+    scenes: dict[str, Scene], hands: str, options: dict, terms: set
+) -> None:
+    player, rng = Player(scenes[hands], **options), np.random.default_rng(0)
+    for _ in range(10):
+        transition = player.act(rng)
+        assert set(transition.terms) == terms
+        assert_allclose(sum(transition.terms.values()), transition.reward)
+        assert transition.reward.shape == (1,)
+
+
+def test_energy_coefficient(scenes: dict[str, Scene]) -> None:
+    energy = {}
+    for coefficient in (0.0, 0.005, 0.01):
+        player = Player(scenes["both"], energy_coefficient=coefficient)
+        transitions = [player.act(np.random.default_rng(0)) for _ in range(3)]
+        energy[coefficient] = [t.terms["energy"][0] for t in transitions]
+    assert max(energy[0.005]) < 0
+    assert_allclose(energy[0.01], 2 * np.array(energy[0.005]))
+    assert_array_equal(energy[0.0], 0.0)
+
+
+def test_the_pedal_is_rewarded_for_following_the_score(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"], sustain_term=True)
+    pedal = [0, 0, 1, 1, 1, 1, 0.5, 0.49, 1, 1]  # down from the middle on
+    right = []
+    for value in pedal:
+        ctrl = np.clip(0.0, player.task.action_low, player.task.action_high)
+        ctrl[-1] = value
+        right.append(player.task.step(ctrl[None]).terms["sustain"][0] == 1.0)
+    assert right == [True, True, False, False, True, True, True, False, True, True]
+
+
+def test_touching_forearms_lose_the_forearm_term(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"], forearm_term=True)
+    names = player.task.scene.actuator_names
+    ctrl = np.clip(0.0, player.task.action_low, player.task.action_high)
+    ctrl[names.index("rh_A_forearm_tx")] = -0.3
+    ctrl[names.index("lh_A_forearm_tx")] = 0.3
+    terms = [player.task.step(ctrl[None]).terms["forearm"][0] for _ in range(10)]
+    assert terms[0] == 0.5
+    assert terms[-1] == 0.0
+
+
+def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> None:
+    """Transport lets any finger do; without fingering in the score it is taken anyway."""
+    near = {}
+    for name, score, fingering in (
+        ("score", SONG, "auto"),
+        ("transport", SONG, "transport"),
+        ("unfingered", UNFINGERED, "auto"),
+    ):
+        player = Player(scenes["both"], score, fingering=fingering)
+        near[name] = [t.terms["fingering"][0] for t in player.play_on()]
+    assert near["unfingered"] == near["transport"]
+    assert all(t >= s for t, s in zip(near["transport"], near["score"], strict=True))
+    assert (near["transport"][-1], near["score"][-1]) == (1.0, 0.0)  # nothing to press
+    assert near["transport"] != near["score"]
+
+
+def test_a_song_with_and_one_without_fingering_in_one_batch(scenes: dict[str, Scene]) -> None:
+    seeds = tuple(range(6))
+    both = Player(scenes["both"], SONG, UNFINGERED, seeds=seeds)
+    fingered = np.array([song.has_fingering for song in both.task.sheets.songs])
+    assert set(fingered) == {True, False}
+    by_score, by_transport = Player(scenes["both"], SONG), Player(scenes["both"], UNFINGERED)
+    for _ in range(10):
+        rows = both.rest().terms["fingering"]
+        assert_array_equal(rows[fingered], by_score.rest().terms["fingering"][0])
+        assert_array_equal(rows[~fingered], by_transport.rest().terms["fingering"][0])
+
+
+# When it ends
+
+
+def press(player: Player, *keys: int) -> Transition:
+    ctrl = np.zeros((1, NUM_KEYS + 1))
+    ctrl[0, list(keys)] = KEY_TRAVEL[list(keys)]
+    return player.task.step(ctrl)
+
+
+def test_plays_a_song_without_hands(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["none"])
+    transitions = []
+    for _ in range(10):
+        transitions.append(press(player, *wanted_keys(player.goal()[0, 0])))
+    assert_allclose([t.reward[0] for t in transitions], [1.0] * 9 + [0.5], atol=2e-3)
+    assert [bool(t.truncated[0]) for t in transitions] == [False] * 9 + [True]
+    metrics = player.task.episode_metrics(0)
+    assert {metrics[name] for name in ("precision", "recall", "f1", "note_onset_f1")} == {1.0}
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_wrong_press_termination(scenes: dict[str, Scene], ends: bool) -> None:
+    player = Player(scenes["none"], wrong_press_termination=ends)
+    right = press(player, 39)
+    assert (right.terminated.tolist(), right.truncated.tolist()) == ([False], [False])
+    missed = press(player)
+    assert missed.terminated.tolist() == [False]
+    wrong = press(player, 43, 44)
+    assert wrong.terminated.tolist() == [ends]
+    assert_allclose(wrong.reward, [0.5], atol=2e-3)  # that step is still paid
+
+
+def test_a_wrong_press_on_the_last_step_terminates_and_does_not_truncate(
+    scenes: dict[str, Scene],
+) -> None:
+    player = Player(scenes["none"], wrong_press_termination=True)
+    for _ in range(9):
+        press(player)
+    last = press(player, 10)
+    assert (last.terminated.tolist(), last.truncated.tolist()) == ([True], [False])
+
+
+@pytest.mark.parametrize("hands", ["right", "left"])
+def test_one_hand_plays_through(scenes: dict[str, Scene], hands: str) -> None:
+    player, rng = Player(scenes[hands]), np.random.default_rng(0)
+    ends = [bool(player.act(rng).truncated[0]) for _ in range(10)]
+    assert ends == [False] * 9 + [True]
+    assert 0 <= player.task.episode_metrics(0)["f1"] <= 1
+
+
+def test_an_unstable_simulation_terminates_its_own_episode_only(scenes: dict[str, Scene]) -> None:
+    player = Player(scenes["both"], seeds=(0, 1, 2))
+    player.task.simulation._data[1].qvel[:] = 1e12
+    transition = player.rest()
+    assert transition.terminated.tolist() == transition.unstable.tolist() == [False, True, False]
+    assert np.isfinite(transition.reward).all()
+    assert np.isfinite(player.task.observation()).all()
+    player.reset()
+    assert not player.rest().terminated.any()
+
+
+# What is random
+
+
+def test_random_hand_position(scenes: dict[str, Scene]) -> None:
+    """Both hands begin as far to the side, within the range and differently each time."""
+    seeds = tuple(range(40))
+    still = Player(scenes["both"]).task.state.fingertip_xpos[0]
+    player = Player(scenes["both"], seeds=seeds, random_hand_position=0.05)
+    moved = player.task.state.fingertip_xpos - still
+    assert_allclose(moved[..., [0, 2]], 0.0, atol=1e-6)
+    offset = moved[:, 0, 1]
+    assert_allclose(moved[..., 1], np.tile(offset, (10, 1)).T, atol=1e-6)
+    assert 0.03 < abs(offset).max() <= 0.05
+    assert offset.min() < 0 < offset.max()
+    assert len(set(offset.tolist())) == len(seeds)
+    again = Player(scenes["both"], seeds=seeds, random_hand_position=0.05)
+    assert_array_equal(again.task.state.hand_qpos, player.task.state.hand_qpos)
+    again.reset()
+    assert_array_equal(again.task.state.hand_qpos, player.task.state.hand_qpos)  # nothing adds up
+
+
+def songs_drawn(scene: Scene, count: int, *scores: Score, **options: Any) -> list[Score]:
+    player = Player(scene, *scores, **options)
+    drawn = []
+    rng = np.random.default_rng(0)
+    for _ in range(count):
+        player.task.reset([rng], [0])
+        drawn.append(player.task.sheets.songs[0])
+    return drawn
+
+
+def test_random_stretch(scenes: dict[str, Scene]) -> None:
+    drawn = songs_drawn(scenes["none"], 200, random_stretch=0.2)
+    factor = np.array([song.total_time for song in drawn]) / 0.45
+    assert (factor.min() >= 0.8, factor.max() <= 1.2) == (True, True)
+    assert factor.max() - factor.min() > 0.35
+    assert [n.pitch for n in drawn[0].notes] == [60, 64, 43]
+    assert drawn == songs_drawn(scenes["none"], 200, random_stretch=0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "shifts"),
+    [
+        ({"random_pitch_shift": 3}, set(range(-3, 4))),
+        ({"random_octave_shift": 1}, {-12, 0, 12}),
+        ({"random_octave_shift": 7}, {-12, 0, 12, 24, 36}),  # the lowest note is 43, the highest 64
+        (
+            {"random_pitch_shift": 1, "random_octave_shift": 1},
+            {-13, -12, -11, -1, 0, 1, 11, 12, 13},
+        ),
+    ],
+)
+def test_random_shifts(scenes: dict[str, Scene], options: dict, shifts: set[int]) -> None:
+    """Every shift comes up, and no note ever leaves the keyboard (Note would refuse it)."""
+    drawn = songs_drawn(scenes["none"], 300, **options)
+    assert {song.notes[0].pitch - 60 for song in drawn} == shifts
+    assert all([n.pitch - song.notes[0].pitch for n in song.notes] == [0, 4, -17] for song in drawn)
+    assert drawn == songs_drawn(scenes["none"], 300, **options)
+
+
+def test_a_song_as_wide_as_the_keyboard_is_not_shifted(scenes: dict[str, Scene]) -> None:
+    wide = Score((Note(0, 1, 21), Note(0, 1, 108)))
+    drawn = songs_drawn(scenes["none"], 20, wide, random_pitch_shift=5, random_octave_shift=2)
+    assert set(drawn) == {wide}
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
+def test_randomization_probability(scenes: dict[str, Scene], probability: float) -> None:
+    drawn = songs_drawn(
+        scenes["none"], 400, random_stretch=0.5, randomization_probability=probability
+    )
+    unchanged = SONG.with_silence_trimmed()
+    changed = np.mean([song != unchanged for song in drawn])
+    assert abs(changed - probability) < 0.08
+
+
+def test_every_song_comes_up(scenes: dict[str, Scene]) -> None:
+    drawn = songs_drawn(scenes["none"], 120, SONG, UNFINGERED, SHORT)
+    count = [drawn.count(s.with_silence_trimmed()) for s in (SONG, UNFINGERED, SHORT)]
+    assert sum(count) == 120
+    assert min(count) > 20
+
+
+# Batches
+
+
+@pytest.mark.parametrize("hands", ["both", "none"])
+def test_each_row_is_as_if_alone(scenes: dict[str, Scene], hands: str) -> None:
+    """Songs of different lengths, tempos and places, one generator for each environment."""
+    options = {"random_stretch": 0.3, "random_pitch_shift": 5, "sustain_term": True}
+    options |= {"random_hand_position": 0.05} if hands == "both" else {}
+    scores, seeds = (SONG, SHORT, UNFINGERED), tuple(range(5))
+    batch = Player(scenes[hands], *scores, seeds=seeds, **options)
+    alone = [Player(scenes[hands], *scores, seeds=(seed,), **options) for seed in seeds]
+    assert len(set(batch.task.sheets.num_steps.tolist())) > 1
+    ctrl_rng = np.random.default_rng(0)
+    low, high = batch.task.action_low, batch.task.action_high
+    for _ in range(int(batch.task.sheets.num_steps.min())):
+        ctrl = ctrl_rng.uniform(low, high, (len(seeds), len(low)))
+        together = batch.task.step(ctrl)
+        for i, player in enumerate(alone):
+            single = player.task.step(ctrl[i : i + 1])
+            assert_array_equal(batch.task.observation()[i], player.task.observation()[0])
+            assert together.reward[i] == single.reward[0]
+            assert together.truncated[i] == single.truncated[0]
+    for i, player in enumerate(alone):
+        assert batch.task.episode_metrics(i) == player.task.episode_metrics(0)
+
+
+def test_a_longer_song_beside_a_running_episode_leaves_it_alone(scenes: dict[str, Scene]) -> None:
+    """Resetting one environment makes room for a longer song; the other goes on."""
+    task = PianoTask([SHORT, SONG], TaskConfig(), scenes["none"], 2)
+    alone = Player(scenes["none"], SHORT)
+    short, long = (seed_that_draws(task, song) for song in (SHORT, SONG))
+    task.reset([np.random.default_rng(short), np.random.default_rng(short)], [0, 1])
+    task.step(np.zeros((2, NUM_KEYS + 1)), [0])
+    alone.rest()
+    task.reset([np.random.default_rng(long)], [1])
+    assert task.sheets.steps_done.tolist() == [1, 0]
+    assert task.sheets.num_steps.tolist() == [3, 10]
+    for _ in range(2):
+        before = task.observation()[1]
+        transition = task.step(np.zeros((2, NUM_KEYS + 1)), [0])
+        alone.rest()
+        assert_array_equal(task.observation()[0], alone.task.observation()[0])
+        assert_array_equal(task.observation()[1], before)
+    assert transition.truncated[0]
+    assert task.episode_metrics(0) == alone.task.episode_metrics(0)
+
+
+def seed_that_draws(task: PianoTask, song: Score) -> int:
+    for seed in range(100):
+        task.reset([np.random.default_rng(seed)], [0])
+        if task.sheets.songs[0] == song.with_silence_trimmed():
+            return seed
+    raise AssertionError("never drawn")
+
+
+def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
+    task = Player(scenes["both"]).task
+    ones = np.ones(task.action_size)
+    assert_allclose(task.scale_action(-ones), task.action_low, atol=1e-12)
+    assert_allclose(task.scale_action(ones), task.action_high, atol=1e-12)
+    assert_allclose(task.scale_action(0 * ones), (task.action_low + task.action_high) / 2)
+    assert_allclose(task.scale_action(7 * ones[None]), task.action_high[None], atol=1e-12)
+
+
+# Wrong options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"control_timestep": 0.0}, "control_timestep 0.0 s is not a multiple"),
+        ({"control_timestep": 0.012}, "not a multiple of the physics step"),
+        ({"control_timestep": float("nan")}, "control_timestep nan"),
+        ({"control_timestep": float("inf")}, "control_timestep inf"),
+        ({"n_steps_lookahead": -1}, "n_steps_lookahead -1: choose 0 to"),
+        ({"n_seconds_lookahead": -0.1}, "n_seconds_lookahead -0.1"),
+        ({"n_seconds_lookahead": float("nan")}, "n_seconds_lookahead nan"),
+        ({"initial_buffer_time": -1.0}, "initial_buffer_time -1.0"),
+        ({"initial_buffer_time": float("inf")}, "initial_buffer_time inf"),
+        ({"fingering": "on"}, "fingering 'on': choose from auto, transport, off"),
+        ({"energy_coefficient": -1.0}, "energy_coefficient -1.0"),
+        ({"random_hand_position": -0.1}, "random_hand_position -0.1"),
+        ({"random_hand_position": 0.5}, "end after 0.46 m, choose less"),
+        ({"random_stretch": 1.0}, "random_stretch 1.0: choose 0 to 0.99"),
+        ({"random_stretch": float("nan")}, "random_stretch nan"),
+        ({"random_pitch_shift": -1}, "random_pitch_shift -1: choose 0 to 88"),
+        ({"random_octave_shift": -1}, "random_octave_shift -1: choose 0 to 7"),
+        ({"randomization_probability": 1.5}, "randomization_probability 1.5: choose 0 to 1"),
+    ],
+)
+def test_says_what_is_wrong(scenes: dict[str, Scene], options: dict, message: str) -> None:
+    with pytest.raises(CadenzaError, match=message) as error:
+        PianoTask([SONG], TaskConfig(**options), scenes["both"])
+    assert "\n" not in str(error.value)
+
+
+def test_hands_that_cannot_slide_cannot_be_placed(scenes: dict[str, Scene]) -> None:
+    fixed = SceneConfig(forearm_dofs=("ty",))
+    for scene in (fixed, scenes["none"]):
+        with pytest.raises(CadenzaError, match="needs the forearm's tx joint"):
+            PianoTask([SONG], TaskConfig(random_hand_position=0.05), scene)
+
+
+@pytest.mark.parametrize(
+    ("scores", "message"),
+    [([], "no song"), ([SONG, Score((), title="Silence")], "Silence has no notes")],
+)
+def test_says_which_song_cannot_be_played(
+    scenes: dict[str, Scene], scores: list[Score], message: str
+) -> None:
+    with pytest.raises(CadenzaError, match=message):
+        PianoTask(scores, scene=scenes["none"])
