@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
+from cadenza.files import read_arrays, write_atomically
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,10 @@ def load_episode(path: Path) -> Episode:
     Raises:
         CadenzaError: the file is not there or is not an episode.
     """
+    arrays = read_arrays(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
         song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
         scene = json.loads(str(arrays.pop("scene", "{}")))
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise CadenzaError(f"{path}: not an episode recorded by cadenza ({error})") from error
     return Episode(song, dt, arrays, scene)

@@ -13,6 +13,7 @@ import numpy as np
 
 from cadenza.agents.agent import Agent
 from cadenza.episode import Episode
+from cadenza.errors import CadenzaError
 from cadenza.model.drawing import body_poses, drawing
 from cadenza.music.score import NUM_KEYS
 from cadenza.tasks.piano_task import PianoTask
@@ -43,8 +44,10 @@ def play(
         progress: called after every step with the steps done and in all.
 
     Raises:
-        CadenzaError: the agent cannot play this task.
+        CadenzaError: the agent cannot play this task, or the seed is negative.
     """
+    if seed < 0:
+        raise CadenzaError(f"seed {seed}: choose 0 or more")
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
     agent.reset(task, agent_rng)

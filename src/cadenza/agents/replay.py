@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.errors import CadenzaError
+from cadenza.files import read_arrays
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -53,13 +53,13 @@ def load_plan(path: Path) -> NDArray[np.float64]:
     Raises:
         CadenzaError: the file is not there or holds no such array.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            plan = np.asarray(file["action"], np.float64)
-    except KeyError as error:
-        raise CadenzaError(f"{path}: holds no array named action") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-        raise CadenzaError(f"{path}: not a plan; give a .npz file with an array action") from error
-    if plan.ndim != 2 or not np.isfinite(plan).all():
-        raise CadenzaError(f"{path}: action has shape {plan.shape}; give finite (steps, actions)")
-    return plan
+    arrays = read_arrays(path)
+    if "action" not in arrays:
+        raise CadenzaError(f"{path}: holds no array named action, so it is not a plan")
+    plan = arrays["action"]
+    if plan.ndim != 2 or plan.dtype.kind not in "fiub" or not np.isfinite(plan).all():
+        raise CadenzaError(
+            f"{path}: action is {plan.dtype} of shape {plan.shape}; give finite numbers of shape "
+            "(steps, actions)"
+        )
+    return plan.astype(np.float64)

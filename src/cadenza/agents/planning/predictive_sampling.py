@@ -6,6 +6,7 @@ drawn around the last one, itself among them, the cheapest in simulation is carr
 
 from __future__ import annotations
 
+import math
 import os
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
 from cadenza.sim.simulation import Simulation
 from cadenza.tasks import reward
@@ -29,7 +31,11 @@ class PredictiveSampling:
     """
 
     def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
         self.config = config or PredictiveSamplingConfig()
+        _check(self.config)
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
         config = self.config
@@ -88,11 +94,23 @@ class PredictiveSampling:
         keys = np.linalg.norm(reward.key_state(state.key_qpos) - goal, axis=1)
         if self._task.sheets.transports_fingers[0]:
             tips = state.fingertip_xpos[:, self._task.scene.fingers]
-            pairs = reward.transport_distances(tips, state.key_qpos, np.tile(goal, (n, 1)))
+            pairs = reward.transport_distances(tips, state.key_xpos, np.tile(goal, (n, 1)))
         else:
             each = np.tile(fingers, (n, 1))
-            pairs = reward.finger_distances(state.fingertip_xpos, state.key_qpos, each)
+            pairs = reward.finger_distances(state.fingertip_xpos, state.key_xpos, each)
         return keys + np.bincount(*pairs, minlength=n)
+
+
+def _check(config: PredictiveSamplingConfig) -> None:
+    least = {"num_candidates": 1, "num_knots": 2, "iterations": 1, "sigma": 0}
+    for name, low in least.items():
+        if not low <= (value := getattr(config, name)) < math.inf:
+            raise CadenzaError(f"{name} {value}: choose {low} or more")
+    if not 0 < config.planning_timestep <= config.horizon < math.inf:
+        raise CadenzaError(
+            f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
+            "the horizon must hold a planning step"
+        )
 
 
 def available_cores() -> int:

@@ -1,0 +1,327 @@
+"""Agents play the same with the same seed, and planning pays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
+from cadenza.agents.planning import predictive_sampling
+from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.agents.planning.predictive_sampling import PredictiveSampling
+from cadenza.agents.play import Performance, play
+from cadenza.agents.replay import ReplayAgent, load_plan
+from cadenza.episode import load_episode
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.model.scene import Scene, build_scene
+from cadenza.music.library import load_score
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+RECORDING = Path(__file__).parents[1] / "data/episode_d.npz"
+
+# Under the right hand where it starts.
+TUNE = Score(
+    (Note(0.0, 0.3, 72, finger=1), Note(0.3, 0.6, 76, finger=3)), (PedalEvent(0.2, 127),), "A tune"
+)
+CONFIG = TaskConfig(initial_buffer_time=0.3)
+STEPS = 19
+
+AGENTS: dict[str, Callable[[], Agent]] = {
+    "zero": ZeroAgent,
+    "random": RandomAgent,
+    "replay": lambda: ReplayAgent(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
+    "planning": lambda: PredictiveSampling(PredictiveSamplingConfig(num_candidates=3)),
+}
+
+
+@pytest.fixture(scope="module")
+def right_hand() -> Scene:
+    return build_scene(SceneConfig(hands="right"))
+
+
+def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> Performance:
+    return play(PianoTask([score], CONFIG, scene), agent, seed)
+
+
+def without_seconds(metrics: dict[str, float]) -> dict[str, float]:
+    return {name: value for name, value in metrics.items() if not name.endswith("_seconds")}
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_same_seed_same_bits_for_any_number_of_cores(
+    name: str, right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, *others = [
+        played_on(cores, AGENTS[name](), right_hand, monkeypatch) for cores in (1, 1, 2, 5)
+    ]
+    for other in others:
+        assert first.episode.arrays.keys() == other.episode.arrays.keys()
+        for array in first.episode.arrays.keys() - {"metrics"}:
+            assert_array_equal(first.episode[array], other.episode[array], err_msg=array)
+        assert without_seconds(first.metrics) == without_seconds(other.metrics)
+
+
+def played_on(
+    cores: int, agent: Agent, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> Performance:
+    monkeypatch.setattr(predictive_sampling, "available_cores", lambda: cores)
+    return perform(agent, scene)
+
+
+@pytest.mark.parametrize("name", ["random", "planning"])
+def test_another_seed_plays_otherwise(name: str, right_hand: Scene) -> None:
+    a, b = (perform(AGENTS[name](), right_hand, seed) for seed in (0, 1))
+    assert (a.episode["action"] != b.episode["action"]).any()
+
+
+@pytest.mark.parametrize("name", AGENTS)
+@pytest.mark.parametrize("hands", ["both", "none"])
+def test_actions_keep_within_their_ranges(name: str, hands: Any) -> None:
+    scene = build_scene(SceneConfig(hands=hands))
+    agent = AGENTS[name]()
+    if name == "replay":
+        agent = ReplayAgent(np.zeros((STEPS, len(scene.action_low))))
+    action = perform(agent, scene).episode["action"]
+    assert action.shape == (STEPS, len(scene.action_low))
+    assert (action >= scene.action_low).all()
+    assert (action <= scene.action_high).all() or name == "replay"
+
+
+def test_the_planner_presses_the_pedal_as_the_score_has_it(right_hand: Scene) -> None:
+    performance = perform(AGENTS["planning"](), right_hand)
+    assert_array_equal(performance.episode["action"][:, -1], [0] * 10 + [1] * 9)
+    assert performance.metrics["sustain_f1"] == 1.0
+
+
+class WatchedPlanner(PredictiveSampling):
+    """Writes down what was compared."""
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        super().reset(task, rng)
+        self.compared: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def _roll_out(self, candidates: np.ndarray) -> np.ndarray:
+        cost = super()._roll_out(candidates)
+        self.compared.append((self._nominal, candidates, cost))
+        return cost
+
+
+def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
+    right_hand: Scene,
+) -> None:
+    config = PredictiveSamplingConfig(num_candidates=4, iterations=3)
+    planner = WatchedPlanner(config)
+    perform(planner, right_hand)
+    assert len(planner.compared) == STEPS * config.iterations
+    best = np.zeros(0)
+    for i, (nominal, candidates, cost) in enumerate(planner.compared):
+        assert_array_equal(candidates[0], nominal)
+        assert (candidates[1:] != nominal).any(axis=(1, 2)).all()
+        if i % config.iterations:  # the winner is compared again, and costs the same again
+            assert_array_equal(cost[0], best)
+        best = cost.min()
+
+
+def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None:
+    planner = WatchedPlanner(PredictiveSamplingConfig(num_candidates=4))
+    alone = WatchedPlanner(PredictiveSamplingConfig(num_candidates=1))
+    task = PianoTask([TUNE], CONFIG, right_hand)
+    task.reset([np.random.default_rng(0)], [0])
+    planner.reset(task, np.random.default_rng(0))
+    alone.reset(task, np.random.default_rng(0))
+    planner.act()
+    ((_, candidates, cost),) = planner.compared
+    for candidate, expected in zip(candidates, cost, strict=True):
+        assert alone._roll_out(candidate[None])[0] == expected
+
+
+def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
+    task = PianoTask([TUNE], CONFIG, right_hand)
+    task.reset([np.random.default_rng(0)], [0])
+    planner = AGENTS["planning"]()
+    planner.reset(task, np.random.default_rng(0))
+    before = task.observation()
+    planner.act()
+    assert_array_equal(task.observation(), before)
+    assert task.sheets.steps_done.tolist() == [0]
+
+
+def test_planning_pays(right_hand: Scene) -> None:
+    planner = PredictiveSampling(PredictiveSamplingConfig(iterations=4))
+    planned, resting = perform(planner, right_hand), perform(ZeroAgent(), right_hand)
+    assert planned.metrics["f1"] > resting.metrics["f1"] + 0.1
+    assert planned.metrics["return"] > resting.metrics["return"] + 5
+
+
+def test_plans_for_a_song_without_fingering(right_hand: Scene) -> None:
+    unfingered = Score(tuple(Note(n.start, n.end, n.pitch) for n in TUNE.notes))
+    planner = PredictiveSampling(PredictiveSamplingConfig(iterations=2))
+    planned = perform(planner, right_hand, score=unfingered)
+    resting = perform(ZeroAgent(), right_hand, score=unfingered)
+    assert planned.metrics["reward/fingering"] > resting.metrics["reward/fingering"]
+
+
+# What is recorded
+
+
+def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
+    performance = perform(AGENTS["planning"](), right_hand)
+    episode, metrics = performance.episode, performance.metrics
+    assert (episode.song, episode.dt, episode.num_steps) == ("A tune", 0.05, STEPS)
+    terms = {n: episode[f"reward_{n}"] for n in ("key_press", "fingering", "energy")}
+    np.testing.assert_allclose(sum(terms.values()), episode["reward_total"])
+    np.testing.assert_allclose(metrics["return"], episode["reward_total"].sum())
+    for name, term in terms.items():
+        np.testing.assert_allclose(metrics[f"reward/{name}"], term.sum())
+    assert metrics["steps"] == STEPS
+    assert metrics["planning_seconds"] > 0 < metrics["playing_seconds"]
+    assert json.loads(str(episode["metrics"])) == metrics
+    episode.save(tmp_path / "episode.npz")
+    loaded = load_episode(tmp_path / "episode.npz")
+    assert (loaded.song, loaded.dt, loaded.scene) == (episode.song, episode.dt, episode.scene)
+    assert loaded.arrays.keys() == episode.arrays.keys()
+    for name, array in loaded.arrays.items():
+        assert_array_equal(array, episode[name], err_msg=name)
+
+
+def test_progress_counts_the_steps(right_hand: Scene) -> None:
+    told: list[tuple[int, int]] = []
+    play(PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step))
+    assert told == [(step, STEPS) for step in range(1, STEPS + 1)]
+
+
+def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:
+    scene = build_scene(SceneConfig(hands="none"))
+    plan = np.zeros((STEPS, len(scene.action_low)))
+    plan[4:, 0] = scene.action_high[0]
+    config = TaskConfig(initial_buffer_time=0.3, wrong_press_termination=True)
+    performance = play(PianoTask([TUNE], config, scene), ReplayAgent(plan))
+    assert performance.metrics["steps"] == performance.episode.num_steps == 5
+    assert {len(performance.episode[n]) for n in ("goal_keys", "key_qpos", "goal_obs")} == {5}
+
+
+# Replaying
+
+
+def test_replaying_a_recorded_performance() -> None:
+    with np.load(RECORDING) as file:
+        published = json.loads(str(file["metrics"]))
+        song, trim = str(file["song"]), bool(file["trim_silence"])
+    task = PianoTask([load_score(song)], TaskConfig(trim_silence=trim))
+    performance = play(task, ReplayAgent(load_plan(RECORDING)))
+    for name, value in published.items():
+        assert abs(performance.metrics[name] - value) < 0.005, name
+
+
+@pytest.mark.parametrize(
+    ("shape", "sizes"),
+    [((STEPS, 39), "39 .* 20"), ((STEPS - 4, 20), "15 .* 19"), ((STEPS, 0), "0 .* 20")],
+)
+def test_a_plan_of_another_size_is_refused(
+    right_hand: Scene, shape: tuple[int, int], sizes: str
+) -> None:
+    with pytest.raises(CadenzaError, match=sizes):
+        perform(ReplayAgent(np.zeros(shape)), right_hand)
+
+
+def write(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def saved(path: Path, **arrays: Any) -> Path:
+    np.savez_compressed(path, allow_pickle=True, **arrays)
+    return path
+
+
+def truncated(path: Path) -> Path:
+    whole = RECORDING.read_bytes()
+    return write(path, whole[: len(whole) // 2])
+
+
+def damaged(path: Path) -> Path:
+    content = bytearray(
+        saved(path, action=np.random.default_rng(0).uniform(size=(50, 39))).read_bytes()
+    )
+    content[200:260] = bytes(60)
+    return write(path, bytes(content))
+
+
+def lone_array(path: Path) -> Path:
+    with path.open("wb") as file:
+        np.save(file, np.zeros((3, 39)))
+    return path
+
+
+BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "missing": (lambda p: p, "no such file"),
+    "folder": (lambda p: p.parent, "not a readable .npz"),
+    "text": (lambda p: write(p, b"plan: play it well\n"), "not a readable .npz"),
+    "empty": (lambda p: write(p, b""), "not a readable .npz"),
+    "truncated": (truncated, "not a readable .npz"),
+    "damaged": (damaged, "not a readable .npz"),
+    "lone array": (lone_array, "not a readable .npz"),
+    "pickled": (lambda p: saved(p, action=np.array([{}, []], object)), "not a readable .npz"),
+    "no action": (lambda p: saved(p, actions=np.zeros((3, 39))), "no array named action"),
+    "nan": (lambda p: saved(p, action=np.full((3, 39), np.nan)), "give finite numbers"),
+    "1-D": (lambda p: saved(p, action=np.zeros(39)), r"of shape \(39,\)"),
+    "words": (lambda p: saved(p, action=np.array([["a", "b"]])), "give finite numbers"),
+    "complex": (lambda p: saved(p, action=np.zeros((3, 39), complex)), "complex128"),
+}
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+def test_a_broken_plan_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
+    make, message = BROKEN[broken]
+    path = make(tmp_path / "plan.npz")
+    with pytest.raises(CadenzaError, match=message) as error:
+        load_plan(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "broken", ["missing", "text", "empty", "truncated", "lone array", "no action"]
+)
+def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
+    path = BROKEN[broken][0](tmp_path / "episode.npz")
+    with pytest.raises(CadenzaError) as error:
+        load_episode(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+# Wrong options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_candidates": 0}, "num_candidates 0: choose 1 or more"),
+        ({"num_knots": 1}, "num_knots 1: choose 2 or more"),
+        ({"iterations": 0}, "iterations 0: choose 1 or more"),
+        ({"sigma": -0.1}, "sigma -0.1: choose 0 or more"),
+        ({"sigma": float("nan")}, "sigma nan"),
+        ({"horizon": 0.0}, "the horizon must hold a planning step"),
+        ({"horizon": float("inf")}, "horizon inf s"),
+        ({"planning_timestep": 0.3}, "planning_timestep 0.3 s"),
+        ({"planning_timestep": 0.012}, "not a multiple of the physics step"),
+    ],
+)
+def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> None:
+    with pytest.raises(CadenzaError, match=message):
+        perform(PredictiveSampling(PredictiveSamplingConfig(**options)), right_hand)
+
+
+def test_a_negative_seed_is_refused(right_hand: Scene) -> None:
+    with pytest.raises(CadenzaError, match="seed -1: choose 0 or more"):
+        perform(ZeroAgent(), right_hand, seed=-1)
