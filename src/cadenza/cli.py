@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -75,10 +76,11 @@ def play(command: Play) -> None:
         print(f"{command.song}: {remark}", file=sys.stderr)
     agent = _agent(command)
     task = PianoTask([score], command.task, command.scene)
+    folder = command.output or Path("played") / Path(command.song).stem
+    _check_writable(folder)
     with _progress("playing", "steps") as advance:
         performance = play_episode(task, agent, command.seed, advance)
     task.close()
-    folder = command.output or Path("played") / Path(command.song).stem
     _write_results(folder, command, performance, task)
     _print_scores(performance.metrics)
     print(f"\nOpen {folder / 'report.html'}")
@@ -96,6 +98,20 @@ def _agent(command: Play) -> Agent:
     if command.agent == "predictive-sampling":
         return PredictiveSampling(command.planner)
     return ZeroAgent() if command.agent == "zero" else RandomAgent()
+
+
+def _check_writable(folder: Path) -> None:
+    """Before anything is played for it."""
+    import tempfile
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise CadenzaError(
+            f"{folder}: results cannot be written there ({error.strerror}); "
+            "choose another folder with --output"
+        ) from error
 
 
 def _write_results(folder: Path, command: Play, performance: Performance, task: PianoTask) -> None:
@@ -260,7 +276,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     try:
         _COMMANDS[type(command)](command)
-    except CadenzaError as error:
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except (CadenzaError, OSError) as error:
         print(f"cadenza: {error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Iterator
 
@@ -38,10 +37,8 @@ def run(scene: Scene, num_envs: int, num_threads: int) -> State:
 
 
 def assert_same(a: State, b: State, rows: slice = slice(None)) -> None:
-    for field in dataclasses.fields(State):
-        assert_array_equal(
-            getattr(a, field.name)[rows], getattr(b, field.name)[rows], err_msg=field.name
-        )
+    for field, left, right in zip(State._fields, a, b, strict=True):
+        assert_array_equal(left[rows], right[rows], err_msg=field)
 
 
 @pytest.mark.parametrize("num_threads", [2, 3, 8])
@@ -58,10 +55,8 @@ def test_each_simulation_is_alone(scene: Scene) -> None:
         for i, simulation in enumerate(single):
             simulation.step(ctrl[i : i + 1])
     for i, simulation in enumerate(single):
-        for field in dataclasses.fields(State):
-            assert_array_equal(
-                getattr(batch.state, field.name)[i], getattr(simulation.state, field.name)[0]
-            )
+        for ours, alone in zip(batch.state, simulation.state, strict=True):
+            assert_array_equal(ours[i], alone[0])
 
 
 def test_reset_leaves_no_trace(scene: Scene) -> None:

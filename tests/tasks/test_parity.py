@@ -74,7 +74,7 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     assert_array_equal(activation, recording["key_activation"])
     force, velocity = servo_force_and_velocity(recording)
     pairs = reward.finger_distances(
-        recording["fingertip_xpos"], key_qpos, goals.fingers
+        recording["fingertip_xpos"], key_centres(recording), goals.fingers
     )
     terms = {
         "key_press": reward.key_press(state, activation, goals.keys),
@@ -86,6 +86,17 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     for name, term in terms.items():
         assert_allclose(term, recording[f"reward_{name}"], err_msg=name, **EXACT)
     assert_allclose(sum(terms.values()), recording["reward_total"], **EXACT)
+
+
+def key_centres(recording: Recording) -> np.ndarray:
+    """(T, 88, 3) where MuJoCo puts the keys' boxes at the recorded angles."""
+    scene, centres = recording.scene, []
+    data = mujoco.MjData(scene.model)
+    for qpos in recording["key_qpos"]:
+        data.qpos[scene.key_qpos] = qpos
+        mujoco.mj_kinematics(scene.model, data)
+        centres.append(data.geom_xpos[scene.key_geoms].copy())
+    return np.array(centres)
 
 
 def servo_force_and_velocity(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

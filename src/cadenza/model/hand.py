@@ -112,8 +112,12 @@ def _mount(body: mujoco.MjsBody, side: Side, config: SceneConfig) -> None:
             axis=[-a for a in dof.axis] if mirrored else dof.axis,
             range=forearm_range(name, y),
             armature=figures.JOINT_ARMATURE,
-            frictionloss=figures.JOINT_FRICTION_LOSS,
+            frictionloss=_friction_loss(config),
         )
+
+
+def _friction_loss(config: SceneConfig) -> float:
+    return 0.0 if config.physics == "fast" else figures.JOINT_FRICTION_LOSS
 
 
 def forearm_range(name: str, y: float) -> tuple[float, float]:
@@ -134,7 +138,7 @@ def _add_joint(body: mujoco.MjsBody, side: Side, joint: Joint, config: SceneConf
         range=_joint_range(joint, config),
         damping=joint.damping,
         armature=figures.JOINT_ARMATURE,
-        frictionloss=figures.JOINT_FRICTION_LOSS,
+        frictionloss=_friction_loss(config),
     )
 
 
@@ -150,7 +154,7 @@ def _add_geoms(body: mujoco.MjsBody, side: Side, link: Link, config: SceneConfig
             group=COLLIDING_GROUP if drawn else DRAWN_GROUP,
             rgba=tip or _LINK_RGBA,
             contype=1,
-            conaffinity=int(config.hand_collisions),
+            conaffinity=int(config.hand_collisions and config.physics == "published"),
             solref=figures.CONTACT_SOLREF,
             solimp=figures.CONTACT_SOLIMP,
         )  # fmt: skip

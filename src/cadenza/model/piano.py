@@ -48,7 +48,7 @@ _SPRING_REFERENCE = -np.deg2rad(1.0)
 _DAMPING = 0.05  # [N m s / rad]
 _ARMATURE = 0.001  # [kg m^2]
 _SERVO_STIFFNESS = 30.0  # [N m / rad], of the piano that plays itself
-_SERVO_DAMPING = 0.1  # [N m s / rad]
+_SERVO_DAMPING = 0.3  # [N m s / rad]
 _CONTACT = {"contype": 0, "conaffinity": 1, "solref": (0.01, 1.0)}
 
 WHITE_RGBA = (0.93, 0.92, 0.89, 1.0)
@@ -85,14 +85,6 @@ KEY_CENTRE: NDArray[np.float64] = np.stack(
 def key_name(key: int) -> str:
     """Name of the key's body; its joint and geom carry the same name."""
     return f"{'black' if IS_BLACK[key] else 'white'}_key_{key}"
-
-
-def key_centres(key: NDArray[np.intp], key_qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World positions `(P, 3)` [m] of the boxes of keys `key` (P,) at angles (P,) [rad]."""
-    centre, half_length = KEY_CENTRE[key], KEY_HALF_SIZE[key, 0]
-    centre[:, 0] -= half_length * (1.0 - np.cos(key_qpos))
-    centre[:, 2] -= half_length * np.sin(key_qpos)
-    return centre
 
 
 def add_piano(spec: mujoco.MjSpec, actuated: bool) -> None:

@@ -19,7 +19,7 @@ from cadenza.model.shadow_hand import FINGERS, FOREARM_DOFS
 
 Ids = NDArray[np.intp]
 
-PHYSICS_TIMESTEP = 0.005  # [s]
+PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
 """Keys at rest cost nothing; at this tolerance a recorded song replays to 7e-6 rad."""
 
@@ -37,6 +37,8 @@ class Scene:
     sides: tuple[Side, ...]
     key_qpos: slice
     """Where the 88 keys' joints are in qpos."""
+    key_geoms: slice
+    """Where the 88 keys' boxes are among the geoms."""
     hand_qpos: slice
     """Where the J joints of the hands are in qpos."""
     hand_qvel: slice
@@ -109,8 +111,10 @@ def _check(config: SceneConfig) -> None:
 def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
     spec.modelname = "cadenza"
     spec.compiler.degree = False
-    spec.option.timestep = PHYSICS_TIMESTEP
+    spec.option.timestep = PHYSICS_TIMESTEP[config.physics]
     spec.option.impratio = 10
+    if config.hands == "none":  # damps the keys' servos without bound on the timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
     spec.option.sleep_tolerance = SLEEP_TOLERANCE
 
@@ -136,6 +140,7 @@ def _resolve(config: SceneConfig, model: mujoco.MjModel, sides: tuple[Side, ...]
         model=model,
         sides=sides,
         key_qpos=_as_slice(hinge),
+        key_geoms=_as_slice([model.geom(key_name(key)).id for key in range(NUM_KEYS)]),
         hand_qpos=_as_slice(model.jnt_qposadr[joints]),
         hand_qvel=_as_slice(model.jnt_dofadr[joints]),
         hand_joint_names=tuple(model.joint(j).name for j in joints),

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.model.piano import NUM_KEYS
 from cadenza.model.scene import Scene
 
 Array = NDArray[np.float64]
@@ -24,8 +25,7 @@ _UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.m
 mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
 
 
-@dataclass(frozen=True)
-class State:
+class State(NamedTuple):
     """What the task may know about N simulations after a step.
 
     Positions, velocities and contacts belong to the new state; actuator forces to the last physics
@@ -34,6 +34,8 @@ class State:
 
     key_qpos: Array
     """(N, 88) joint angles of the keys [rad], softly limited to 0..travel."""
+    key_xpos: Array
+    """(N, 88, 3) centres of the keys' boxes in the world [m]."""
     hand_qpos: Array
     """(N, J) joint positions of the hands [m, rad]."""
     hand_qvel: Array
@@ -97,6 +99,7 @@ class Simulation:
         model, n = self.scene.model, self.num_envs
         self._qpos = np.zeros((n, model.nq))
         self._qvel = np.zeros((n, model.nv))
+        self._key_xpos = np.zeros((n, NUM_KEYS, 3))
         self._fingertip_xpos = np.zeros((n, 10, 3))
         self._force = np.zeros((n, model.nu))
         self._velocity = np.zeros((n, model.nu))
@@ -154,6 +157,7 @@ class Simulation:
         data, scene = self._data[i], self.scene
         self._qpos[i] = data.qpos
         self._qvel[i] = data.qvel
+        self._key_xpos[i] = data.geom_xpos[scene.key_geoms]
         self._fingertip_xpos[i, scene.fingers] = data.site_xpos[scene.fingertip_sites]
         self._force[i] = data.actuator_force
         self._velocity[i] = data.actuator_velocity
@@ -171,6 +175,7 @@ class Simulation:
         scene = self.scene
         return State(
             key_qpos=self._qpos[:, scene.key_qpos].copy(),
+            key_xpos=self._key_xpos.copy(),
             hand_qpos=self._qpos[:, scene.hand_qpos].copy(),
             hand_qvel=self._qvel[:, scene.hand_qvel].copy(),
             fingertip_xpos=self._fingertip_xpos.copy(),

@@ -158,7 +158,7 @@ class Sheets:
         windows = sliding_window_view(flat, self._ahead * (NUM_KEYS + 1), axis=1)
         self._windows = windows[:, :: NUM_KEYS + 1]  # (N, steps, lookahead rows), a view
 
-    def advance(self, env_ids: NDArray[np.intp]) -> None:
+    def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
         """These environments have taken a step."""
         self.steps_done[env_ids] += 1
         self.row = np.minimum(self.steps_done, self.num_steps - 1)

@@ -110,7 +110,7 @@ class PianoTask:
     def scale_action(self, action: NDArray[Any]) -> Array:
         """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
         ctrl = np.asarray(action, np.float64) * self._action_scale + self._action_centre
-        return np.clip(ctrl, self.action_low, self.action_high)
+        return np.minimum(np.maximum(ctrl, self.action_low), self.action_high)
 
     def _steps_lookahead(self) -> int:
         seconds = self.config.n_seconds_lookahead
@@ -177,10 +177,10 @@ class PianoTask:
         goal, fingers, row = sheets.goal, sheets.fingers, sheets.row
         self.simulation.step(ctrl[:, :-1], env_ids)
         self._look()
-        moving = self._env_ids if env_ids is None else np.asarray(env_ids, np.intp)
+        moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         self._pedal[moving] = ctrl[moving, -1]
-        self._played[moving, row[moving], :NUM_KEYS] = self.sounding[moving]
-        self._played[moving, row[moving], NUM_KEYS] = self.pedal_down[moving]
+        played = np.concatenate([self.sounding, self.pedal_down[:, None]], axis=1)
+        self._played[self._env_ids[moving], row[moving]] = played[moving]
         sheets.advance(moving)
 
         terms = self._reward_terms(goal, fingers)
@@ -212,12 +212,12 @@ class PianoTask:
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         state, transported = self.state, self.sheets.transports_fingers
-        pairs = reward.finger_distances(state.fingertip_xpos, state.key_qpos, fingers)
+        pairs = reward.finger_distances(state.fingertip_xpos, state.key_xpos, fingers)
         by_score = reward.nearness(*pairs, self.num_envs, otherwise=0.0)
         if not transported.any():
             return by_score
         tips = state.fingertip_xpos[:, self.scene.fingers]
-        pairs = reward.transport_distances(tips, state.key_qpos, keys & transported[:, None])
+        pairs = reward.transport_distances(tips, state.key_xpos, keys & transported[:, None])
         by_transport = reward.nearness(*pairs, self.num_envs, otherwise=1.0)
         return np.where(transported, by_transport, by_score)
 

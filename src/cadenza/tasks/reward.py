@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.model.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE, key_centres
+from cadenza.model.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -58,19 +58,14 @@ def _mean_by_row(
     return np.where(count, total / np.maximum(count, 1), otherwise)
 
 
-def press_points(key: NDArray[np.intp], key_qpos: Array) -> Array:
-    """Points `(P, 3)` [m] where fingers should touch keys `key` (P,) at angles (P,) [rad]."""
-    return key_centres(key, key_qpos) + _PRESS_OFFSET[key]
-
-
 def finger_distances(
-    fingertips: Array, key_qpos: Array, fingers: NDArray[np.int8]
+    fingertips: Array, key_xpos: Array, fingers: NDArray[np.int8]
 ) -> tuple[NDArray[np.intp], Array]:
     """How far fingers are from the keys they should press.
 
     Args:
         fingertips: (N, 10, 3) [m].
-        key_qpos: (N, 88) [rad].
+        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
         fingers: (N, 88) the finger that each key wants, -1 for none.
 
     Returns:
@@ -78,12 +73,12 @@ def finger_distances(
         distance (P,) [m].
     """
     env, key = (fingers >= 0).nonzero()
-    offset = fingertips[env, fingers[env, key]] - press_points(key, key_qpos[env, key])
-    return env, np.sqrt((offset * offset).sum(axis=1))
+    offset = fingertips[env, fingers[env, key]] - key_xpos[env, key] - _PRESS_OFFSET[key]
+    return env, np.sqrt(np.vecdot(offset, offset))
 
 
 def transport_distances(
-    fingertips: Array, key_qpos: Array, goal: Mask
+    fingertips: Array, key_xpos: Array, goal: Mask
 ) -> tuple[NDArray[np.intp], Array]:
     """As `finger_distances`, with the fingers that get to the keys by the least way in sum.
 
@@ -93,7 +88,7 @@ def transport_distances(
     envs, distances = [np.zeros(0, np.intp)], [np.zeros(0)]
     for env in np.flatnonzero(goal.any(axis=1)):
         key = np.flatnonzero(goal[env])
-        offsets = fingertips[env][:, None] - press_points(key, key_qpos[env, key])
+        offsets = fingertips[env][:, None] - key_xpos[env, key] - _PRESS_OFFSET[key]
         distance = np.sqrt((offsets**2).sum(axis=-1))
         assigned = distance[linear_sum_assignment(distance)]
         envs.append(np.full(len(assigned), env))
@@ -113,7 +108,7 @@ def nearness(env: NDArray[np.intp], distance: Array, num_envs: int, otherwise: f
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:
     """Minus the power of all actuators times `coefficient`; arrays (N, A) [N, N m] and speeds."""
-    return -coefficient * np.abs(force * velocity).sum(axis=1)
+    return -coefficient * np.vecdot(np.abs(force), np.abs(velocity))
 
 
 def sustain(pedal_down: Mask, goal: Mask) -> Array:

@@ -1,0 +1,67 @@
+"""The task as a `dm_env.Environment`; needs the package's extra `dm-env`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dm_env
+import numpy as np
+from dm_env import specs
+from numpy.typing import NDArray
+
+from cadenza.tasks.env import PianoEnv
+
+
+class DmEnvAdapter(dm_env.Environment):
+    """Wraps a `PianoEnv`. Observations are dictionaries of the parts of `observation_layout`.
+
+    The last step of a score has discount 1, as in the published environment; one that ends on a
+    wrong key or an unstable simulation has discount 0.
+    """
+
+    def __init__(self, env: PianoEnv, seed: int | None = None) -> None:
+        """Args:
+        env: what to wrap, without pixels.
+        seed: of the first episode; the following ones draw on.
+        """
+        self._env = env
+        self._seed = seed
+        self._ended = True
+
+    def reset(self) -> dm_env.TimeStep:
+        """Starts a new episode."""
+        observation, _ = self._env.reset(seed=self._seed)
+        self._seed, self._ended = None, False
+        return dm_env.restart(self._parts(observation))
+
+    def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
+        """One control step; after the last one of an episode, as dm_env asks for, a reset."""
+        if self._ended:
+            return self.reset()
+        observation, reward, terminated, truncated, _ = self._env.step(np.asarray(action))
+        self._ended = terminated or truncated
+        parts = self._parts(observation)
+        if terminated:
+            return dm_env.termination(reward, parts)
+        if truncated:
+            return dm_env.truncation(reward, parts, discount=1.0)
+        return dm_env.transition(reward, parts)
+
+    def _parts(self, observation: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        return {name: observation[part] for name, part in self._env.observation_layout.items()}
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """Name -> shape of each part."""
+        return {
+            name: specs.Array((part.stop - part.start,), np.float32, name)
+            for name, part in self._env.observation_layout.items()
+        }
+
+    def action_spec(self) -> specs.BoundedArray:
+        """Actions (A,) in [-1, 1], the pedal last."""
+        shape = self._env.action_space.shape
+        return specs.BoundedArray(shape, np.float32, -1.0, 1.0, "action")
+
+    def close(self) -> None:
+        """Frees graphics."""
+        self._env.close()

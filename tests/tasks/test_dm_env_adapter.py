@@ -1,0 +1,48 @@
+"""The adapter to dm_env, with dm_env's own test of conformance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from absl.testing import absltest
+from dm_env import StepType, test_utils
+
+from cadenza.music.score import Note, Score
+from cadenza.tasks.dm_env_adapter import DmEnvAdapter
+from cadenza.tasks.env import PianoEnv
+
+SHORT = Score((Note(0.0, 0.1, 60, finger=0), Note(0.1, 0.25, 62, finger=1)))
+
+
+class ConformanceTest(test_utils.EnvironmentTestMixin, absltest.TestCase):
+    def make_object_under_test(self) -> DmEnvAdapter:
+        return DmEnvAdapter(PianoEnv(SHORT), seed=0)
+
+    def make_action_sequence(self) -> Iterator[np.ndarray]:
+        rng = np.random.default_rng(0)
+        spec = self.environment.action_spec()
+        for _ in range(20):
+            yield rng.uniform(-1, 1, spec.shape).astype(spec.dtype)
+
+
+def test_discount_tells_the_score_s_end_from_a_wrong_key() -> None:
+    adapter = DmEnvAdapter(PianoEnv(SHORT))
+    adapter.reset()
+    steps = [adapter.step(np.zeros(39)) for _ in range(6)]
+    assert steps[-1].step_type == StepType.LAST
+    assert steps[-1].discount == 1.0
+    strict = DmEnvAdapter(PianoEnv(SHORT, hands="none", wrong_press_termination=True))
+    strict.reset()
+    step = strict.step(np.ones(89))
+    assert step.step_type == StepType.LAST
+    assert step.discount == 0.0
+
+
+def test_parts_are_those_of_the_environment() -> None:
+    env = PianoEnv(SHORT)
+    adapter = DmEnvAdapter(env, seed=1)
+    parts = adapter.reset().observation
+    whole, _ = PianoEnv(SHORT).reset(seed=1)
+    assert list(parts) == list(env.observation_layout)
+    np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
