@@ -57,17 +57,17 @@ def read_fingering(path: str | Path, score: Score) -> Score:
             continue
         where = f"{path}, line {number}"
         start, pitch, finger = _parsed(content, where)
-        index = _nearest(score, by_pitch[pitch], start)
-        if index is None:
+        nearest = _nearest(score, by_pitch[pitch], start)
+        if nearest is None:
             raise CadenzaError(
                 f"{where}: no note of pitch {pitch} starts within {TOLERANCE} s of {start:g} s"
             )
-        if index in line_of and notes[index].finger != finger:
+        if nearest in line_of and notes[nearest].finger != finger:
             raise CadenzaError(
-                f"{where}: line {line_of[index]} gives the same note another finger; keep one"
+                f"{where}: line {line_of[nearest]} gives the same note another finger; keep one"
             )
-        line_of[index] = number
-        notes[index] = replace(notes[index], finger=finger)
+        line_of[nearest] = number
+        notes[nearest] = replace(notes[nearest], finger=finger)
     return replace(score, notes=tuple(notes))
 
 
