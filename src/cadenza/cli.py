@@ -36,7 +36,7 @@ class Play:
     Example: cadenza play OdeToJoy -o joy
     """
 
-    song: tyro.conf.Positional[str]
+    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
     """A bundled song (see "cadenza songs") or the path of a MIDI file."""
     agent: AgentName = "predictive-sampling"
     """Who plays. "replay" plays the actions of --plan."""
@@ -62,7 +62,7 @@ class Songs:
 class Info:
     """Tell what a song asks for; without a song, what this installation can do."""
 
-    song: tyro.conf.Positional[str | None] = None
+    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
     """A bundled song or the path of a MIDI file."""
 
 
@@ -268,13 +268,13 @@ _COMMANDS: dict[type, Callable[[Any], None]] = {Play: play, Songs: songs, Info: 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
-    command = tyro.extras.subcommand_cli_from_dict(
-        {kind.__name__.lower(): kind for kind in _COMMANDS},
-        prog="cadenza",
-        description="Two simulated robot hands play the piano from any MIDI file.",
-        args=arguments,
-    )
     try:
+        command = tyro.extras.subcommand_cli_from_dict(
+            {kind.__name__.lower(): kind for kind in _COMMANDS},
+            prog="cadenza",
+            description="Two simulated robot hands play the piano from any MIDI file.",
+            args=arguments,
+        )
         _COMMANDS[type(command)](command)
         sys.stdout.flush()
     except BrokenPipeError:  # whoever read the output has left, as `head` does

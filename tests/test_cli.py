@@ -1,0 +1,393 @@
+"""The command line as a person meets it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mido
+import numpy as np
+import pytest
+
+import cadenza
+from cadenza.cli import main
+from cadenza.episode import load_episode
+from cadenza.model.config import SceneConfig
+from cadenza.model.piano import KEY_TRAVEL, NUM_KEYS
+from cadenza.model.scene import build_scene
+from cadenza.music.goals import score_to_goals
+from cadenza.music.library import songs
+from cadenza.music.midi import read_midi, write_midi
+from cadenza.music.score import Note, PedalEvent, Score
+
+DATA = Path(__file__).parent / "data"
+TUNE = Score(
+    (Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), (PedalEvent(0.3, 127),)
+)
+QUICK = ("--agent", "zero", "--no-video")
+RUN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+RUN += "from cadenza.cli import main; main(sys.argv[1:])"
+
+
+@pytest.fixture
+def tune(tmp_path: Path) -> Path:
+    write_midi(TUNE, tmp_path / "tune.mid")
+    return tmp_path / "tune.mid"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """What the command says on stderr when it exits with status 2."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert stop.value.code == 2
+    said = capsys.readouterr()
+    assert "Traceback" not in said.out + said.err
+    return said.err
+
+
+def refused_in_a_line(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    message = refused(capsys, *arguments)
+    assert message.startswith("cadenza: ")
+    assert message.count("\n") == 1
+    return message
+
+
+# Help, and what there is
+
+
+def test_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    for word in ("play", "songs", "info", "piano"):
+        assert word in said
+
+
+@pytest.mark.parametrize("command", ["play", "songs", "info"])
+def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([command, "--help"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    assert ("SONG" in said) == (command != "songs")
+    options = ("--agent", "--output", "--seed", "--wrong-press-termination", "--hands")
+    assert all((option in said) == (command == "play") for option in options)
+
+
+def test_starts_without_the_heavy_libraries() -> None:
+    heavy = ("mujoco", "scipy", "mir_eval", "av", "mido")
+    code = f"import sys, cadenza.cli; print([m for m in {heavy} if m in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
+def test_songs(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["songs"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == [piece.name for piece in songs()]
+    assert all(piece.title in line for piece, line in zip(songs(), lines, strict=True))
+
+
+def facts(out: str) -> dict[str, str]:
+    rows = (line.split("  ", 1) for line in out.splitlines())
+    return {name: value.strip() for name, value in rows}
+
+
+def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["info", "TwinkleTwinkleLittleStar"])
+    told = facts(capsys.readouterr().out)
+    assert told["length"] == "8.0 s, 161 steps"
+    assert told["notes"] == "14"
+    assert told["fingering"] == "14 of 14 notes"
+
+
+def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["info", str(tune)])
+    told = facts(capsys.readouterr().out)
+    assert told["length"] == "0.6 s, 13 steps"
+    assert told["range"] == "MIDI 60 to 67"
+    assert told["at once"] == "up to 2 keys"
+    assert told["fingering"] == "0 of 3 notes"
+    assert told["pedal"] == "1 movements"
+
+
+def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["info"])
+    told = facts(capsys.readouterr().out)
+    assert told["cadenza"] == cadenza.__version__
+    assert int(told["cores"]) >= 1
+    assert told["can draw video"].startswith(("yes", "no; "))
+
+
+@pytest.mark.parametrize("arguments", [["songs"], ["play", "--help"]])
+def test_a_reader_that_leaves_early_gets_no_traceback(arguments: list[str]) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", RUN, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout
+    process.stdout.close()
+    assert process.stderr
+    assert process.stderr.read() == b""
+    assert process.wait(timeout=60) == 1
+
+
+# Playing
+
+
+def perfect_plan(score: Score, path: Path) -> Path:
+    """For the piano that plays itself: every key and the pedal as the score wants them."""
+    goals = score_to_goals(score, 0.05)
+    np.savez(path, action=np.column_stack([goals.keys * KEY_TRAVEL, goals.sustain]))
+    return path
+
+
+def test_play_leaves_what_it_promises(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, folder = perfect_plan(TUNE, tmp_path / "plan.npz"), tmp_path / "new" / "folder"
+    arguments = ["play", tune, "--hands", "none", "--agent", "replay", "--plan", plan, "-o", folder]
+    main([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    assert "F1 1.000  precision 1.000  recall 1.000" in said.out
+    assert f"Open {folder / 'report.html'}" in said.out
+    files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
+    names = {path.name for path in folder.iterdir()}
+    assert names == files | {"video.mp4"} or (names == files and "no video: " in said.err)
+    assert all(path.stat().st_size for path in folder.iterdir())
+
+    metrics = json.loads((folder / "metrics.json").read_text())
+    scores = {"precision", "recall", "f1"}
+    scores |= {f"sustain_{name}" for name in scores} | {"note_onset_f1", "note_onset_offset_f1"}
+    other = {"return", "reward/key_press", "steps", "planning_seconds", "playing_seconds"}
+    assert metrics.keys() == scores | other | {"unstable"}
+    assert {metrics[name] for name in scores} == {1.0}
+    assert (metrics["steps"], metrics["unstable"]) == (13, 0)
+
+    settings = json.loads((folder / "settings.json").read_text())
+    assert (settings["seed"], settings["agent"], settings["plan"]) == (0, "replay", str(plan))
+    assert settings["scene"]["hands"] == "none"
+
+    played = read_midi(folder / "played.mid")
+    notes = [(round(n.start, 3), round(n.end, 3), n.pitch) for n in played.notes]
+    assert notes == [(0.0, 0.25, 60), (0.25, 0.5, 64), (0.25, 0.6, 67)]
+    assert [(round(e.time, 3), e.value) for e in played.pedal] == [(0.3, 127)]
+    assert "<html" in (folder / "report.html").read_text()
+
+
+def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_path: Path) -> None:
+    main(["play", str(tune), *QUICK, "--sustain-term", "--forearm-term", "-o", str(tmp_path)])
+    episode = load_episode(tmp_path / "episode.npz")
+    with np.load(DATA / "episode_a.npz") as recording:
+        names = set(recording.files) - {"song", "dt"}
+        assert names <= episode.arrays.keys()
+        for name in names:
+            ours, published = episode[name], recording[name]
+            assert ours.ndim == published.ndim, name
+            assert ours.dtype.kind == published.dtype.kind, name
+    assert len(episode.arrays["key_qpos"]) == 13
+    assert episode.scene["geoms"]
+
+
+def test_a_recorded_episode_is_a_plan(tune: Path, tmp_path: Path) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    main(["play", str(tune), "--agent", "random", "--no-video", "-o", str(first)])
+    plan = str(first / "episode.npz")
+    main(["play", str(tune), "--agent", "replay", "--plan", plan, "--no-video", "-o", str(again)])
+    assert figures(again) == figures(first)
+
+
+def figures(folder: Path) -> dict[str, float]:
+    """The metrics but for how long it took."""
+    metrics = json.loads((folder / "metrics.json").read_text())
+    return {name: value for name, value in metrics.items() if not name.endswith("_seconds")}
+
+
+def test_the_same_seed_plays_the_same(tune: Path, tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("a", "b", "c")]
+    for folder, seed in zip(folders, ("7", "7", "8"), strict=True):
+        main(["play", str(tune), "--seed", seed, "--no-video", "-o", str(folder)])
+    a, b, c = (load_episode(folder / "episode.npz") for folder in folders)
+    assert figures(folders[0]) == figures(folders[1])
+    assert a.arrays.keys() == b.arrays.keys()
+    for name in a.arrays.keys() - {"metrics"}:  # which tell the seconds, too
+        np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+    assert (a["action"] != c["action"]).any()
+
+
+def test_results_go_below_the_working_folder_by_default(
+    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main(["play", str(tune), *QUICK])
+    assert (tmp_path / "played" / "tune" / "report.html").exists()
+    main(["play", str(tune), *QUICK])  # takes the place of the first
+    assert len(list((tmp_path / "played" / "tune").iterdir())) == 5
+
+
+def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:
+    options = ["--initial-buffer-time", "0.5", "--hands", "left", "--no-reduced-action-space"]
+    options += ["--forearm-dofs", "tx", "tz"]
+    main(["play", str(tune), *QUICK, *options, "-o", str(tmp_path)])
+    episode = load_episode(tmp_path / "episode.npz")
+    scene = SceneConfig(hands="left", reduced_action_space=False, forearm_dofs=("tx", "tz"))
+    assert episode["actuator_names"].tolist() == list(build_scene(scene).actuator_names)
+    assert episode.num_steps == 23
+
+
+# MIDI files as they come
+
+
+def test_tracks_tempo_changes_and_notes_off_the_keyboard(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = mido.MidiFile(ticks_per_beat=100)
+    tempo = mido.MidiTrack([mido.MetaMessage("set_tempo", tempo=1_000_000, time=0)])
+    tempo.append(mido.MetaMessage("set_tempo", tempo=250_000, time=100))  # after a second
+    right = mido.MidiTrack(
+        [
+            mido.Message("note_on", note=72, velocity=64, time=0),
+            mido.Message("note_off", note=72, time=100),  # 1 s
+            mido.Message("note_on", note=76, velocity=64, time=0),
+            mido.Message("note_on", note=76, velocity=0, time=200),  # 0.5 s at the new tempo
+        ]
+    )
+    left = mido.MidiTrack(
+        [
+            mido.Message("note_on", channel=1, note=5, velocity=64, time=0),  # not on a piano
+            mido.Message("note_off", channel=1, note=5, time=50),
+            mido.Message("note_on", channel=1, note=48, velocity=64, time=0),
+            mido.Message("note_off", channel=1, note=48, time=50),
+        ]
+    )
+    file.tracks += [tempo, right, left]
+    path = tmp_path / "tracks.mid"
+    file.save(path)
+    main(["info", str(path)])
+    told = facts(capsys.readouterr().out)
+    assert told["length"] == "1.5 s, 31 steps"
+    assert told["notes"] == "3"
+    assert told["range"] == "MIDI 48 to 76"
+    assert "88 keys" in told["repaired 1"]
+    main(["play", str(path), *QUICK, "-o", str(tmp_path / "played")])
+    assert "88 keys" in capsys.readouterr().err
+    assert load_episode(tmp_path / "played/episode.npz").num_steps == 31
+
+
+@pytest.mark.parametrize("notes", [[], [5, 120]])
+@pytest.mark.parametrize("command", ["info", "play"])
+def test_a_file_without_a_note_to_play(
+    command: str, notes: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    track = mido.MidiTrack()
+    for note in notes:
+        track.append(mido.Message("note_on", note=note, time=0))
+        track.append(mido.Message("note_off", note=note, time=100))
+    mido.MidiFile(tracks=[track]).save(tmp_path / "silent.mid")
+    assert "no notes" in refused_in_a_line(capsys, command, tmp_path / "silent.mid")
+
+
+# What is wrong is said in a line
+
+
+@pytest.mark.parametrize("command", ["info", "play"])
+def test_songs_that_there_are_not(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = refused_in_a_line(capsys, command, "OdeToJoi")
+    assert "did you mean OdeToJoy" in message
+    missing, text = tmp_path / "missing.mid", tmp_path / "text.mid"
+    assert f"{missing}: there is no such file" in refused_in_a_line(capsys, command, missing)
+    text.write_text("Dear piano,\nplay something.\n")
+    assert f"{text}: not a MIDI file" in refused_in_a_line(capsys, command, text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--agent", "replay"], "--plan"),
+        (["--plan", "x.npz"], "--agent replay"),
+        (["--agent", "replay", "--plan", "nowhere.npz"], "nowhere.npz: there is no such file"),
+        (["--agent", "zero", "--seed", "-1"], "seed -1"),
+        (["--agent", "zero", "--control-timestep", "0.012"], "control_timestep 0.012 s"),
+        (["--agent", "zero", "--control-timestep", "nan"], "control_timestep nan"),
+        (["--agent", "zero", "--initial-buffer-time", "-1"], "initial_buffer_time -1.0"),
+        (["--agent", "zero", "--hand-spacing", "9"], "hand_spacing 9.0 m"),
+        (["--agent", "zero", "--forearm-dofs", "tx", "tx"], "forearm_dofs"),
+        (["--planner.num-knots", "1"], "num_knots 1"),
+    ],
+)
+def test_options_that_make_no_sense(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in refused_in_a_line(capsys, "play", "OdeToJoy", *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([], "play"),
+        (["dance"], "dance"),
+        (["play"], "SONG"),
+        (["play", "OdeToJoy", "--seed", "x"], "--seed"),
+        (["play", "OdeToJoy", "--agent", "pianist"], "pianist"),
+        (["play", "OdeToJoy", "--hands", "three"], "three"),
+        (["play", "OdeToJoy", "--loud"], "--loud"),
+    ],
+)
+def test_arguments_that_cannot_be_read(
+    arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert word in refused(capsys, *arguments)
+
+
+@pytest.mark.parametrize("place", ["", "below", "further/below"])
+def test_a_file_where_results_should_go(
+    place: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a file").touch()
+    folder = tmp_path / "a file" / place
+    message = refused_in_a_line(capsys, "play", tune, *QUICK, "-o", folder)
+    assert message.startswith(f"cadenza: {folder}: results cannot be written there (")
+
+
+def test_a_plan_for_something_else(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = perfect_plan(TUNE, tmp_path / "plan.npz")
+    arguments = ("play", tune, "--agent", "replay", "--plan", plan, "-o", tmp_path)
+    assert f"{NUM_KEYS + 1} actions a step and this task 39" in refused_in_a_line(
+        capsys, *arguments
+    )
+    longer = (*arguments, "--hands", "none", "--initial-buffer-time", "0.1")
+    assert "13 steps and the song 15" in refused_in_a_line(capsys, *longer)
+
+
+def test_interrupting_leaves_no_traceback_and_no_half_results(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    process = subprocess.Popen(
+        [sys.executable, "-c", RUN, "play", "OdeToJoy", "--planner.iterations", "50", "-o", folder],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not folder.exists() and process.poll() is None:
+        time.sleep(0.05)
+    time.sleep(0.5)  # it is made right before the playing begins
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert err.endswith("cadenza: interrupted\n")
+    assert out == ""
+    assert list(folder.iterdir()) == []
