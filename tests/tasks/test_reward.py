@@ -89,13 +89,15 @@ def test_key_press_with_nothing_to_press() -> None:
     assert_array_equal(reward.key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
 
 
-def point(key: int, angle: float) -> list[float]:
-    """Centre of the key's box, turned about its hinge, and from there along the world's axes."""
-    x, y, z = KEY_CENTRE[key]
-    half_length, half_height = KEY_HALF_SIZE[key, 0], KEY_HALF_SIZE[key, 2]
-    hinge = x - half_length
-    centre = [hinge + half_length * math.cos(angle), y, z - half_length * math.sin(angle)]
-    return [centre[0] + 0.35 * half_length, centre[1], centre[2] + 0.5 * half_height]
+def point(key: int, centre: np.ndarray) -> np.ndarray:
+    """Where a finger is wanted on a key whose box has this centre."""
+    half_length, _, half_height = KEY_HALF_SIZE[key]
+    return centre + np.array([0.35 * half_length, 0.0, 0.5 * half_height])
+
+
+def key_centres(n: int) -> st.SearchStrategy[np.ndarray]:
+    """Keys a little below where they rest."""
+    return arrays((n, NUM_KEYS, 3), -0.01, 0.0).map(lambda offset: KEY_CENTRE + offset)
 
 
 def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
@@ -106,19 +108,19 @@ def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
 @few
 @given(st.data(), sizes)
 def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
-    tips, key_qpos = data.draw(fingertips(n)), data.draw(key_angles(n))
+    tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
     some = st.sampled_from([-1] * 9 + list(range(10)))
     fingers = data.draw(npst.arrays(np.int8, (n, NUM_KEYS), elements=some, fill=st.just(-1)))
-    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    pairs = reward.finger_distances(tips, centres, fingers)
     ours = reward.nearness(*pairs, n, otherwise=0.0)
     for env in range(n):
-        near = [
-            gaussian(
-                math.dist(tips[env, fingers[env, k]], point(k, key_qpos[env, k])), 0, 0.01, 0.1
-            )
+        distances = [
+            math.dist(tips[env, fingers[env, k]], point(k, centres[env, k]))
             for k in range(NUM_KEYS)
             if fingers[env, k] >= 0
         ]
+        near = [gaussian(distance, 0, 0.01, 0.1) for distance in distances]
+        assert_allclose(pairs[1][pairs[0] == env], distances, **CLOSE)
         assert_allclose(ours[env], sum(near) / len(near) if near else 0.0, **CLOSE)
 
 
@@ -127,12 +129,12 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
     assert bool(IS_BLACK[key]) == (key == 1)
     tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, NUM_KEYS), -1, np.int8)
     fingers[0, key] = 7
-    tips[0, 7] = point(key, 0.03)
-    key_qpos = np.full((1, NUM_KEYS), 0.03)
-    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    tips[0, 7] = point(key, KEY_CENTRE[key])
+    centres = KEY_CENTRE[None]
+    pairs = reward.finger_distances(tips, centres, fingers)
     assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
-    pairs = reward.finger_distances(tips, key_qpos, fingers)
+    pairs = reward.finger_distances(tips, centres, fingers)
     assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [0.1], rtol=1e-6)
 
 
@@ -140,12 +142,12 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
 @given(st.data(), st.integers(1, 5), st.lists(st.integers(0, 87), unique=True, max_size=5))
 def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int]) -> None:
     """No assignment of fingers to keys, or of keys to fingers where they are more, is shorter."""
-    tips, key_qpos = data.draw(fingertips(1, num_fingers)), data.draw(key_angles(1))
+    tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    env, distance = reward.transport_distances(tips, key_qpos, goal)
+    env, distance = reward.transport_distances(tips, centres, goal)
     assert env.tolist() == [0] * min(num_fingers, len(keys))
-    way = [[math.dist(tip, point(k, key_qpos[0, k])) for k in keys] for tip in tips[0]]
+    way = [[math.dist(tip, point(k, centres[0, k])) for k in keys] for tip in tips[0]]
     if num_fingers < len(keys):
         sums = (
             sum(way[f][k] for f, k in enumerate(chosen))
@@ -161,11 +163,11 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
 
 def test_optimal_transport_row_by_row() -> None:
     """Rows without a key to press have no pairs, and are worth what was said."""
-    tips, key_qpos = np.zeros((3, 10, 3)), np.zeros((3, NUM_KEYS))
+    tips, centres = np.zeros((3, 10, 3)), np.tile(KEY_CENTRE, (3, 1, 1))
     goal = np.zeros((3, NUM_KEYS), bool)
     goal[1, [3, 50]] = True
-    tips[1, 2], tips[1, 8] = point(50, 0.0), point(3, 0.0)
-    env, distance = reward.transport_distances(tips, key_qpos, goal)
+    tips[1, 2], tips[1, 8] = point(50, KEY_CENTRE[50]), point(3, KEY_CENTRE[3])
+    env, distance = reward.transport_distances(tips, centres, goal)
     assert env.tolist() == [1, 1]
     assert_allclose(distance, 0.0, atol=1e-12)
     for otherwise in (0.0, 1.0):
@@ -175,7 +177,7 @@ def test_optimal_transport_row_by_row() -> None:
 
 def test_optimal_transport_of_nothing() -> None:
     nothing = reward.transport_distances(
-        np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS)), np.zeros((2, NUM_KEYS), bool)
+        np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS, 3)), np.zeros((2, NUM_KEYS), bool)
     )
     assert [len(part) for part in nothing] == [0, 0]
 
