@@ -70,6 +70,18 @@ def test_reset_leaves_no_trace(scene: Scene) -> None:
     assert_same(used.state, fresh.state)
 
 
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_rollout_is_many_steps(scene: Scene, num_threads: int) -> None:
+    ctrl = np.stack(list(controls(scene, 3)), axis=1)
+    rolled, stepped = Simulation(scene, 3, num_threads=num_threads), Simulation(scene, 3)
+    states = rolled.rollout(ctrl)
+    for k in range(STEPS):
+        stepped.step(ctrl[:, k])
+        for ours, alone in zip(states, stepped.state, strict=True):
+            assert_array_equal(ours[:, k], alone)
+    assert_same(rolled.state, stepped.state)
+
+
 def test_steps_only_those_asked_for(scene: Scene) -> None:
     simulation = Simulation(scene, 2)
     before = simulation.state

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -92,19 +92,23 @@ class Simulation:
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
         for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
             row[geoms] = True
-        self._allocate()
+        self._now = self._blank(num_envs)
         self.reset()
 
-    def _allocate(self) -> None:
-        model, n = self.scene.model, self.num_envs
-        self._qpos = np.zeros((n, model.nq))
-        self._qvel = np.zeros((n, model.nv))
-        self._key_xpos = np.zeros((n, NUM_KEYS, 3))
-        self._fingertip_xpos = np.zeros((n, 10, 3))
-        self._force = np.zeros((n, model.nu))
-        self._velocity = np.zeros((n, model.nu))
-        self._forearm_contact = np.zeros(n, bool)
-        self._unstable = np.zeros(n, bool)
+    def _blank(self, *rows: int) -> State:
+        """A state of zeros with leading dimensions `rows`."""
+        joints, actuators = len(self.scene.hand_joint_names), self.scene.model.nu
+        return State(
+            key_qpos=np.zeros((*rows, NUM_KEYS)),
+            key_xpos=np.zeros((*rows, NUM_KEYS, 3)),
+            hand_qpos=np.zeros((*rows, joints)),
+            hand_qvel=np.zeros((*rows, joints)),
+            fingertip_xpos=np.zeros((*rows, 10, 3)),
+            actuator_force=np.zeros((*rows, actuators)),
+            actuator_velocity=np.zeros((*rows, actuators)),
+            forearm_contact=np.zeros(rows, bool),
+            unstable=np.zeros(rows, bool),
+        )
 
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
         """Puts simulations back to the start.
@@ -120,8 +124,7 @@ class Simulation:
             if hand_qpos is not None:
                 data.qpos[self.scene.hand_qpos] = hand_qpos[row]
             mujoco.mj_step1(self.scene.model, data)
-            self._unstable[i] = False
-            self._read(i)
+            self._read(i, self._now, i)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
         """Applies `ctrl` (N, A) in actuator units for one control step.
@@ -130,68 +133,97 @@ class Simulation:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: which simulations to step; all by default.
         """
-        ids = range(self.num_envs) if env_ids is None else env_ids
+
+        def advance(i: int) -> None:
+            self._advance(i, ctrl[i])
+            self._read(i, self._now, i)
+
+        self._for_each(range(self.num_envs) if env_ids is None else env_ids, advance)
+
+    def rollout(self, ctrl: Array) -> State:
+        """Takes K control steps in every simulation and returns all states on the way.
+
+        The same as K times `step`, but no simulation waits for another in between.
+
+        Args:
+            ctrl: (N, K, A) in actuator units.
+
+        Returns:
+            A state whose arrays have leading dimensions (N, K) instead of (N,).
+        """
+        states = self._blank(*ctrl.shape[:2])
+
+        def advance(i: int) -> None:
+            for k in range(ctrl.shape[1]):
+                self._advance(i, ctrl[i, k])
+                self._read(i, states, (i, k))
+            self._read(i, self._now, i)
+
+        self._for_each(range(self.num_envs), advance)
+        return states
+
+    def _for_each(self, env_ids: Sequence[int], advance: Callable[[int], None]) -> None:
         if self._pool is None:
-            self._advance(iter(ids), ctrl)
+            for i in env_ids:
+                advance(i)
             return
-        shared = iter(list(ids))  # each thread takes the next simulation that nobody has taken
-        workers = min(self._num_threads, len(ids))
-        futures = [self._pool.submit(self._advance, shared, ctrl) for _ in range(workers)]
-        for future in futures:
+        shared = iter(list(env_ids))  # each thread takes the next simulation that nobody has taken
+
+        def work() -> None:
+            for i in shared:
+                advance(i)
+
+        workers = min(self._num_threads, len(env_ids))
+        for future in [self._pool.submit(work) for _ in range(workers)]:
             future.result()
 
-    def _advance(self, ids: Iterator[int], ctrl: Array) -> None:
+    def _advance(self, i: int, ctrl: Array) -> None:
         # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
         # also reproduces the published recordings, which were made by the same engine.
-        model = self.scene.model
-        for i in ids:
-            data = self._data[i]
-            data.ctrl = ctrl[i]
-            mujoco.mj_step2(model, data)
-            if self.num_substeps > 1:
-                mujoco.mj_step(model, data, self.num_substeps - 1)
-            mujoco.mj_step1(model, data)
-            self._read(i)
+        model, data = self.scene.model, self._data[i]
+        data.ctrl = ctrl
+        mujoco.mj_step2(model, data)
+        if self.num_substeps > 1:
+            mujoco.mj_step(model, data, self.num_substeps - 1)
+        mujoco.mj_step1(model, data)
 
-    def _read(self, i: int) -> None:
+    def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
+        """Copies the state of simulation `i` into `out` at `row`."""
         data, scene = self._data[i], self.scene
-        self._qpos[i] = data.qpos
-        self._qvel[i] = data.qvel
-        self._key_xpos[i] = data.geom_xpos[scene.key_geoms]
-        self._fingertip_xpos[i, scene.fingers] = data.site_xpos[scene.fingertip_sites]
-        self._force[i] = data.actuator_force
-        self._velocity[i] = data.actuator_velocity
+        qpos, qvel = data.qpos, data.qvel
+        out.key_qpos[row] = qpos[scene.key_qpos]
+        out.key_xpos[row] = data.geom_xpos[scene.key_geoms]
+        out.hand_qpos[row] = qpos[scene.hand_qpos]
+        out.hand_qvel[row] = qvel[scene.hand_qvel]
+        out.fingertip_xpos[row][scene.fingers] = data.site_xpos[scene.fingertip_sites]
+        out.actuator_force[row] = data.actuator_force
+        out.actuator_velocity[row] = data.actuator_velocity
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
-            self._forearm_contact[i] = touched.all(axis=0).any()
-        if self._warnings[i].any() and not self._unstable[i]:
-            self._unstable[i] = True
+            out.forearm_contact[row] = touched.all(axis=0).any()
+        out.unstable[row] = self._is_unstable(i)
+
+    def _is_unstable(self, i: int) -> bool:
+        """Whether it has diverged since its last reset; counted and logged the first time."""
+        if not self._warnings[i].any():
+            return False
+        if not self._now.unstable[i]:
+            self._now.unstable[i] = True
             self.num_unstable += 1
-            _LOG.warning("simulation %d became unstable at %.2f s", i, data.time)
+            _LOG.warning("simulation %d became unstable at %.2f s", i, self._data[i].time)
+        return True
 
     @property
     def state(self) -> State:
         """The state after the last step, in arrays of its own."""
-        scene = self.scene
-        return State(
-            key_qpos=self._qpos[:, scene.key_qpos].copy(),
-            key_xpos=self._key_xpos.copy(),
-            hand_qpos=self._qpos[:, scene.hand_qpos].copy(),
-            hand_qvel=self._qvel[:, scene.hand_qvel].copy(),
-            fingertip_xpos=self._fingertip_xpos.copy(),
-            actuator_force=self._force.copy(),
-            actuator_velocity=self._velocity.copy(),
-            forearm_contact=self._forearm_contact.copy(),
-            unstable=self._unstable.copy(),
-        )
+        return State._make(values.copy() for values in self._now)
 
     def copy_from(self, other: Simulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
         source = other._data[env_id]
         for i, data in enumerate(self._data):
             mujoco.mj_copyData(data, self.scene.model, source)
-            self._unstable[i] = other._unstable[env_id]
-            self._read(i)
+            self._read(i, self._now, i)
 
     def close(self) -> None:
         """Stops the threads."""

@@ -17,7 +17,7 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.simulation import Simulation, State
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 
@@ -74,31 +74,43 @@ class PredictiveSampling:
     def _roll_out(self, candidates: Array) -> Array:
         """(num_candidates,) cost of carrying the candidates out from the task's present state."""
         config, hold = self.config, self._task.config.control_timestep
-        times = (
-            np.arange(round(config.horizon / config.planning_timestep)) * config.planning_timestep
-        )
+        steps = round(config.horizon / config.planning_timestep)
+        times = np.arange(steps) * config.planning_timestep
         rows = np.floor(times / hold + 1e-9).astype(np.intp)  # control step of each planning step
         ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
-        now = int(self._task.sheets.row[0])
-        goals, fingers = self._task.sheets.part(0, now, now + rows[-1] + 1)
         self._rollouts.copy_from(self._task.simulation, 0)
-        cost = np.zeros(config.num_candidates)
-        for k, row in enumerate(rows):
-            self._rollouts.step(ctrl[:, k])
-            cost += self._cost(goals[row, :NUM_KEYS], fingers[row])
-        return np.where(self._rollouts.state.unstable, np.inf, cost)
+        states = self._rollouts.rollout(ctrl)
+        cost = self._cost(states, rows).sum(axis=1)
+        return np.where(states.unstable.any(axis=1), np.inf, cost)
 
-    def _cost(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> Array:
-        """Distances of keys from how the goal wants them and of fingers from their keys."""
-        state, n = self._rollouts.state, self.config.num_candidates
-        keys = np.linalg.norm(reward.key_state(state.key_qpos) - goal, axis=1)
-        if self._task.sheets.transports_fingers[0]:
-            tips = state.fingertip_xpos[:, self._task.scene.fingers]
-            pairs = reward.transport_distances(tips, state.key_xpos, np.tile(goal, (n, 1)))
+    def _cost(self, states: State, rows: NDArray[np.intp]) -> Array:
+        """Distances of keys from how the goal wants them and of fingers from their keys.
+
+        Args:
+            states: with leading dimensions (num_candidates, K).
+            rows: (K,) control steps from now on, whose goals count.
+
+        Returns:
+            (num_candidates, K).
+        """
+        sheets = self._task.sheets
+        now = int(sheets.row[0])
+        goals, fingers = sheets.part(0, now, now + int(rows[-1]) + 1)
+        shape = states.key_qpos.shape[:2]
+        wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
+        keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
+        tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
+        if sheets.transports_fingers[0]:
+            there = self._task.scene.fingers
+            pairs = reward.transport_distances(tips[:, there], centres, wanted)
         else:
-            each = np.tile(fingers, (n, 1))
-            pairs = reward.finger_distances(state.fingertip_xpos, state.key_xpos, each)
-        return keys + np.bincount(*pairs, minlength=n)
+            pairs = reward.finger_distances(tips, centres, np.tile(fingers[rows], (shape[0], 1)))
+        return (keys + np.bincount(*pairs, minlength=len(keys))).reshape(shape)
+
+
+def _flat(values: Array) -> Array:
+    """(N, K, ...) as (N * K, ...)."""
+    return values.reshape(-1, *values.shape[2:])
 
 
 def _check(config: PredictiveSamplingConfig) -> None:
