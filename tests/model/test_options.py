@@ -166,6 +166,22 @@ def test_hand_collisions(collide: bool) -> None:
     assert (pairs[~of_hands] == figures["piano_geoms"]).all()
 
 
+@pytest.mark.parametrize("hands", ["both", "right", "left"])
+def test_fast_physics_changes_what_it_says(hands: Any) -> None:
+    """Longer steps, fingers that pass through each other, no dry friction, and nothing else."""
+    published = build_scene(SceneConfig(hands=hands)).model
+    fast = build_scene(SceneConfig(hands=hands, physics="fast")).model
+    assert fast.opt.timestep == 2 * published.opt.timestep
+    assert published.dof_frictionloss.any()
+    assert not fast.dof_frictionloss.any()
+    of_hands = published.geom_contype == 1
+    assert published.geom_conaffinity.all(where=of_hands)
+    assert not fast.geom_conaffinity.any(where=of_hands)
+    for name in ("body_mass", "geom_size", "geom_pos", "geom_contype", "jnt_range", "dof_damping",
+                 "actuator_gainprm", "actuator_biasprm", "actuator_forcerange"):  # fmt: skip
+        assert_array_equal(getattr(fast, name), getattr(published, name), err_msg=name)
+
+
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", ["th", "ff", "mf", "rf", "lf"])
 @pytest.mark.parametrize("primitive", [True, False])
@@ -213,9 +229,9 @@ def both_rows(scene: Scene, prefix: str, values: np.ndarray) -> np.ndarray:
 class TestPianoThatPlaysItself:
     """Deliberately not as published: there a key's control, not its angle, makes it sound."""
 
-    @pytest.fixture
-    def scene(self) -> Scene:
-        return build_scene(SceneConfig(hands="none"))
+    @pytest.fixture(params=["published", "fast"])
+    def scene(self, request: pytest.FixtureRequest) -> Scene:
+        return build_scene(SceneConfig(hands="none", physics=request.param))
 
     def test_actions(self, scene: Scene) -> None:
         figures = PUBLISHED["self_actuated_piano"]

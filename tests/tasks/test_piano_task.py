@@ -291,6 +291,22 @@ def test_a_song_with_and_one_without_fingering_in_one_batch(scenes: dict[str, Sc
         assert_array_equal(rows[~fingered], by_transport.rest().terms["fingering"][0])
 
 
+def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:
+    """Also after an episode that was cut short, or played past its end, with the pedal down."""
+    for steps in (3, 12):
+        player, rng = Player(scenes["both"]), np.random.default_rng(0)
+        first = player.task.observation()
+        for _ in range(steps):
+            player.act(rng)
+        player.task.step(player.task.action_high[None])
+        player.reset()
+        assert_array_equal(player.task.observation(), first)
+        fresh = Player(scenes["both"])
+        rewards = [(player.rest().reward[0], fresh.rest().reward[0]) for _ in range(10)]
+        assert all(again == once for again, once in rewards)
+        assert player.task.episode_metrics(0) == fresh.task.episode_metrics(0)
+
+
 # When it ends
 
 
