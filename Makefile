@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
+# Five times the samples that the paper draws, and half a second to get to the first note.
+OPTIONS ?= --planner.iterations 5 --initial-buffer-time 0.5
 
 .PHONY: play test check bench lock clean
 .DEFAULT_GOAL := help
@@ -23,7 +25,7 @@ $(VENV)/installed: pyproject.toml requirements.lock
 	@touch $@
 
 play: $(VENV)/installed
-	$(BIN)/cadenza play $(SONG)
+	$(BIN)/cadenza play $(SONG) $(OPTIONS)
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest
@@ -34,7 +36,8 @@ check: $(VENV)/installed
 	$(BIN)/mypy
 
 bench: $(VENV)/installed
-	$(BIN)/python -m cadenza.bench.speed
+	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"
+	$(BIN)/python -m cadenza.bench.speed tests/data/episode_d.npz $$(test -x .venv-published/bin/python && echo --published .venv-published)
 
 lock:
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements.lock

@@ -60,7 +60,7 @@ def environment(
         SONG, num_envs, num_threads, autoreset_mode=AutoresetMode.SAME_STEP, physics=physics
     )
     low, high = envs.task.action_low, envs.task.action_high
-    canonical = ((actions - low) / (high - low) * 2 - 1).astype(np.float32)
+    canonical = (actions - low) / (high - low) * 2 - 1
     batches = np.repeat(canonical[:, None], num_envs, axis=1)
     episodes = max(EPISODES // num_envs, 1)
     envs.reset(seed=0)

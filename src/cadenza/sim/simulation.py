@@ -57,6 +57,10 @@ class Simulation:
 
     Every simulation is stepped by one thread at a time and shares nothing with the others, so the
     results are the same bits for any number of threads.
+
+    Attributes:
+        state: the state after the last step; its arrays are never written to again.
+        num_unstable: how many simulations have become unstable so far.
     """
 
     def __init__(
@@ -92,7 +96,8 @@ class Simulation:
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
         for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
             row[geoms] = True
-        self._now = self._blank(num_envs)
+        self._counted = np.zeros(num_envs, bool)  # as unstable, since the last reset
+        self.state = self._blank(num_envs)
         self.reset()
 
     def _blank(self, *rows: int) -> State:
@@ -110,6 +115,9 @@ class Simulation:
             unstable=np.zeros(rows, bool),
         )
 
+    def _copy(self) -> State:
+        return State._make(values.copy() for values in self.state)
+
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
         """Puts simulations back to the start.
 
@@ -118,13 +126,15 @@ class Simulation:
             hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
         """
         ids = range(self.num_envs) if env_ids is None else env_ids
+        self.state = self._copy()
         for row, i in enumerate(ids):
             data = self._data[i]
             mujoco.mj_resetData(self.scene.model, data)
             if hand_qpos is not None:
                 data.qpos[self.scene.hand_qpos] = hand_qpos[row]
             mujoco.mj_step1(self.scene.model, data)
-            self._read(i, self._now, i)
+            self._counted[i] = False
+            self._read(i, self.state, i)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
         """Applies `ctrl` (N, A) in actuator units for one control step.
@@ -134,11 +144,14 @@ class Simulation:
             env_ids: which simulations to step; all by default.
         """
 
+        out = self._blank(self.num_envs) if env_ids is None else self._copy()
+
         def advance(i: int) -> None:
             self._advance(i, ctrl[i])
-            self._read(i, self._now, i)
+            self._read(i, out, i)
 
         self._for_each(range(self.num_envs) if env_ids is None else env_ids, advance)
+        self.state = out
 
     def rollout(self, ctrl: Array) -> State:
         """Takes K control steps in every simulation and returns all states on the way.
@@ -157,9 +170,9 @@ class Simulation:
             for k in range(ctrl.shape[1]):
                 self._advance(i, ctrl[i, k])
                 self._read(i, states, (i, k))
-            self._read(i, self._now, i)
 
         self._for_each(range(self.num_envs), advance)
+        self.state = State._make(values[:, -1] for values in states)
         return states
 
     def _for_each(self, env_ids: Sequence[int], advance: Callable[[int], None]) -> None:
@@ -207,23 +220,20 @@ class Simulation:
         """Whether it has diverged since its last reset; counted and logged the first time."""
         if not self._warnings[i].any():
             return False
-        if not self._now.unstable[i]:
-            self._now.unstable[i] = True
+        if not self._counted[i]:
+            self._counted[i] = True
             self.num_unstable += 1
             _LOG.warning("simulation %d became unstable at %.2f s", i, self._data[i].time)
         return True
 
-    @property
-    def state(self) -> State:
-        """The state after the last step, in arrays of its own."""
-        return State._make(values.copy() for values in self._now)
-
     def copy_from(self, other: Simulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
         source = other._data[env_id]
+        self.state = self._blank(self.num_envs)
         for i, data in enumerate(self._data):
             mujoco.mj_copyData(data, self.scene.model, source)
-            self._read(i, self._now, i)
+            self._counted[i] = other._counted[env_id]
+            self._read(i, self.state, i)
 
     def close(self) -> None:
         """Stops the threads."""
