@@ -32,5 +32,5 @@ class SceneConfig:
     hand_collisions: bool = True
     """Let the two hands (and the fingers of one) hit each other."""
     physics: Physics = "published"
-    """Published dynamics, or faster ones for training: physics steps twice as long, fingers that
-    pass through each other, joints without dry friction (docs/speed.md says what that changes)."""
+    """Published dynamics, or faster ones for training: physics steps twice as long, joints without
+    dry friction (docs/speed.md says what that changes)."""

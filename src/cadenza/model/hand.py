@@ -154,7 +154,7 @@ def _add_geoms(body: mujoco.MjsBody, side: Side, link: Link, config: SceneConfig
             group=COLLIDING_GROUP if drawn else DRAWN_GROUP,
             rgba=tip or _LINK_RGBA,
             contype=1,
-            conaffinity=int(config.hand_collisions and config.physics == "published"),
+            conaffinity=int(config.hand_collisions),
             solref=figures.CONTACT_SOLREF,
             solimp=figures.CONTACT_SOLIMP,
         )  # fmt: skip
