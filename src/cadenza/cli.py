@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -75,6 +75,8 @@ def play(command: Play) -> None:
     for remark in score.remarks:
         print(f"{command.song}: {remark}", file=sys.stderr)
     agent = _agent(command)
+    if command.plan is not None:
+        command = _in_the_physics_of(command.plan, command)
     task = PianoTask([score], command.task, command.scene)
     folder = command.output or Path("played") / Path(command.song).stem
     _check_writable(folder)
@@ -84,6 +86,13 @@ def play(command: Play) -> None:
     _write_results(folder, command, performance, task)
     _print_scores(performance.metrics)
     print(f"\nOpen {folder / 'report.html'}")
+
+
+def _in_the_physics_of(plan: Path, command: Play) -> Play:
+    from cadenza.agents.replay import plays_with_sleeping_keys
+
+    asleep = plays_with_sleeping_keys(plan)
+    return replace(command, scene=replace(command.scene, sleeping_keys=asleep))
 
 
 def _agent(command: Play) -> Agent:

@@ -47,6 +47,15 @@ def _other_space(task: PianoTask) -> str:
     return f"was it made for other hands or the other action space (--{flag}-action-space)?"
 
 
+def plays_with_sleeping_keys(path: Path) -> bool:
+    """Whether a plan was made with keys that sleep.
+
+    A plan is played in the physics it was made in, since a micrometre can decide whether a finger
+    catches on a key. Recordings of the published system do not say, and its keys never sleep.
+    """
+    return bool(read_arrays(path).get("sleeping_keys", False))
+
+
 def load_plan(path: Path) -> NDArray[np.float64]:
     """The array `action` (T, A) of a plan or of a recorded episode.
 

@@ -31,6 +31,9 @@ class SceneConfig:
     """Collide fingertips as capsules; otherwise as ellipsoids with the bounds of their shells."""
     hand_collisions: bool = True
     """Let the two hands (and the fingers of one) hit each other."""
+    sleeping_keys: bool = True
+    """Let keys at rest cost nothing, which moves others by some micrometres; without, recordings
+    of the published system replay bit for bit."""
     physics: Physics = "published"
     """Published dynamics, or faster ones for training: physics steps twice as long, joints without
     dry friction (docs/speed.md says what that changes)."""

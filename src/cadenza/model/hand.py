@@ -77,7 +77,11 @@ def _mirror_quat(quat: Quaternion, side: Side) -> Quaternion:
 
 
 def _add_link(spec: mujoco.MjSpec, side: Side, link: Link, config: SceneConfig) -> mujoco.MjsBody:
-    parent = spec.body(prefix(side) + link.parent) if link.parent else spec.worldbody
+    # Each hand hangs from a body of its own, as in the published scene: sums are taken per root.
+    if not link.parent:
+        parent = spec.worldbody.add_body(name=f"{side}_hand")
+    else:
+        parent = spec.body(prefix(side) + link.parent)
     quat = _mirror_quat(link.quat, side)
     if side == "left" and link.left_quat:
         quat = link.left_quat

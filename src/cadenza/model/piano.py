@@ -17,9 +17,11 @@ NUM_KEYS = 88
 SOUND_TOLERANCE = 0.00872665  # a key sounds within half a degree of its stop [rad]
 
 _BLACK_IN_OCTAVE = (1, 4, 6, 9, 11)  # counted from A
-_SPACING = 0.0235  # from one white key's centre to the next
-KEYBOARD_HALF_LENGTH = 0.6105
-_BLACK_Y_OFFSET = 0.0005  # black keys lie this far to the right of the middle of their neighbours
+_NUM_WHITE = 52
+_WHITE_WIDTH, _GAP = 0.0225, 0.001
+_SPACING = _WHITE_WIDTH + _GAP  # from one white key's centre to the next
+_KEYBOARD_LENGTH = _NUM_WHITE * _WHITE_WIDTH + (_NUM_WHITE - 1) * _GAP
+KEYBOARD_HALF_LENGTH = _KEYBOARD_LENGTH / 2
 
 IS_BLACK: NDArray[np.bool_] = np.array([k % 12 in _BLACK_IN_OCTAVE for k in range(NUM_KEYS)])
 
@@ -41,7 +43,9 @@ class KeyShape:
 
 
 WHITE = KeyShape((0.075, 0.01125, 0.01125), 0.0, 0.01125, 0.04, 0.01)
-BLACK = KeyShape((0.045, 0.005, 0.009), -0.03, 0.026, 0.02, 0.008)
+BLACK = KeyShape(
+    (0.045, 0.005, 0.009), -0.15 / 2 + 0.09 / 2, 0.0225 + 0.0125 - 0.018 / 2, 0.02, 0.008
+)
 
 _STIFFNESS = 2.0  # [N m / rad]
 _SPRING_REFERENCE = -np.deg2rad(1.0)
@@ -60,13 +64,26 @@ def _shape(key: int) -> KeyShape:
     return BLACK if IS_BLACK[key] else WHITE
 
 
+# Of white keys A B C D E F G: how many white keys of its group of black keys came before.
+_FROM_GROUP_START = np.array([2, 0, 0, 1, 0, 0, 1])
+
+
 def _key_y() -> NDArray[np.float64]:
-    white = np.flatnonzero(~IS_BLACK)
-    y = np.zeros(NUM_KEYS)
-    y[white] = (np.arange(len(white)) - (len(white) - 1) / 2) * _SPACING
-    black = np.flatnonzero(IS_BLACK)
-    y[black] = (y[black - 1] + y[black + 1]) / 2 + _BLACK_Y_OFFSET
-    y[1] -= _BLACK_Y_OFFSET  # the published table starts without the offset
+    """(88,) where the keys lie along the keyboard [m], summed in the published order.
+
+    Black keys stand where the white key to their right begins, counted from the first white key
+    of their group of two or three; only the lowest stands in the middle of the gap. Recorded
+    performances depend on the last bit: a finger catches on a key or it does not.
+    """
+    white_before = np.cumsum(~IS_BLACK) - 1  # number of the white key that is, or is to the left
+    group = white_before - _FROM_GROUP_START[white_before % 7]
+    start = -_KEYBOARD_LENGTH * 0.5
+    y = np.where(
+        IS_BLACK,
+        start + (white_before - group + 1) * _SPACING + group * _SPACING,
+        start + _WHITE_WIDTH * 0.5 + white_before * _SPACING,
+    )
+    y[1] = _WHITE_WIDTH + 0.5 * (-_KEYBOARD_LENGTH + _GAP)
     return y
 
 
@@ -89,16 +106,17 @@ def key_name(key: int) -> str:
 
 def add_piano(spec: mujoco.MjSpec, actuated: bool) -> None:
     """Adds base and keys to the world of `spec`; `actuated` keys follow a position target."""
-    _add_base(spec)
+    piano = spec.worldbody.add_body(name="piano")
+    _add_base(piano)
     for key in range(NUM_KEYS):
-        _add_key(spec, key)
+        _add_key(piano, key)
     if actuated:
         for key in range(NUM_KEYS):
             _add_key_actuator(spec, key)
 
 
-def _add_base(spec: mujoco.MjSpec) -> None:
-    base = spec.worldbody.add_body(name="base", pos=(-0.127, 0.0, 0.02))
+def _add_base(piano: mujoco.MjsBody) -> None:
+    base = piano.add_body(name="base", pos=(-0.127, 0.0, 0.02))
     base.add_geom(
         name="base",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -109,9 +127,9 @@ def _add_base(spec: mujoco.MjSpec) -> None:
     )
 
 
-def _add_key(spec: mujoco.MjSpec, key: int) -> None:
+def _add_key(piano: mujoco.MjsBody, key: int) -> None:
     shape, name = _shape(key), key_name(key)
-    body = spec.worldbody.add_body(name=name, pos=KEY_CENTRE[key])
+    body = piano.add_body(name=name, pos=KEY_CENTRE[key])
     body.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_HINGE,

@@ -21,7 +21,7 @@ Ids = NDArray[np.intp]
 
 PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
-"""Keys at rest cost nothing; at this tolerance a recorded song replays to 7e-6 rad."""
+"""Keys at rest cost nothing; at this tolerance a recorded song replays to 1e-4 rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +115,9 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
     spec.option.impratio = 10
     if config.hands == "none":  # damps the keys' servos without bound on the timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    spec.option.sleep_tolerance = SLEEP_TOLERANCE
+    if config.sleeping_keys:
+        spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+        spec.option.sleep_tolerance = SLEEP_TOLERANCE
 
 
 def _damp_forearms_critically(
