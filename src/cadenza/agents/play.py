@@ -24,9 +24,10 @@ class Performance:
     """An episode and how it went."""
 
     episode: Episode
-    metrics: dict[str, float]
+    metrics: dict[str, Any]
     """The scores of `music.metrics`, `return`, `reward/<term>` summed over the episode, `steps`,
-    `planning_seconds` spent by the agent, `playing_seconds` by the simulation, `unstable`."""
+    `planning_seconds` spent by the agent, `playing_seconds` by the simulation, and whether the
+    simulation became `unstable`."""
 
 
 def play(
@@ -71,7 +72,7 @@ def play(
         "steps": int(task.sheets.steps_done[0]),
         "planning_seconds": planning,
         "playing_seconds": playing,
-        "unstable": float(unstable),
+        "unstable": unstable,
     }
     return Performance(record.episode(metrics), metrics)
 

@@ -126,9 +126,9 @@ def _in_words(episode: Episode) -> str:
 def _card(name: str, value: Any) -> str:
     number = _number(value)
     bar = ""
-    if number is not None and 0 <= number <= 1:
+    if number is not None and name.endswith(("f1", "precision", "recall")):
         bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>'
-    shown = "–" if number is None else f"{number:.3f}" if number % 1 or bar else f"{number:.0f}"
+    shown = "–" if number is None else f"{number:.3f}" if bar else f"{number:.6g}"
     return f'<dl class="score"><dt>{html.escape(_spoken(name))}</dt><dd>{shown}</dd>{bar}</dl>'
 
 
