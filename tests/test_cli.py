@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -391,3 +392,19 @@ def test_interrupting_leaves_no_traceback_and_no_half_results(tmp_path: Path) ->
     assert err.endswith("cadenza: interrupted\n")
     assert out == ""
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("backend", "message"),
+    [("bogus", "MUJOCO_GL: bogus; unset it"), ("off", "switched off by MUJOCO_GL=off")],
+)
+def test_a_graphics_backend_that_cannot_draw(backend: str, message: str) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "cadenza", "info"],
+        env={**os.environ, "MUJOCO_GL": backend},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert message in result.stdout + result.stderr
+    assert "Traceback" not in result.stderr

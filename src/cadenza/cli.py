@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -80,19 +80,20 @@ def play(command: Play) -> None:
     task = PianoTask([score], command.task, command.scene)
     folder = command.output or Path("played") / Path(command.song).stem
     _check_writable(folder)
-    with _progress("playing", "steps") as advance:
+    with closing(task), _progress("playing", "steps") as advance:
         performance = play_episode(task, agent, command.seed, advance)
-    task.close()
     _write_results(folder, command, performance, task)
     _print_scores(performance.metrics)
     print(f"\nOpen {folder / 'report.html'}")
 
 
 def _in_the_physics_of(plan: Path, command: Play) -> Play:
-    from cadenza.agents.replay import plays_with_sleeping_keys
+    from cadenza.agents.replay import physics_of
 
-    asleep = plays_with_sleeping_keys(plan)
-    return replace(command, scene=replace(command.scene, sleeping_keys=asleep))
+    scene = replace(command.scene, **physics_of(plan))
+    if scene.physics != command.scene.physics:
+        print(f"{plan}: was made in the {scene.physics} physics, played in it", file=sys.stderr)
+    return replace(command, scene=scene)
 
 
 def _agent(command: Play) -> Agent:
@@ -140,10 +141,13 @@ def _write_results(folder: Path, command: Play, performance: Performance, task: 
     episode.save(folder / "episode.npz")
     for name, content in (("metrics", metrics), ("settings", settings)):
         with write_atomically(folder / f"{name}.json") as file:
-            file.write(json.dumps(content, indent=2).encode())
+            file.write((json.dumps(content, indent=2) + "\n").encode())
     write_midi(played, folder / "played.mid")
-    audio = synthesize(played)
-    write_report(folder / "report.html", episode, metrics, settings, audio)
+    with _progress("writing sound and page", "files") as advance:
+        advance(0, 2)
+        audio = synthesize(played)
+        advance(1, 2)
+        write_report(folder / "report.html", episode, metrics, settings, audio)
     if command.video:
         _write_video(folder / "video.mp4", performance, task, audio)
 
@@ -154,7 +158,7 @@ def _write_video(path: Path, performance: Performance, task: PianoTask, audio: A
     from cadenza.sim.render import Renderer
 
     try:
-        renderer = Renderer(task.scene)
+        renderer = closing(Renderer(task.scene))
     except CadenzaError as error:
         print(f"no video: {error}", file=sys.stderr)
         return
@@ -166,15 +170,14 @@ def _write_video(path: Path, performance: Performance, task: PianoTask, audio: A
         episode["goal_keys"],
         strict=True,
     )
-    with _progress("drawing", "frames") as advance:
+    with renderer as draw, _progress("drawing", "frames") as advance:
 
         def frames() -> Iterator[NDArray[np.uint8]]:
             for done, row in enumerate(rows, start=1):
-                yield renderer.frame(*row)
+                yield draw.frame(*row)
                 advance(done, episode.num_steps)
 
         write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
-    renderer.close()
 
 
 def songs(_: Songs) -> None:
@@ -291,6 +294,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(1)
     except (CadenzaError, OSError) as error:
         print(f"cadenza: {error}", file=sys.stderr)
+        sys.exit(2)
+    except RuntimeError as error:
+        if "MUJOCO_GL" not in str(error):  # what MuJoCo says of a backend that it does not know
+            raise
+        print(f"cadenza: {error}; unset it, or choose egl or osmesa", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("cadenza: interrupted", file=sys.stderr)

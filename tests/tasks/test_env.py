@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -204,3 +208,91 @@ def test_observation_sees_the_score_and_the_keys() -> None:
     assert_array_equal(np.argwhere(goal), [[0, 39], [1, 39], [2, 41], [3, 41], [4, 41]])
     assert_array_equal(observation[layout["fingering"]], np.eye(10)[0])
     assert sum(part.stop - part.start for part in layout.values()) == len(observation)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_live_a_life_of_their_own(duplicate: Callable) -> None:
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=2, random_pitch_shift=10)
+    envs.reset(seed=0)
+    envs.step(np.zeros((2, 39)))
+    twin = duplicate(envs)
+    for seed in (1, 2):
+        assert_array_equal(envs.reset(seed=seed)[0], twin.reset(seed=seed)[0])
+        for ours, theirs in zip(
+            envs.step(np.ones((2, 39))), twin.step(np.ones((2, 39))), strict=True
+        ):
+            if not isinstance(ours, dict):
+                assert_array_equal(ours, theirs)
+    twin.task.simulation._data[1].qvel[:] = 1e12
+    assert_array_equal(twin.step(np.zeros((2, 39)))[2], [False, True])
+    assert_array_equal(envs.step(np.zeros((2, 39)))[2], [False, False])
+
+
+def test_actions_that_are_no_numbers_end_their_episode_only() -> None:
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2)
+    envs.reset(seed=0)
+    actions = np.zeros((2, 39))
+    actions[0] = np.nan
+    observation, reward, terminated, _, info = envs.step(actions)
+    assert_array_equal(terminated, [True, False])
+    assert_array_equal(info["unstable"], [True, False])
+    assert np.isfinite(observation).all()
+    assert np.isfinite(reward).all()
+
+
+def test_steps_on_after_close() -> None:
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=2)
+    envs.reset(seed=0)
+    envs.close()
+    envs.close()
+    envs.task.step(np.zeros((2, 39)))
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_gymnasium_s_own_vector_environments(mode: str) -> None:
+    envs = gym.make_vec(ID, num_envs=2, vectorization_mode=mode)
+    ours = PianoVectorEnv("TwinkleTwinkleLittleStar", num_envs=2)
+    assert_array_equal(envs.reset(seed=3)[0], ours.reset(seed=3)[0])
+    actions = np.full((2, 39), 0.5, np.float32)
+    assert_array_equal(envs.step(actions)[0], ours.step(actions)[0])
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda: PianoVectorEnv(SHORT).step(np.zeros((1, 39))), "reset.. before step"),
+        (lambda: PianoEnv(SHORT, render_mode="human"), "render_mode 'human': choose"),
+        (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
+        (
+            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
+            "reset_mask of shape",
+        ),
+    ],
+)
+def test_says_what_is_wrong(use: Callable, message: str) -> None:
+    with pytest.raises(CadenzaError, match=message):
+        use()
+
+
+def test_wrong_shape_of_actions() -> None:
+    envs = PianoVectorEnv(SHORT, num_envs=2)
+    envs.reset(seed=0)
+    with pytest.raises(CadenzaError, match=r"actions of shape \(39,\): give \(2, 39\)"):
+        envs.step(np.zeros(39))
+
+
+def test_final_info_holds_the_ended_episodes_scores() -> None:
+    *_, truncated, info = scripted(AutoresetMode.SAME_STEP, SHORT_STEPS)[-1]
+    assert_array_equal(info["_final_info"], truncated)
+    assert_array_equal(info["final_info"]["metrics/f1"], info["metrics/f1"])
+
+
+def test_stretch_and_transpose() -> None:
+    slow = PianoEnv(SHORT, stretch=2.0, transpose=-12)
+    observation, _ = slow.reset(seed=0)
+    goal = observation[slow.observation_layout["goal"]].reshape(11, 89)
+    assert_array_equal(np.flatnonzero(goal[0]), [39 - 12])
+    assert slow.task.sheets.num_steps[0] == 11
+    with pytest.raises(CadenzaError, match="cannot transpose by 90"):
+        PianoEnv(SHORT, transpose=90)

@@ -23,7 +23,7 @@ class Agent(Protocol):
 
 
 class ZeroAgent:
-    """Holds the hands where they start and leaves the pedal up."""
+    """Leaves all servos at zero, as the hands start unless that is drawn, and the pedal up."""
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
         start = np.zeros(task.action_size)

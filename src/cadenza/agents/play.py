@@ -126,6 +126,7 @@ class _Record:
             "actuator_names": np.array(scene.actuator_names),
             "hand_joint_names": np.array(scene.hand_joint_names, dtype=np.str_),
             "reduced_action_space": np.array(scene.config.reduced_action_space),
+            "physics": np.array(scene.config.physics),
             "sleeping_keys": np.array(scene.config.sleeping_keys),
             "trim_silence": np.array(task.config.trim_silence),
             "goal_keys": self._goal_keys[:steps],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,17 @@ def _other_space(task: PianoTask) -> str:
     return f"was it made for other hands or the other action space (--{flag}-action-space)?"
 
 
-def plays_with_sleeping_keys(path: Path) -> bool:
-    """Whether a plan was made with keys that sleep.
+def physics_of(path: Path) -> dict[str, Any]:
+    """The fields of `SceneConfig` that say in which physics a plan was made.
 
     A plan is played in the physics it was made in, since a micrometre can decide whether a finger
-    catches on a key. Recordings of the published system do not say, and its keys never sleep.
+    catches on a key. Recordings of the published system do not say; there, keys never sleep.
     """
-    return bool(read_arrays(path).get("sleeping_keys", False))
+    arrays = read_arrays(path)
+    return {
+        "physics": str(arrays.get("physics", "published")),
+        "sleeping_keys": bool(arrays.get("sleeping_keys", False)),
+    }
 
 
 def load_plan(path: Path) -> NDArray[np.float64]:

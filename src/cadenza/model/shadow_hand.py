@@ -28,12 +28,8 @@ CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
 EXCLUDED_PAIRS = (("forearm", "wrist"), ("thproximal", "thmiddle"))
 
 _IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
-_ALONG_X: Quaternion = (
-    0.707107,
-    0.0,
-    0.707107,
-    0.0,
-)  # turns a cylinder's z axis onto x
+# Turns a cylinder's z axis onto x.
+_ALONG_X: Quaternion = (0.707107, 0.0, 0.707107, 0.0)
 _SWAP_XY: Quaternion = (0.707107, 0.0, 0.0, 0.707107)
 _CYCLE: Quaternion = (0.5, 0.5, -0.5, 0.5)
 

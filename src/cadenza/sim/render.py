@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,9 +41,9 @@ class Renderer:
         self._scene = scene
         self._camera = _fixed_camera(scene.model, picture.camera)
         self._check_size()
-        self._gl = _open_context(picture.width, picture.height)
-        self._gl.make_current()
-        self._context = mujoco.MjrContext(scene.model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._gl, self._context = _open(scene.model, picture.width, picture.height)
+        self.close = weakref.finalize(self, _free, self._context, self._gl)
+        """Frees the graphics context, at the latest when the program ends."""
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._drawn = mujoco.MjvScene(scene.model, maxgeom=1000)
         self._options = mujoco.MjvOption()
@@ -100,11 +101,6 @@ class Renderer:
         mujoco.mjr_readPixels(pixels, None, viewport, self._context)
         return pixels[::-1]
 
-    def close(self) -> None:
-        """Frees the graphics context."""
-        self._context.free()
-        self._gl.free()
-
 
 def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     names = [model.camera(i).name for i in range(model.ncam)]
@@ -116,15 +112,18 @@ def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     return camera
 
 
-def _open_context(width: int, height: int) -> Any:
+def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
     """A graphics context of the first backend that works; MUJOCO_GL, if set, names the only one."""
-    wanted = os.environ.get("MUJOCO_GL")
-    if sys.platform != "linux" and not wanted:
-        return mujoco.GLContext(width, height)
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted in ("off", "disable", "disabled", "0", "false"):
+        raise CadenzaError(f"drawing is switched off by MUJOCO_GL={wanted}: unset it to draw")
+    default = ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
     reasons = []
-    for backend in (wanted,) if wanted else ("egl", "osmesa"):
+    for backend in (wanted,) if wanted else default:
         try:
-            return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            gl.make_current()
+            return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # missing libraries show in many ways
             reasons.append(f"{backend}: {str(error).splitlines()[0] if str(error) else error!r}")
             _forget_opengl()
@@ -132,6 +131,11 @@ def _open_context(width: int, height: int) -> Any:
         "this machine cannot draw pictures "
         f"({'; '.join(reasons)}): install EGL or OSMesa, or do without"
     )
+
+
+def _free(context: mujoco.MjrContext, gl: Any) -> None:
+    context.free()
+    gl.free()
 
 
 def _forget_opengl() -> None:

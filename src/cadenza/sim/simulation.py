@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,8 +18,8 @@ from cadenza.model.scene import Scene
 Array = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
-# Bad positions, velocities and accelerations are neighbours among MuJoCo's warnings.
-_UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+# Bad positions, velocities, accelerations and controls are neighbours among MuJoCo's warnings.
+_UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 
 # MuJoCo would otherwise print to the terminal and leave MUJOCO_LOG.TXT wherever it runs.
 mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
@@ -89,8 +89,7 @@ class Simulation:
         self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
         self.num_unstable = 0
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
-        self._warnings = [data.warning.number[_UNSTABLE] for data in self._data]  # views
-        self._pool = ThreadPoolExecutor(num_threads) if min(num_threads, num_envs) > 1 else None
+        self._pool: ThreadPoolExecutor | None = None  # started when it is first needed
         self._num_threads = num_threads
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
@@ -151,6 +150,7 @@ class Simulation:
             self._read(i, out, i)
 
         self._for_each(range(self.num_envs) if env_ids is None else env_ids, advance)
+        self._count_unstable(out.unstable)
         self.state = out
 
     def rollout(self, ctrl: Array) -> State:
@@ -173,20 +173,23 @@ class Simulation:
 
         self._for_each(range(self.num_envs), advance)
         self.state = State._make(values[:, -1] for values in states)
+        self._count_unstable(self.state.unstable)
         return states
 
     def _for_each(self, env_ids: Sequence[int], advance: Callable[[int], None]) -> None:
-        if self._pool is None:
+        workers = min(self._num_threads, len(env_ids))
+        if workers <= 1:
             for i in env_ids:
                 advance(i)
             return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._num_threads)
         shared = iter(list(env_ids))  # each thread takes the next simulation that nobody has taken
 
         def work() -> None:
             for i in shared:
                 advance(i)
 
-        workers = min(self._num_threads, len(env_ids))
         for future in [self._pool.submit(work) for _ in range(workers)]:
             future.result()
 
@@ -214,17 +217,13 @@ class Simulation:
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
             out.forearm_contact[row] = touched.all(axis=0).any()
-        out.unstable[row] = self._is_unstable(i)
+        out.unstable[row] = data.warning.number[_UNSTABLE].any()
 
-    def _is_unstable(self, i: int) -> bool:
-        """Whether it has diverged since its last reset; counted and logged the first time."""
-        if not self._warnings[i].any():
-            return False
-        if not self._counted[i]:
+    def _count_unstable(self, unstable: NDArray[np.bool_]) -> None:
+        for i in np.flatnonzero(unstable & ~self._counted):
             self._counted[i] = True
             self.num_unstable += 1
-            _LOG.warning("simulation %d became unstable at %.2f s", i, self._data[i].time)
-        return True
+            _LOG.warning("simulation %d became unstable", i)
 
     def copy_from(self, other: Simulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
@@ -239,6 +238,10 @@ class Simulation:
         """Stops the threads."""
         if self._pool is not None:
             self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}  # threads cannot be copied
 
 
 def _divide(control_timestep: float, physics_timestep: float) -> int:

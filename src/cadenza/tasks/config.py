@@ -20,6 +20,10 @@ class TaskConfig:
     """The same in seconds, rounded up to steps; if given it takes the place of the steps."""
     trim_silence: bool = True
     """Begin with the first note and end with the last."""
+    stretch: float = 1.0
+    """Multiply all times by this: 2 is half as fast."""
+    transpose: int = 0
+    """Move all notes by this many semitones."""
     initial_buffer_time: float = 0.0
     """Silence before the first note, in which the hands can get into place [s]."""
     wrong_press_termination: bool = False

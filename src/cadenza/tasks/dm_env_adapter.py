@@ -9,6 +9,7 @@ import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
 
+from cadenza.errors import CadenzaError
 from cadenza.tasks.env import PianoEnv
 
 
@@ -24,6 +25,8 @@ class DmEnvAdapter(dm_env.Environment):
         env: what to wrap, without pixels.
         seed: of the first episode; the following ones draw on.
         """
+        if env.observation_space.shape is None:
+            raise CadenzaError("the dm_env adapter has no pixels: make the environment without")
         self._env = env
         self._seed = seed
         self._ended = True

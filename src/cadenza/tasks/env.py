@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -22,7 +23,7 @@ from cadenza.sim.render import Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
 
-Song = str | Score
+Song = str | Path | Score
 Observation = Any  # an array, or with pixels a dictionary of two
 
 
@@ -49,8 +50,8 @@ def configure(options: dict[str, Any]) -> tuple[TaskConfig, SceneConfig]:
 
 def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
     """One or several songs: bundled names, paths of MIDI files, or scores."""
-    songs = [song] if isinstance(song, str | Score) else list(song)
-    return tuple(load_score(s) if isinstance(s, str) else s for s in songs)
+    songs = [song] if isinstance(song, str | Path | Score) else list(song)
+    return tuple(s if isinstance(s, Score) else load_score(s) for s in songs)
 
 
 class PianoVectorEnv(VectorEnv):
@@ -90,6 +91,8 @@ class PianoVectorEnv(VectorEnv):
         Raises:
             CadenzaError: a song cannot be played or an option makes no sense.
         """
+        if render_mode not in (None, "rgb_array"):
+            raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
         config, scene = configure(options)
         self.task = PianoTask(load_songs(song), config, scene, num_envs, num_threads)
         self.num_envs = num_envs
@@ -102,7 +105,7 @@ class PianoVectorEnv(VectorEnv):
         self._picture = picture or Picture()
         self._pixels = pixels
         self._renderer: Renderer | None = None
-        self._rngs: list[np.random.Generator] | None = None
+        self._rngs: list[np.random.Generator] = []
         self._finished = np.zeros(num_envs, bool)
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
         self.single_observation_space = self._observation_space()
@@ -140,12 +143,14 @@ class PianoVectorEnv(VectorEnv):
         """
         self._seed(seed)
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
+        if mask.shape != (self.num_envs,):
+            raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
         self._restart(np.flatnonzero(mask))
         self._finished = self._finished & ~mask
         return self._observe(), {}
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
-        if seed is None and self._rngs is not None:
+        if seed is None and self._rngs:
             return
         if seed is None or isinstance(seed, int | np.integer):
             first = seeding.np_random(None if seed is None else int(seed))
@@ -154,10 +159,11 @@ class PianoVectorEnv(VectorEnv):
                 self._rngs = list(self._np_random.spawn(self.num_envs))
                 return
             seed = [int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise CadenzaError(f"{len(seed)} seeds for {self.num_envs} environments: give each one")
         self._rngs = [seeding.np_random(s)[0] for s in seed]
 
     def _restart(self, env_ids: NDArray[np.intp]) -> None:
-        assert self._rngs is not None, "reset() comes before step()"
         if len(env_ids):
             self.task.reset([self._rngs[i] for i in env_ids], env_ids.tolist())
 
@@ -166,6 +172,12 @@ class PianoVectorEnv(VectorEnv):
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """One control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
         mode = self.metadata["autoreset_mode"]
+        if not self._rngs:
+            raise CadenzaError("no episode has begun: call reset() before step()")
+        if np.shape(actions) != self.action_space.shape:
+            raise CadenzaError(
+                f"actions of shape {np.shape(actions)}: give {self.action_space.shape}"
+            )
         if mode == AutoresetMode.DISABLED and self._finished.any():
             over = np.flatnonzero(self._finished).tolist()
             raise CadenzaError(f"episodes {over} have ended: reset them before stepping on")
@@ -184,6 +196,7 @@ class PianoVectorEnv(VectorEnv):
         observation = self._observe()
         self._finished = ended
         if any_ended and mode == AutoresetMode.SAME_STEP:
+            infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
             self._finished = np.zeros_like(ended)
@@ -270,7 +283,9 @@ class PianoEnv(gymnasium.Env):
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step, as `gymnasium.Env.step`."""
-        observation, reward, terminated, truncated, infos = self._batch.step(action[None])
+        observation, reward, terminated, truncated, infos = self._batch.step(
+            np.asarray(action)[None]
+        )
         info = {name: value[0].item() for name, value in infos.items() if name[0] != "_"}
         return _row(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
@@ -47,7 +46,15 @@ def prepare(scores: Sequence[Score], config: TaskConfig) -> tuple[Score, ...]:
     if empty := [score.title for score in scores if not score.notes]:
         raise CadenzaError(f"nothing to play: {empty[0] or 'the score'} has no notes")
     _check(config)
-    return tuple(s.with_silence_trimmed() if config.trim_silence else s for s in scores)
+    return tuple(_arranged(score, config) for score in scores)
+
+
+def _arranged(score: Score, config: TaskConfig) -> Score:
+    if config.trim_silence:
+        score = score.with_silence_trimmed()
+    if config.stretch != 1:
+        score = score.stretched(config.stretch)
+    return score.transposed(config.transpose) if config.transpose else score
 
 
 def _check(config: TaskConfig) -> None:
@@ -121,12 +128,12 @@ class Sheets:
         self.transports_fingers = np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
         self._ahead = lookahead + 1
+        self._rows_ahead = np.arange(self._ahead)
         self._there = fingers
         # Rows past an episode's end are silent; `_ahead` more of them keep the lookahead inside.
         self._goal = np.zeros((num_envs, self._ahead, NUM_KEYS + 1), bool)
         self._fingers = np.full((num_envs, self._ahead, NUM_KEYS), UNKNOWN_FINGER, np.int8)
         self._wanted = np.zeros((num_envs, self._ahead, NUM_FINGERS), bool)
-        self._look_ahead()
 
     def put(self, env: int, score: Score, config: TaskConfig) -> None:
         """Gives environment `env` a score to play from the beginning."""
@@ -151,12 +158,6 @@ class Sheets:
             self._goal = np.pad(self._goal, pad)
             self._fingers = np.pad(self._fingers, pad, constant_values=UNKNOWN_FINGER)
             self._wanted = np.pad(self._wanted, pad)
-            self._look_ahead()
-
-    def _look_ahead(self) -> None:
-        flat = self._goal.reshape(len(self._goal), -1)
-        windows = sliding_window_view(flat, self._ahead * (NUM_KEYS + 1), axis=1)
-        self._windows = windows[:, :: NUM_KEYS + 1]  # (N, steps, lookahead rows), a view
 
     def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
         """These environments have taken a step."""
@@ -181,7 +182,8 @@ class Sheets:
     @property
     def lookahead(self) -> NDArray[np.bool_]:
         """(N, (lookahead + 1) * 89) the next step's goal and those of the steps after it."""
-        return self._windows[self._env_ids, self.row]
+        rows = self.row[:, None] + self._rows_ahead
+        return self._goal[self._env_ids[:, None], rows].reshape(len(rows), -1)
 
     def part(self, env: int, first: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         """Goals (last - first, 89) and fingers (last - first, 88) of steps of one environment.

@@ -178,7 +178,7 @@ class PianoTask:
         self.simulation.step(ctrl[:, :-1], env_ids)
         self._look()
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
-        self._pedal[moving] = ctrl[moving, -1]
+        self._pedal[moving] = np.fmax(ctrl[moving, -1], 0.0)  # up where it is not a number
         played = np.concatenate([self.sounding, self.pedal_down[:, None]], axis=1)
         self._played[self._env_ids[moving], row[moving]] = played[moving]
         sheets.advance(moving)

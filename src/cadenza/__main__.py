@@ -1,0 +1,5 @@
+"""`python -m cadenza` is the command `cadenza`."""
+
+from cadenza.cli import main
+
+main()
