@@ -160,6 +160,8 @@ def test_names_may_be_written_in_any_case():
         ("qqqqqq", "no song named 'qqqqqq': run `cadenza songs`"),
         ("", "no song named ''"),
         ("../secret", "no song named"),
+        ("null\0character", "no song named"),
+        ("long" * 1000, "no song named"),
     ],
 )
 def test_unknown_names_get_a_suggestion(wrong, message):
@@ -182,6 +184,24 @@ def test_a_fingering_that_does_not_fit_is_an_error(tmp_path):
     shutil.copy(PIECES / "OdeToJoy.fingering", tmp_path / "a.fingering")
     with pytest.raises(CadenzaError, match=re.escape("a.fingering, line 2: no note of pitch 48")):
         load_score(tmp_path / "a.mid")
+
+
+@pytest.mark.parametrize("name", ["song", "song.smf", "song.MIDI", "song.mid.backup"])
+def test_any_file_that_is_there_is_read_whatever_its_suffix(tmp_path, monkeypatch, name):
+    shutil.copy(PIECES / "OdeToJoy.mid", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    notes = [(note.start, note.pitch) for note in load_score("OdeToJoy").notes]
+    for path in (name, Path(name), tmp_path / name):
+        assert [(note.start, note.pitch) for note in load_score(path).notes] == notes
+
+
+def test_a_file_that_is_no_midi_is_refused_and_a_folder_hides_no_piece(tmp_path, monkeypatch):
+    (tmp_path / "OdeToJoy").mkdir()
+    (tmp_path / "words.txt").write_text("hello")
+    monkeypatch.chdir(tmp_path)
+    assert load_score("OdeToJoy").title
+    with pytest.raises(CadenzaError, match="not a MIDI file"):
+        load_score("words.txt")
 
 
 def test_a_missing_file_is_called_missing():

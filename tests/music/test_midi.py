@@ -205,6 +205,62 @@ def test_files_that_are_no_songs(tmp_path):
         read_midi(tmp_path)
 
 
+def chunk(name: bytes, content: bytes, order=">") -> bytes:
+    return name + struct.pack(f"{order}L", len(content)) + content
+
+
+SONG = bytes([0, 0x90, 60, 80, 10, 0x80, 60, 0, 0, 0xFF, 0x2F, 0])
+HEAD = chunk(b"MThd", struct.pack(">HHH", 0, 1, 10))
+
+
+@pytest.mark.parametrize(
+    ("keys", "remark"),
+    [
+        ([(0x0D, 0)], ("1 impossible key signature ignored",)),
+        ([(2, 0xFF), (0xF8, 1)], ("2 impossible key signatures ignored",)),
+        ([(0xFA, 1), (9, 9)], ("1 impossible key signature ignored",)),
+        ([(0xF9, 0), (7, 1)], ()),
+    ],
+)
+def test_key_signatures_that_no_key_has_are_ignored(tmp_path, keys, remark):
+    signatures = b"".join(bytes([5, 0xFF, 0x59, 2, *key]) for key in keys)
+    (tmp_path / "a.mid").write_bytes(HEAD + chunk(b"MTrk", signatures + SONG))
+    score = read_midi(tmp_path / "a.mid")
+    start = 0.25 * len(keys)
+    assert played(score) == [(start, start + 0.5, 60)]
+    assert score.remarks == remark
+
+
+@pytest.mark.parametrize("size", [0, 5, 100])
+def test_chunks_of_unknown_types_are_skipped(tmp_path, size):
+    unknown, track = chunk(b"XFIH", b"\xff" * size), chunk(b"MTrk", SONG)
+    (tmp_path / "a.mid").write_bytes(HEAD + unknown + unknown + track + unknown)
+    score = read_midi(tmp_path / "a.mid")
+    assert played(score) == [(0.0, 0.5, 60)]
+    assert score.remarks == ()
+
+
+def test_a_midi_file_wrapped_in_riff_is_read(tmp_path):
+    song = chunk(b"data", HEAD + chunk(b"MTrk", SONG), "<")
+    odd = chunk(b"DISP", b"abc", "<") + b"\0"  # RIFF pads to even sizes
+    path = tmp_path / "a.rmi"
+    path.write_bytes(chunk(b"RIFF", b"RMID" + odd + song, "<"))
+    assert played(read_midi(path)) == [(0.0, 0.5, 60)]
+    for other in (b"RMID" + odd, b"WAVE" + song):
+        path.write_bytes(chunk(b"RIFF", other, "<"))
+        with pytest.raises(CadenzaError, match="not a MIDI file"):
+            read_midi(path)
+
+
+def test_the_pedals_of_all_channels_move_one_pedal(saved):
+    def pedal(value, time, channel):
+        return mido.Message("control_change", control=64, value=value, time=time, channel=channel)
+
+    left = [pedal(127, 0, 1), pedal(0, 20, 1)]
+    score = read_midi(saved([on(60), pedal(100, 10, 0), off(60, 20)], left))
+    assert score.pedal == (PedalEvent(0.0, 127), PedalEvent(0.5, 100), PedalEvent(1.0, 0))
+
+
 def test_endless_numbers_end_at_once(tmp_path):
     head = b"MThd" + struct.pack(">LHHH", 6, 0, 1, 10) + b"MTrk" + struct.pack(">L", 2**31)
     (tmp_path / "a.mid").write_bytes(head + b"\xff" * (MAX_BYTES - 100))

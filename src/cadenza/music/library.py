@@ -6,6 +6,7 @@ the names are wanted whenever Cadenza starts.
 
 from __future__ import annotations
 
+import os.path
 import tomllib
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -44,8 +45,9 @@ def songs() -> tuple[Piece, ...]:
 
 
 def load_score(name_or_path: str | Path) -> Score:
-    """A bundled piece by its name (upper or lower case), or a MIDI file (.mid, .midi) by its path.
+    """A bundled piece by its name (upper or lower case), or a MIDI file by its path.
 
+    Whatever is there as a file, or ends in .mid or .midi, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the MIDI file, the notes have
     its fingers, see `cadenza.music.fingering`.
 
@@ -56,7 +58,7 @@ def load_score(name_or_path: str | Path) -> Score:
     from cadenza.music.midi import read_midi
 
     path = Path(name_or_path)
-    if path.suffix.lower() not in _MIDI_SUFFIXES:
+    if path.suffix.lower() not in _MIDI_SUFFIXES and not os.path.isfile(path):
         path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
     score = read_midi(path)
     sidecar = path.with_suffix(SUFFIX)
@@ -71,5 +73,5 @@ def _bundled_name(name: str) -> str:
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(
         f"no song named {name!r}: {hint}run `cadenza songs` for all names, "
-        "or give the path of a MIDI file (.mid or .midi)"
+        "or give the path of a MIDI file"
     )

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import re
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import mido
+from mido.midifiles.meta import KeySignatureError
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
@@ -29,14 +32,20 @@ _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
 _SUSTAIN = 64  # controller number of the sustain pedal
 _LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
 
+# Key signatures other than from 7 flats to 7 sharps, major (0) or minor (1).
+_NO_KEY = re.compile(rb"\xff\x59\x02(?![\xf9-\xff\x00-\x07][\x00\x01])..", re.DOTALL)
+_C_MAJOR = b"\xff\x59\x02\x00\x00"
+
 
 def read_midi(path: str | Path) -> Score:
-    """The piano score in a Standard MIDI file (format 0, 1 or 2).
+    """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
     All tracks and channels but the drums (channel 10) are played together; of format 2, whose
-    tracks are songs of their own, the first track with notes. Times follow the tempo changes, or
-    the SMPTE division where the file has one. What cannot be played on one piano is repaired, and
-    `Score.remarks` says so:
+    tracks are songs of their own, the first track with notes. The sustain pedals (controller 64)
+    of all these channels move the one pedal, which stands where the latest event of any of them
+    put it. Times follow the tempo changes, or the SMPTE division where the file has one. Chunks of
+    unknown types are skipped. What cannot be played on one piano is repaired, and `Score.remarks`
+    says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
@@ -44,14 +53,14 @@ def read_midi(path: str | Path) -> Score:
       loudest;
     - a note still sounding when its pitch starts again is cut there (a note-off ends the oldest
       note of its track, channel and pitch);
-    - a note that is never released ends with its track.
+    - a note that is never released ends with its track;
+    - a key signature that no key has is ignored.
 
     Raises:
         CadenzaError: no such file, not a MIDI file, damaged, without notes, or over an hour long.
     """
     path = Path(path)
-    file = _parse(path)
-    remarks = []
+    file, remarks = _parse(path)
     tracks = list(file.tracks)
     if file.type == 2:
         songs = [track for track in tracks if any(message.type == "note_on" for message in track)]
@@ -194,7 +203,29 @@ class _Bytes(io.BytesIO):
         return data
 
 
-def _parse(path: Path) -> mido.MidiFile:
+def _parse(path: Path) -> tuple[mido.MidiFile, list[str]]:
+    """The file and remarks on what had to be ignored to read it."""
+    data = _midi_bytes(path)
+    remarks = []
+    try:
+        try:
+            file = mido.MidiFile(file=_Bytes(data))
+        except KeySignatureError:
+            data, count = _NO_KEY.subn(_C_MAJOR, data)
+            remarks.append(f"{count} impossible key signature{'s' if count > 1 else ''} ignored")
+            file = mido.MidiFile(file=_Bytes(data))
+    except EOFError:
+        raise CadenzaError(f"{path}: the MIDI file is cut short; get it again") from None
+    except Exception as error:  # damaged bytes make mido raise almost anything
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise CadenzaError(f"{path}: the MIDI file is damaged ({reason})") from error
+    if file.type not in (0, 1, 2):
+        raise CadenzaError(f"{path}: MIDI format {file.type} is unknown; give format 0, 1 or 2")
+    return file, remarks
+
+
+def _midi_bytes(path: Path) -> bytes:
+    """The header and the tracks in the file, without a wrapper and chunks of unknown types."""
     if path.is_dir():
         raise CadenzaError(f"{path}: is a folder; give a MIDI file")
     try:
@@ -209,18 +240,21 @@ def _parse(path: Path) -> mido.MidiFile:
         raise CadenzaError(f"{path}: the file is empty; give a MIDI file")
     if len(data) > MAX_BYTES:
         raise CadenzaError(f"{path}: over {MAX_BYTES >> 20} MiB, too large for a song in MIDI")
+    if data.startswith(b"RIFF") and data[8:12] == b"RMID":
+        wrapped = (chunk[8:] for chunk in _chunks(data[12:], "little") if chunk[:4] == b"data")
+        data = next(wrapped, b"")
     if not data.startswith(b"MThd"):
         raise CadenzaError(f"{path}: not a MIDI file (it does not begin with MThd)")
-    try:
-        file = mido.MidiFile(file=_Bytes(data))
-    except EOFError:
-        raise CadenzaError(f"{path}: the MIDI file is cut short; get it again") from None
-    except Exception as error:  # damaged bytes make mido raise almost anything
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CadenzaError(f"{path}: the MIDI file is damaged ({reason})") from error
-    if file.type not in (0, 1, 2):
-        raise CadenzaError(f"{path}: MIDI format {file.type} is unknown; give format 0, 1 or 2")
-    return file
+    return b"".join(chunk for chunk in _chunks(data, "big") if chunk[:4] in (b"MThd", b"MTrk"))
+
+
+def _chunks(data: bytes, order: Literal["big", "little"]) -> Iterator[bytes]:
+    """Chunks of a name, a size and as many bytes: MIDI's are big-endian, RIFF's little."""
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at + 4 : at + 8], order)
+        yield data[at : at + 8 + size]
+        at += 8 + size + (size % 2 if order == "little" else 0)  # RIFF pads to even sizes
 
 
 def _collect(
