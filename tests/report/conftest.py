@@ -11,6 +11,8 @@ STEPS, DT = 40, 0.05
 FINGERS = 5
 
 
+# Thumb to little finger.
+COLOURS = [(0.9, 0.1, 0.1), (0.9, 0.6, 0.1), (0.1, 0.7, 0.1), (0.1, 0.4, 0.9), (0.6, 0.1, 0.9)]
 UPRIGHT, ALONG_X = [1, 0, 0, 0], [0.7071068, 0, 0.7071068, 0]
 
 
@@ -30,7 +32,8 @@ def _keys() -> list[dict]:
 
 def _geom(body: int, kind: str, size: list, pos: list, quat: list, finger: int | None) -> dict:
     drawn = {"body": body, "type": kind, "size": size, "pos": pos, "quat": quat}
-    return drawn | {"rgba": [0.8, 0.8, 0.82, 1], "finger": finger}
+    colour = (0.8, 0.8, 0.82) if finger is None else COLOURS[finger % FINGERS]
+    return drawn | {"rgba": [*colour, 1], "finger": finger}
 
 
 def _hand(number: int) -> list[dict]:

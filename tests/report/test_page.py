@@ -18,11 +18,15 @@ class Page(HTMLParser):
     def __init__(self, path):
         super().__init__()
         self.elements, self.words, self.data, self._in = [], [], "", ("", {})
+        self._broken = False
         self.size = path.stat().st_size
         self.feed(path.read_text("utf-8"))
         self.recording = json.loads(self.data)
 
     def handle_starttag(self, tag, attrs):
+        if tag == "wbr":  # a place to break a line, within a text
+            self._broken = True
+            return
         self._in = (tag, dict(attrs))
         self.elements.append(self._in)
 
@@ -34,7 +38,8 @@ class Page(HTMLParser):
         if attributes.get("id") == "data":
             self.data += data
         elif tag not in ("script", "style"):
-            self.words.append(data.strip())
+            self.words.append((self.words.pop() if self._broken else "") + data.strip())
+            self._broken = False
 
     def array(self, name, dtype):
         return np.frombuffer(base64.b64decode(self.recording[name]), dtype)
@@ -109,6 +114,19 @@ def test_not_a_number_is_shown_as_a_dash(write, episode):
     page = write(episode, {"f1": float("nan"), "worst": float("-inf"), "none": None})
     assert page.words.count("–") == 3
     assert page.recording["rewards"]["key_press"][3] is None
+
+
+def test_settings_that_are_none_are_not_shown(write, episode):
+    page = write(episode, settings={"task": {"limit": None, "steps": 3}, "zero": 0, "no": False})
+    assert "task.limit" not in page.words
+    assert "None" not in page.words
+    assert {"task.steps", "3", "zero", "0", "no", "False"} <= set(page.words)
+
+
+def test_a_zero_has_no_minus(write, episode):
+    page = write(episode, {"f1": -0.0, "energy": -0.0, "loss": -0.5})
+    assert {"0.000", "0", "-0.5"} <= set(page.words)
+    assert not {"-0.000", "-0"} & set(page.words)
 
 
 def test_a_minute_is_small(write):

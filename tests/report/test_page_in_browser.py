@@ -168,6 +168,74 @@ def test_keys_light_up_where_they_are(browser, write):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("flags", [[], ["--disable-3d-apis"]], ids=["3D", "flat"])
+def test_fingertips_have_the_colours_of_the_scene(tmp_path, write, flags):
+    browser = Browser(tmp_path / "profile", *flags)
+    episode = make_episode()
+    fingertips = [geom for geom in episode.scene["geoms"] if geom["finger"] is not None]
+    for channel in range(3):
+        colour = [0.1] * 3
+        colour[channel] = 0.9
+        for geom in fingertips:
+            geom["rgba"] = [*colour, 1]
+        browser.open(write(episode))
+        browser.evaluate("cadenza.seek(0)")  # no key is pressed yet, only one missing
+        browser.evaluate("document.querySelector('#stage .legend').hidden = true")
+        others = [c for c in range(3) if c != channel]
+        picture = browser.picture("#view").astype(int)
+        assert (picture[..., channel] > picture[..., others].max(axis=2) + 70).sum() > 500
+    browser.close()
+
+
+@pytest.mark.slow
+def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(browser, write):
+    episode = make_episode()
+    episode.arrays["reward_energy"][:] = -1e-4
+    browser.open(write(episode))
+    rows = browser.evaluate("[...document.querySelectorAll('.term')].map(row => row.textContent)")
+    assert "energy mean 0.000at the cursor 0.000" in rows
+    assert not any("-0.000" in row for row in rows)
+    browser.evaluate("cadenza.seek(0)")
+    hide = "document.querySelectorAll('.cursor').forEach(e => {{ e.style.visibility = '{}' }})"
+    for part in (".term", "#roll"):
+        seen = []
+        for visibility in ("visible", "hidden"):
+            browser.evaluate(hide.format(visibility))
+            seen.append(browser.picture(part).astype(int))
+        changed = np.abs(seen[0] - seen[1]).max(axis=(1, 2)) > 40  # rows of the picture
+        words = changed[-20:] if part == "#roll" else changed[:-1]  # its edge shows the chart
+        assert not words.any()
+    assert changed[:-30].any()  # over the roll itself there is a cursor
+
+
+@pytest.mark.slow
+def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, episode):
+    path, value = tmp_path / "page.html", "runs/a_rather_long_name/of_a_folder/with_an_episode"
+    settings = {"agent.configuration.checkpoint_path": value}
+    write_report(path, episode, {}, settings, np.zeros((0, 2), np.float32))
+    size = {"height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", width=320, **size)
+    browser.open(path)
+    lines = browser.evaluate("""(() => {
+        const lines = new Map(), range = document.createRange();
+        for (const node of document.querySelector('td').childNodes)
+            for (let i = 0; i < (node.data ?? '').length; i++) {
+                range.setStart(node, i);
+                range.setEnd(node, i + 1);
+                const { top } = range.getBoundingClientRect();
+                lines.set(top, (lines.get(top) ?? '') + node.data[i]);
+            }
+        return [...lines.values()];
+    })()""")
+    browser.call("Emulation.setDeviceMetricsOverride", width=1000, **size | {"height": 1700})
+    assert "".join(lines) == value
+    assert len(lines) == 2
+    assert lines[0][-1] in "/_"
+    browser.settle()
+    assert browser.evaluate("document.querySelector('tr').offsetHeight") < 2 * 21  # one line
+
+
+@pytest.mark.slow
 def test_a_recorded_performance_of_the_real_hands_is_drawn(browser, write):
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)

@@ -43,7 +43,8 @@ def write_report(
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
         metrics: name -> number; nested mappings are flattened. NaN is shown as a dash.
-        settings: name -> value, nested or not; `agent` and `seed` are also named at the top.
+        settings: name -> value, nested or not; `agent` and `seed` are also named at the top. None
+            is not shown.
         audio: the performance, (n,) or (n, 2) within -1..1, starting with the first step.
     """
     figures = sorted(_flat(metrics), key=lambda item: item[0] != "f1")
@@ -128,16 +129,22 @@ def _card(name: str, value: Any) -> str:
     bar = ""
     if number is not None and name.endswith(("f1", "precision", "recall")):
         bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>'
-    shown = "–" if number is None else f"{number:.3f}" if bar else f"{number:.6g}"
+    shown = "–" if number is None else f"{number:z.3f}" if bar else f"{number:z.6g}"
     return f'<dl class="score"><dt>{html.escape(_spoken(name))}</dt><dd>{shown}</dd>{bar}</dl>'
 
 
 def _table(settings: Mapping[str, Any]) -> str:
     rows = (
-        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>'
+        f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(str(value))}</td></tr>'
         for name, value in settings.items()
+        if value is not None
     )
     return f"<table>{''.join(rows)}</table>"
+
+
+def _breakable(text: str) -> str:
+    """`text` that a narrow screen breaks after separators rather than within words."""
+    return re.sub(r"[/\\_,=]|\.(?=[^\W\d])", r"\g<0><wbr>", html.escape(text))
 
 
 def _spoken(name: str) -> str:

@@ -4,6 +4,8 @@ const GUTTER = 44; // [px] left of both charts, so that their cursors stand in l
 const NAMES = ["C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B"];
 const noteName = (key) => NAMES[(key + 9) % 12] + (Math.floor((key + 9) / 12));
 const isBlack = (key) => [1, 3, 6, 8, 10].includes((key + 9) % 12);
+/** Three decimals, and no minus before a zero. */
+const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** A canvas ready to draw on in CSS pixels. */
@@ -138,17 +140,18 @@ function createRoll(element, { states, pedal, dt, steps }, seek) {
 
 function createRewards(element, { rewards, dt, steps }, seek) {
   const terms = Object.entries(rewards).map(([name, values]) => {
-    const title = document.createElement("div"), output = document.createElement("output"), canvas = document.createElement("canvas");
+    const title = document.createElement("div"), here = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
     const known = values.filter((v) => v !== null);
     const mean = known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1);
     title.className = "term";
     const label = document.createElement("b");
     label.textContent = name.replaceAll("_", " ");
     const text = document.createElement("span");
-    text.append(label, ` mean ${mean.toFixed(3)}`);
-    title.append(text, output);
+    text.append(label, ` mean ${decimals(mean)}`);
+    here.append("at the cursor ", output);
+    title.append(text, here);
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Reward ${label.textContent} over time, mean ${mean.toFixed(3)}`);
+    canvas.setAttribute("aria-label", `Reward ${label.textContent} over time, mean ${decimals(mean)}`);
     element.append(title, canvas);
     return { values, output, canvas, low: Math.min(0, ...known.length ? [known.reduce((a, b) => Math.min(a, b))] : []), high: Math.max(0, ...known.length ? [known.reduce((a, b) => Math.max(a, b))] : []) };
   });
@@ -163,7 +166,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
       context.fillRect(GUTTER, 0, width - GUTTER, height);
       context.fillStyle = css("--soft");
       context.textAlign = "right";
-      for (const v of high - low > 1e-9 ? [low, high] : [0]) context.fillText(Number(v.toPrecision(2)), GUTTER - 7, Math.min(Math.max(y(v), 6), height - 6));
+      for (const v of high - low > 1e-9 ? [low, high] : [0]) context.fillText(Number(v.toPrecision(2)), GUTTER - 7, Math.min(Math.max(y(v), 6), height - 6), GUTTER - 7);
       const line = new Path2D();
       values.forEach((v, step) => { if (v !== null) { line.lineTo(x(step), y(v)); line.lineTo(x(step + 1), y(v)); } });
       context.strokeStyle = css("--accent");
@@ -177,7 +180,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
     draw,
     move(time) {
       const { row } = rowAt(time, dt, steps);
-      for (const { values, output } of terms) output.textContent = values[row] === null ? "–" : values[row].toFixed(3);
+      for (const { values, output } of terms) output.textContent = values[row] === null ? "–" : decimals(values[row]);
       point(time);
     },
   };

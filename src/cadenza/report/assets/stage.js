@@ -1,7 +1,6 @@
 // The performance in three dimensions. The world is the simulation's: x towards the player,
 // y to the player's right, z up, in metres.
 
-const FINGERS = [0xf2c14e, 0xe0608c, 0x3d9bd9, 0x2f4b9b, 0x8a5a3c]; // thumb to little, both hands
 const VIEWS = { // from where the camera looks at the keyboard
   player: [0.4, 0, 0.92], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
@@ -16,9 +15,8 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
 
   const bodies = parts.bodies.map(() => scene.add(new THREE.Group()).children.at(-1));
   for (const geom of parts.geoms) {
-    const finger = geom.finger ?? null;
-    const colour = finger === null ? new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb") : new THREE.Color(FINGERS[finger % 5]);
-    const solid = mesh(geom.type, geom.size, colour, finger === null ? 0.45 : 0.35);
+    const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
+    const solid = mesh(geom.type, geom.size, colour, geom.finger === null ? 0.45 : 0.35);
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
     solid.renderOrder = geom.body < 0 ? 0 : 3;
