@@ -129,8 +129,7 @@ def _card(name: str, value: Any) -> str:
     bar = ""
     if number is not None and name.endswith(("f1", "precision", "recall")):
         bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>'
-    whole = number is not None and number % 1 == 0 and not bar
-    shown = "–" if number is None else f"{number:.0f}" if whole else f"{number:z.3f}"
+    shown = "–" if number is None else f"{number:z.3f}" if bar else f"{round(number, 3):z.6g}"
     return f'<dl class="score"><dt>{html.escape(_spoken(name))}</dt><dd>{shown}</dd>{bar}</dl>'
 
 
