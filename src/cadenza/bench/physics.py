@@ -9,13 +9,13 @@ decide whether a finger catches on a key, of the same actions with a little nois
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.predictive_sampling import available_cores
 from cadenza.agents.replay import load_plan
 from cadenza.files import read_arrays
 from cadenza.model.config import Physics, SceneConfig
@@ -40,7 +40,7 @@ def variations(plan: NDArray[np.float64], scene: Scene) -> NDArray[np.float64]:
 def replayed_f1(plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene) -> NDArray:
     """F1 of each variation of the plan, (1 + NUM_NOISY,)."""
     ctrl = variations(plan, scene)[..., :-1]
-    simulation = Simulation(scene, len(ctrl), num_threads=os.cpu_count() or 1)
+    simulation = Simulation(scene, len(ctrl), num_threads=available_cores())
     played = key_activation(simulation.rollout(ctrl).key_qpos)
     simulation.close()
     return np.array([step_metrics(keys, goal)[2].mean() for keys in played])
