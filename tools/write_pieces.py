@@ -29,7 +29,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from cadenza.files import write_atomically
-from cadenza.music.fingering import write_fingering
+from cadenza.music.fingering_file import write_fingering
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, PedalEvent, Score
 

@@ -1,107 +1,459 @@
-"""Which finger plays which note: a small text file next to the MIDI file.
+"""Finds which finger plays which note, where a score does not say.
 
-MIDI has no place for fingers, so `song.mid` has its fingering in `song.fingering`, one line a note:
+A dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once. Notes
+that sound together lie in the order of the ten fingers, so that what a hand does at a moment is
+the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the right
+hand the highest. A hand without notes stands somewhere along the keyboard. From these states and
+their transitions the cheapest sequence is found, exactly; time is linear in the song's length.
 
-    # start [s]  MIDI pitch  finger
-    0.0000 60 0
-    0.5000 62 1    # a comment runs to the end of its line
+Hard limits, of these hands on this keyboard:
 
-Fingers are 0..4 for the right hand's thumb to little finger, 5..9 for the left hand's thumb to
-little finger, and -1 where it is unknown. A line belongs to the note of its pitch that starts
-nearest to its time, at most 0.05 s away. Notes without a line stay as they are.
+- five notes a hand, their distances within what the fingers reach (`LEAST`, `MOST`);
+- forearms that do not run into each other;
+- a finger stays on its key as long as the note sounds; notes with less than `LETTING_GO` left
+  when others begin count as over.
+
+Costs, about 1 for something worth avoiding once (see `_WEIGHTS`):
+
+- stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
+- moving the hand along the keyboard: by the way, and by its square over the time there is;
+- a finger that has to leave one key and press another, the less time there is between the two;
+- fingers that would pass over or under one another from one moment to the next;
+- another finger, or hand, on a key that is struck again;
+- thumb and little finger on black keys, the weaker fingers anywhere;
+- forearms close to each other.
+
+Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
+outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
+two equally far inside the louder, then the longer, then the higher. A note is dropped if it
+cannot be played along with those taken before it.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections import defaultdict
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations
+from typing import Literal, NamedTuple
 
-from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
-from cadenza.music.score import NUM_FINGERS, UNKNOWN_FINGER, Score
+import numpy as np
+from numpy.typing import NDArray
 
-SUFFIX = ".fingering"
-TOLERANCE = 0.05  # [s] between a line's time and the start of its note
+from cadenza.music.keyboard import IS_BLACK, KEY_Y
+from cadenza.music.score import NUM_KEYS, UNKNOWN_FINGER, Note, Score
 
-_HEADER = (
-    "# start [s]  MIDI pitch  finger: 0-4 right thumb to little, 5-9 left thumb to little, "
-    "-1 unknown\n"
+Array = NDArray[np.float64]
+Hands = Literal["both", "right", "left"]
+
+# Printed by tools/measure_reach.py: the right hand's fingers, thumb to little, on white keys [m].
+REST = np.array([-0.0521, -0.0193, 0.0029, 0.0251, 0.0473])
+"""(5,) where the fingertips are when all five press, to the right of the forearm."""
+MOST = np.array(
+    [
+        [0.000, 0.085, 0.115, 0.147, 0.182],
+        [0.000, 0.000, 0.082, 0.109, 0.127],
+        [0.000, 0.000, 0.000, 0.085, 0.104],
+        [0.000, 0.000, 0.000, 0.000, 0.085],
+        [0.000, 0.000, 0.000, 0.000, 0.000],
+    ]
 )
+"""(5, 5) the greatest distances of two fingers that press, the first nearer the thumb."""
+LEAST = 0.0115 * np.maximum(np.arange(5) - np.arange(5)[:, None], 0)
+"""(5, 5) the least: fingers side by side, on neighbouring keys. (Alone, all pairs come closer.)"""
+
+LETTING_GO = 0.05  # [s] one control step
+TOGETHER = 0.03  # [s] notes that begin within this time begin together
+_HOME = 0.15  # [m] from the keyboard's middle, where the forearms are mounted
+_APART = 0.12  # [m] forearms cannot be nearer, with both hands turned outwards
+_AT_EASE = 0.18  # [m] from here on the forearms do not mind each other
+_STANDS = np.linspace(-0.6, 0.6, 26)  # [m] where a hand without notes can be
+_ELSEWHERE = np.array([10.0])  # [m] where a hand that is not there is
+_NO_FINGER = 5  # in place of a finger: not played by this hand
+_NEVER = 1e9
+
+_STRETCH = 1.0
+_WAY = 4.0  # [1 / m]
+_SPEED = 3.0  # [s / m^2]: 1 for 0.3 m in 0.25 s
+_SAME_FINGER, _TIME_TO_MOVE = 2.0, 0.15  # [s] to lift, move and press
+_CROSSING, _TIME_TO_CROSS = 1.0, 0.3  # [s]
+_OTHER_FINGER = 1.0
+_ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2, 0.0])
+_WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1, 0.0])
+_CLOSE = 1.0
 
 
-def read_fingering(path: str | Path, score: Score) -> Score:
-    """`score` with the fingers of the file at `path`.
+class Dropped(NamedTuple):
+    """A note that is not played, and why, in plain words."""
 
-    Raises:
-        CadenzaError: the file cannot be read, a line is malformed, belongs to no note, or gives a
-            note a second, different finger; the line number is named.
+    note: Note
+    reason: str
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The fingers of all notes of a score, the notes dropped, and what the fingers cost."""
+
+    score: Score
+    dropped: tuple[Dropped, ...]
+    cost: float
+
+
+def find_fingering(score: Score, hands: Hands = "both") -> tuple[Score, tuple[Dropped, ...]]:
+    """`score` with a finger on every note that `hands` can play, -1 on those dropped.
+
+    Fingers that the score gives are kept, and the others found to go with them. Where given
+    fingers contradict each other or these hands, the others take no account of them.
+
+    Returns:
+        The score, and what was dropped in the order of the notes.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise CadenzaError(f"{path}: not a text file in UTF-8; give a fingering file") from None
-    except OSError as error:
-        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
-
-    by_pitch: defaultdict[int, list[int]] = defaultdict(list)  # indices of notes, by start
-    for index, note in enumerate(score.notes):
-        by_pitch[note.pitch].append(index)
-    notes = list(score.notes)
-    line_of: dict[int, int] = {}
-    for number, line in enumerate(text.split("\n"), start=1):
-        content = line.split("#", 1)[0].split()
-        if not content:
-            continue
-        where = f"{path}, line {number}"
-        start, pitch, finger = _parsed(content, where)
-        nearest = _nearest(score, by_pitch[pitch], start)
-        if nearest is None:
-            raise CadenzaError(
-                f"{where}: no note of pitch {pitch} starts within {TOLERANCE} s of {start:g} s"
-            )
-        if nearest in line_of and notes[nearest].finger != finger:
-            raise CadenzaError(
-                f"{where}: line {line_of[nearest]} gives the same note another finger; keep one"
-            )
-        line_of[nearest] = number
-        notes[nearest] = replace(notes[nearest], finger=finger)
-    return replace(score, notes=tuple(notes))
+    if all(note.finger != UNKNOWN_FINGER for note in score.notes):
+        return score, ()
+    found = solve(score, hands)
+    return found.score, found.dropped
 
 
-def write_fingering(score: Score, path: str | Path) -> None:
-    """Writes a line for every note, with -1 where the finger is unknown, to be filled in."""
-    lines = (f"{note.start:.4f} {note.pitch} {note.finger}\n" for note in score.notes)
-    with write_atomically(Path(path)) as file:
-        file.write((_HEADER + "".join(lines)).encode())
-
-
-def _parsed(content: list[str], where: str) -> tuple[float, int, int]:
-    try:
-        start, pitch, finger = float(content[0]), int(content[1]), int(content[2])
-    except (ValueError, IndexError):
-        start, pitch, finger = float("nan"), 0, 0
-    if len(content) != 3 or not start >= 0:
-        raise CadenzaError(
-            f"{where}: {' '.join(content)!r} is not 'start pitch finger', such as '0.5 60 0'"
-        )
-    if not UNKNOWN_FINGER <= finger < NUM_FINGERS:
-        raise CadenzaError(
-            f"{where}: there is no finger {finger}; right hand 0-4, left hand 5-9, -1 unknown"
-        )
-    return start, pitch, finger
-
-
-def _nearest(score: Score, indices: list[int], start: float) -> int | None:
-    """Of the notes `indices`, sorted by start, the one that starts nearest, if near enough."""
-    place = bisect_left(indices, start, key=lambda i: score.notes[i].start)
-    nearest = min(
-        indices[max(0, place - 1) : place + 1],
-        key=lambda i: abs(score.notes[i].start - start),
-        default=None,
+def solve(score: Score, hands: Hands = "both") -> Solution:
+    """As `find_fingering`, with the cost; of a score with all fingers it is that of its own."""
+    sides = [_STANDS if hands in ("both", side) else _ELSEWHERE for side in ("right", "left")]
+    moments = [_beginning(sides)]
+    reasons: dict[int, str] = {}
+    for time, begin in _onsets(score):
+        moment, left_out = _next_moment(moments[-1], time, begin, sides)
+        moments.append(moment)
+        for press, reason in left_out:
+            if press.finger == UNKNOWN_FINGER:
+                reasons |= dict.fromkeys(press.notes, reason)
+    fingers = dict(_trace_back(moments))
+    notes = tuple(
+        replace(note, finger=fingers.get(i, UNKNOWN_FINGER))
+        if note.finger == UNKNOWN_FINGER
+        else note
+        for i, note in enumerate(score.notes)
     )
-    if nearest is None or abs(score.notes[nearest].start - start) > TOLERANCE:
-        return None
-    return nearest
+    dropped = tuple(Dropped(notes[i], reasons[i]) for i in sorted(reasons))
+    return Solution(replace(score, notes=notes), dropped, float(moments[-1].cost.min()))
+
+
+# What is pressed when
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Press:
+    """A key going down for one or, where a score has them double, several `notes` (indices)."""
+
+    key: int
+    start: float
+    end: float
+    velocity: int
+    finger: int
+    notes: tuple[int, ...]
+
+
+def _onsets(score: Score) -> Iterator[tuple[float, list[_Press]]]:
+    """The moments at which notes begin, with what is pressed then.
+
+    A note that is struck again while it sounds ends there.
+    """
+    moments: list[tuple[float, dict[int, list[int]]]] = []
+    for i, note in enumerate(score.notes):
+        if not moments or note.start > moments[-1][0] + TOGETHER:
+            moments.append((note.start, {}))
+        moments[-1][1].setdefault(note.key, []).append(i)
+    struck_again = [float("inf")] * NUM_KEYS
+    ends: dict[int, float] = {}
+    for time, keys in reversed(moments):
+        for key, indices in keys.items():
+            ends[indices[0]] = min(max(score.notes[i].end for i in indices), struck_again[key])
+            struck_again[key] = time
+    for time, keys in moments:
+        presses = []
+        for key, indices in keys.items():
+            notes = [score.notes[i] for i in indices]
+            finger = next((n.finger for n in notes if n.finger >= 0), UNKNOWN_FINGER)
+            loudest = max(note.velocity for note in notes)
+            presses.append(_Press(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
+        yield time, presses
+
+
+def _outer_first(begin: Sequence[_Press], held: Sequence[_Press]) -> list[_Press]:
+    """In the order in which notes are taken: given ones, then from outside to inside."""
+    keys = sorted({press.key for press in (*begin, *held)})
+    place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
+    return sorted(
+        begin,
+        key=lambda p: (p.finger < 0, place[p.key], -p.velocity, p.start - p.end, -p.key),
+    )
+
+
+# What a hand can do
+
+
+@dataclass(frozen=True, eq=False)
+class _Shapes:
+    """What a hand can do about `m` sounding notes: S sets of fingers on the last of them.
+
+    The notes lie from the thumb's side to the little finger's; the last row is the empty set.
+    Pairs are the P pairs of notes, the first nearer the thumb.
+
+    fingers (S, m)      the finger on each note, or none
+    one_hot (S, 6 m)    the same
+    count (S,)          notes played
+    mean (S, m)         weights that give the mean of the notes played
+    rest (S,)           the mean of their fingers' offsets from the forearm [m]
+    least, ease, most (S, P)    of the distances between the notes of each pair [m]
+    """
+
+    fingers: NDArray[np.intp]
+    one_hot: Array
+    count: NDArray[np.intp]
+    mean: Array
+    rest: Array
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    least: Array
+    ease: Array
+    most: Array
+    played: Array
+
+
+def _with_no_finger(table: Array, value: float) -> Array:
+    return np.pad(table, (0, 1), constant_values=value)
+
+
+@cache
+def _shapes(m: int) -> _Shapes:
+    sets = [s for k in range(min(m, 5), -1, -1) for s in combinations(range(5), k)]
+    fingers = np.array([(_NO_FINGER,) * (m - len(s)) + s for s in sets], np.intp)
+    fingers = fingers.reshape(len(sets), m)
+    played = fingers != _NO_FINGER
+    count = played.sum(axis=1)
+    weights = played / np.maximum(count, 1)[:, None]
+    first, second = np.triu_indices(m, 1)
+    pair = fingers[:, first], fingers[:, second]
+    rest = np.append(REST, 0.0)
+    return _Shapes(
+        fingers=fingers,
+        one_hot=np.eye(6)[fingers].reshape(len(sets), 6 * m),
+        count=count,
+        mean=weights,
+        rest=(weights * rest[fingers]).sum(axis=1),
+        first=first,
+        second=second,
+        least=_with_no_finger(LEAST, -10.0)[pair],
+        ease=_with_no_finger(REST - REST[:, None], 0.0)[pair],
+        most=_with_no_finger(MOST, 10.0)[pair],
+        played=(played[:, first] & played[:, second]).astype(float),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _States:
+    """S things that one hand can do at a moment.
+
+    Everything is as if it were the right hand: of the left hand the keyboard is seen mirrored.
+    """
+
+    fingers: NDArray[np.intp]  # (S, m)
+    one_hot: Array  # (S, 6 m)
+    count: NDArray[np.intp]  # (S,)
+    centre: Array  # (S,) where the forearm is [m]
+    cost: Array  # (S,)
+
+
+def _states(y: Array, wanted: Array, stands: Array) -> _States:
+    """What a hand can do about notes at `y` (m,), with `wanted` (m, 6) costs of finger and note."""
+    shapes = _shapes(len(y))
+    distance = y[shapes.second] - y[shapes.first]
+    beyond = distance - shapes.ease
+    room = np.where(beyond > 0, shapes.most - shapes.ease, shapes.ease - shapes.least)
+    cost = shapes.one_hot @ wanted.ravel()
+    cost += _STRETCH * (shapes.played * (beyond / room) ** 2).sum(axis=1)
+    out = (distance < shapes.least) | (distance > shapes.most)
+    able = ~out.any(axis=1) & (cost < _NEVER)
+    able[-1] = False
+    if stands is _ELSEWHERE:
+        able[:] = False
+    rows = np.append(np.flatnonzero(able), np.full(len(stands), len(able) - 1))
+    centre = shapes.mean @ y - shapes.rest
+    cost[-1] = min(cost[-1], 2 * _NEVER)
+    return _States(
+        fingers=shapes.fingers[rows],
+        one_hot=shapes.one_hot[rows],
+        count=shapes.count[rows],
+        centre=np.append(centre[able], stands),
+        cost=cost[rows],
+    )
+
+
+# From moment to moment
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """All states at a moment, and what they cost at the least.
+
+    presses             the m notes that sound, in the order of their keys
+    hands               right, left
+    cost (R, L)         of the cheapest way to this state of the right and this of the left hand
+    left_before (R', L) the left hand's state before, and
+    right_before (R, L) the right hand's, on that way
+    """
+
+    time: float
+    presses: tuple[_Press, ...]
+    hands: tuple[_States, _States]
+    cost: Array
+    left_before: NDArray[np.uint8]
+    right_before: NDArray[np.uint8]
+
+
+def _beginning(sides: Sequence[Array]) -> _Moment:
+    nothing = np.zeros((1, 1), np.uint8)
+    hands = [
+        _states(np.zeros(0), np.zeros((0, 6)), np.array([_HOME]) if s is _STANDS else s)
+        for s in sides
+    ]
+    return _Moment(-1.0, (), (hands[0], hands[1]), np.zeros((1, 1)), nothing, nothing)
+
+
+def _next_moment(
+    before: _Moment, time: float, begin: Sequence[_Press], sides: Sequence[Array]
+) -> tuple[_Moment, list[tuple[_Press, str]]]:
+    """The moment `time` with as many of the notes that `begin` as can be played."""
+    struck = {press.key for press in begin}
+    held = [p for p in before.presses if p.end > time + LETTING_GO and p.key not in struck]
+    most = 5 * sum(side is _STANDS for side in sides)
+    if len(held) + len(begin) <= most:
+        moment = _moment(before, time, [*held, *begin], sides)
+        if moment.cost.size and moment.cost.min() < _NEVER:
+            return moment, []
+    moment = _moment(before, time, held, sides)
+    left_out = []
+    for press in _outer_first(begin, held):
+        if len(moment.presses) == most:
+            left_out.append((press, f"more than {most} notes at once"))
+            continue
+        tried = _moment(before, time, [*moment.presses, press], sides)
+        if tried.cost.min() < _NEVER:
+            moment = tried
+        else:
+            left_out.append((press, _reason(tried)))
+    return moment, left_out
+
+
+def _reason(moment: _Moment) -> str:
+    right, left = (set(hand.count[hand.cost < _NEVER].tolist()) for hand in moment.hands)
+    if not any(len(moment.presses) - count in left for count in right):
+        return "out of reach of the hands along with the other notes"
+    return "no hand is free to get there while it holds other notes"
+
+
+def _moment(
+    before: _Moment, time: float, presses: Sequence[_Press], sides: Sequence[Array]
+) -> _Moment:
+    presses = tuple(sorted(presses, key=lambda press: press.key))
+    seconds = max(time - before.time, LETTING_GO)
+    hands, transitions = [], []
+    for side, stands in enumerate(sides):
+        sign, order = (1.0, 1) if side == 0 else (-1.0, -1)
+        earlier, now = before.presses[::order], presses[::order]
+        y = sign * KEY_Y[[press.key for press in now]]
+        states = _states(y, _wanted(now, side, time), stands)
+        change = _changes(earlier, now, time, sign)
+        transitions.append(_transition(before.hands[side], states, change, seconds))
+        hands.append(states)
+    right, left = hands
+    # (R', L) over L', then (R, L) over R'
+    ways = before.cost[:, None, :] + transitions[1].T
+    left_before = ways.argmin(axis=2)
+    cost = np.take_along_axis(ways, left_before[:, :, None], axis=2)[:, :, 0]
+    ways = cost.T[None, :, :] + transitions[0].T[:, None, :]
+    right_before = ways.argmin(axis=2)
+    cost = np.take_along_axis(ways, right_before[:, :, None], axis=2)[:, :, 0]
+    cost = cost + right.cost[:, None] + left.cost + _closeness(right, left)
+    cost[right.count[:, None] + left.count != len(presses)] = np.inf
+    cost[cost >= _NEVER] = np.inf
+    return _Moment(
+        time,
+        presses,
+        (right, left),
+        cost,
+        left_before.astype(np.uint8),
+        right_before.astype(np.uint8),
+    )
+
+
+def _wanted(presses: Sequence[_Press], side: int, time: float) -> Array:
+    """(m, 6) what each finger on each of the notes costs."""
+    wanted = np.zeros((len(presses), 6))
+    for row, press in zip(wanted, presses, strict=True):
+        if press.start < time:  # held, and paid for
+            continue
+        row += _WEAK + (_ON_BLACK if IS_BLACK[press.key] else 0.0)
+        if press.finger != UNKNOWN_FINGER:
+            ours = press.finger // 5 == side
+            row[np.arange(6) != (press.finger % 5 if ours else _NO_FINGER)] = _NEVER
+    return wanted
+
+
+_UP = np.pad(np.tril(np.ones((5, 5)), -1), (0, 1))  # from a finger to one nearer the thumb
+_DOWN = _UP.T
+_SAME = np.pad(np.eye(5), (0, 1))
+_OTHER = 1.0 - np.eye(6)
+
+
+def _changes(earlier: Sequence[_Press], now: Sequence[_Press], time: float, sign: float) -> Array:
+    """(6 m', 6 m) what it costs if a finger on a note before is followed by a finger on a note."""
+    if not earlier or not now:
+        return np.zeros((6 * len(earlier), 6 * len(now)))
+    keys_before = np.array([press.key for press in earlier])[:, None]
+    keys = np.array([press.key for press in now])
+    begins = np.array([press.start >= time for press in now])
+    gap = np.array([max(time - press.end, 0.0) for press in earlier])
+    same_key = keys_before == keys
+    still = np.zeros(len(earlier), bool)
+    still[[any(p is q for q in now) for p in earlier]] = True
+    moves = begins & ~same_key & ~(same_key & begins).any(axis=1)[:, None] & ~still[:, None]
+    hurry = (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))[:, None]
+    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))[:, None] * moves
+    up = sign * (keys - keys_before) > 0
+    tables = (
+        (_NEVER * (same_key & ~begins), _OTHER),
+        (_OTHER_FINGER * (same_key & begins), _OTHER),
+        (_SAME_FINGER * hurry * moves, _SAME),
+        (cross * up, _UP),
+        (cross * ~up, _DOWN),
+    )
+    cost = sum(weight[:, None, :, None] * table[:, None, :] for weight, table in tables)
+    return np.asarray(cost).reshape(6 * len(earlier), 6 * len(now))
+
+
+def _transition(before: _States, now: _States, change: Array, seconds: float) -> Array:
+    """(S', S) what it costs a hand to go from one state to another in `seconds`."""
+    way = np.abs(now.centre - before.centre[:, None])
+    free = (before.count[:, None] == 0) | (now.count == 0)
+    way = np.maximum(way - (_STANDS[1] - _STANDS[0]) / 2 * free, 0.0)
+    return _WAY * way + _SPEED / seconds * way**2 + before.one_hot @ change @ now.one_hot.T
+
+
+def _closeness(right: _States, left: _States) -> Array:
+    """(R, L) what it costs that the forearms are near each other."""
+    apart = right.centre[:, None] + left.centre
+    near = np.maximum((_AT_EASE - apart) / (_AT_EASE - _APART), 0.0)
+    return np.where(apart < _APART, _NEVER, _CLOSE * near**2)
+
+
+def _trace_back(moments: Sequence[_Moment]) -> Iterator[tuple[int, int]]:
+    """(index, finger) of the notes on the cheapest way."""
+    last = moments[-1].cost
+    right, left = divmod(int(last.argmin()), last.shape[1])
+    for moment in reversed(moments[1:]):
+        for side, state in enumerate((right, left)):
+            presses = moment.presses[:: 1 - 2 * side]
+            for press, finger in zip(presses, moment.hands[side].fingers[state], strict=True):
+                if finger != _NO_FINGER:
+                    yield from ((note, 5 * side + int(finger)) for note in press.notes)
+        right = int(moment.right_before[right, left])
+        left = int(moment.left_before[right, left])

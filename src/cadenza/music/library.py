@@ -49,12 +49,12 @@ def load_score(name_or_path: str | Path) -> Score:
 
     Whatever is there as a file, or ends in .mid or .midi, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the MIDI file, the notes have
-    its fingers, see `cadenza.music.fingering`.
+    its fingers, see `cadenza.music.fingering_file`.
 
     Raises:
         CadenzaError: no such piece, or a file that `read_midi` or `read_fingering` refuses.
     """
-    from cadenza.music.fingering import SUFFIX, read_fingering
+    from cadenza.music.fingering_file import SUFFIX, read_fingering
     from cadenza.music.midi import read_midi
 
     path = Path(name_or_path)

@@ -98,7 +98,7 @@ def write_midi(score: Score, path: str | Path) -> None:
 
     Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
     exactly; a note shorter than a tick lasts one. Fingers are not part of MIDI, see
-    `cadenza.music.fingering`.
+    `cadenza.music.fingering_file`.
 
     Raises:
         CadenzaError: the score is longer than an hour.

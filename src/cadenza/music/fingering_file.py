@@ -1,0 +1,107 @@
+"""Which finger plays which note: a small text file next to the MIDI file.
+
+MIDI has no place for fingers, so `song.mid` has its fingering in `song.fingering`, one line a note:
+
+    # start [s]  MIDI pitch  finger
+    0.0000 60 0
+    0.5000 62 1    # a comment runs to the end of its line
+
+Fingers are 0..4 for the right hand's thumb to little finger, 5..9 for the left hand's thumb to
+little finger, and -1 where it is unknown. A line belongs to the note of its pitch that starts
+nearest to its time, at most 0.05 s away. Notes without a line stay as they are.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_atomically
+from cadenza.music.score import NUM_FINGERS, UNKNOWN_FINGER, Score
+
+SUFFIX = ".fingering"
+TOLERANCE = 0.05  # [s] between a line's time and the start of its note
+
+_HEADER = (
+    "# start [s]  MIDI pitch  finger: 0-4 right thumb to little, 5-9 left thumb to little, "
+    "-1 unknown\n"
+)
+
+
+def read_fingering(path: str | Path, score: Score) -> Score:
+    """`score` with the fingers of the file at `path`.
+
+    Raises:
+        CadenzaError: the file cannot be read, a line is malformed, belongs to no note, or gives a
+            note a second, different finger; the line number is named.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise CadenzaError(f"{path}: not a text file in UTF-8; give a fingering file") from None
+    except OSError as error:
+        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
+
+    by_pitch: defaultdict[int, list[int]] = defaultdict(list)  # indices of notes, by start
+    for index, note in enumerate(score.notes):
+        by_pitch[note.pitch].append(index)
+    notes = list(score.notes)
+    line_of: dict[int, int] = {}
+    for number, line in enumerate(text.split("\n"), start=1):
+        content = line.split("#", 1)[0].split()
+        if not content:
+            continue
+        where = f"{path}, line {number}"
+        start, pitch, finger = _parsed(content, where)
+        nearest = _nearest(score, by_pitch[pitch], start)
+        if nearest is None:
+            raise CadenzaError(
+                f"{where}: no note of pitch {pitch} starts within {TOLERANCE} s of {start:g} s"
+            )
+        if nearest in line_of and notes[nearest].finger != finger:
+            raise CadenzaError(
+                f"{where}: line {line_of[nearest]} gives the same note another finger; keep one"
+            )
+        line_of[nearest] = number
+        notes[nearest] = replace(notes[nearest], finger=finger)
+    return replace(score, notes=tuple(notes))
+
+
+def write_fingering(score: Score, path: str | Path) -> None:
+    """Writes a line for every note, with -1 where the finger is unknown, to be filled in."""
+    lines = (f"{note.start:.4f} {note.pitch} {note.finger}\n" for note in score.notes)
+    with write_atomically(Path(path)) as file:
+        file.write((_HEADER + "".join(lines)).encode())
+
+
+def _parsed(content: list[str], where: str) -> tuple[float, int, int]:
+    try:
+        start, pitch, finger = float(content[0]), int(content[1]), int(content[2])
+    except (ValueError, IndexError):
+        start, pitch, finger = float("nan"), 0, 0
+    if len(content) != 3 or not start >= 0:
+        raise CadenzaError(
+            f"{where}: {' '.join(content)!r} is not 'start pitch finger', such as '0.5 60 0'"
+        )
+    if not UNKNOWN_FINGER <= finger < NUM_FINGERS:
+        raise CadenzaError(
+            f"{where}: there is no finger {finger}; right hand 0-4, left hand 5-9, -1 unknown"
+        )
+    return start, pitch, finger
+
+
+def _nearest(score: Score, indices: list[int], start: float) -> int | None:
+    """Of the notes `indices`, sorted by start, the one that starts nearest, if near enough."""
+    place = bisect_left(indices, start, key=lambda i: score.notes[i].start)
+    nearest = min(
+        indices[max(0, place - 1) : place + 1],
+        key=lambda i: abs(score.notes[i].start - start),
+        default=None,
+    )
+    if nearest is None or abs(score.notes[nearest].start - start) > TOLERANCE:
+        return None
+    return nearest
