@@ -112,7 +112,7 @@ def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["length"] == "0.6 s, 13 steps"
     assert told["range"] == "MIDI 60 to 67"
     assert told["at once"] == "up to 2 keys"
-    assert told["fingering"] == "0 of 3 notes"
+    assert told["fingering"] == "0 of 3 notes; found for 3"
     assert told["pedal"] == "1 movements"
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from cadenza.agents.agent import Agent
     from cadenza.agents.play import Performance
+    from cadenza.music.score import Score
     from cadenza.tasks.piano_task import PianoTask
 
 AgentName = Literal["predictive-sampling", "zero", "random", "replay"]
@@ -204,16 +205,30 @@ def _song_facts(song: str) -> dict[str, Any]:
     score = load_score(song)
     pitches = [note.pitch for note in score.notes]
     goals = score_to_goals(score.with_silence_trimmed(), TaskConfig().control_timestep)
-    fingered = sum(note.finger >= 0 for note in score.notes)
     return {
         "title": score.title,
         "length": f"{score.with_silence_trimmed().total_time:.1f} s, {goals.num_steps} steps",
         "notes": len(score.notes),
         "range": f"MIDI {min(pitches)} to {max(pitches)}",
         "at once": f"up to {goals.keys.sum(axis=1).max()} keys",
-        "fingering": f"{fingered} of {len(score.notes)} notes",
+        "fingering": _about_fingering(score),
         "pedal": f"{len(score.pedal)} movements",
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
+
+
+def _about_fingering(score: Score) -> str:
+    from collections import Counter
+
+    from cadenza.music.fingering import find_fingering
+
+    given = sum(note.finger >= 0 for note in score.notes)
+    fingered, dropped = find_fingering(score)
+    found = sum(note.finger >= 0 for note in fingered.notes) - given
+    reasons = Counter(reason for _, reason in dropped)
+    parts = [f"{given} of {len(score.notes)} notes"]
+    parts += [f"found for {found}"] if found else []
+    parts += [f"{count} cannot be played: {reason}" for reason, count in reasons.most_common()]
+    return "; ".join(parts)
 
 
 def _installation_facts() -> dict[str, Any]:

@@ -39,7 +39,7 @@ class Recording:
             )
         )
         self.score = load_score(str(self["song"]))
-        (prepared,) = prepare([self.score], self.config)
+        (prepared,) = prepare([self.score], self.config, self.scene.sides)
         self.goals = goals_of(prepared, self.config)
 
     def __getitem__(self, name: str) -> np.ndarray:

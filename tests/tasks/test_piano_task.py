@@ -264,12 +264,12 @@ def test_touching_forearms_lose_the_forearm_term(scenes: dict[str, Scene]) -> No
 
 
 def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> None:
-    """Transport lets any finger do; without fingering in the score it is taken anyway."""
+    """Transport lets any finger do, whatever the score says."""
     near = {}
     for name, score, fingering in (
         ("score", SONG, "auto"),
         ("transport", SONG, "transport"),
-        ("unfingered", UNFINGERED, "auto"),
+        ("unfingered", UNFINGERED, "transport"),
     ):
         player = Player(scenes["both"], score, fingering=fingering)
         near[name] = [t.terms["fingering"][0] for t in player.play_on()]
@@ -279,16 +279,26 @@ def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> Non
     assert near["transport"] != near["score"]
 
 
-def test_a_song_with_and_one_without_fingering_in_one_batch(scenes: dict[str, Scene]) -> None:
-    seeds = tuple(range(6))
-    both = Player(scenes["both"], SONG, UNFINGERED, seeds=seeds)
-    fingered = np.array([song.has_fingering for song in both.task.sheets.songs])
-    assert set(fingered) == {True, False}
-    by_score, by_transport = Player(scenes["both"], SONG), Player(scenes["both"], UNFINGERED)
-    for _ in range(10):
-        rows = both.rest().terms["fingering"]
-        assert_array_equal(rows[fingered], by_score.rest().terms["fingering"][0])
-        assert_array_equal(rows[~fingered], by_transport.rest().terms["fingering"][0])
+@pytest.mark.parametrize(("hands", "fingers"), [("both", 10), ("right", 5), ("left", 5)])
+def test_a_song_without_fingering_gets_one(
+    scenes: dict[str, Scene], hands: Any, fingers: int
+) -> None:
+    """With every note for one hand where there is but one."""
+    player = Player(scenes[hands], UNFINGERED)
+    notes = player.task.sheets.songs[0].notes
+    there = range(fingers) if hands == "right" else range(10 - fingers, 10)
+    played = [note.finger for note in notes if note.finger >= 0]
+    assert set(played) <= set(there)
+    assert len(played) == (3 if hands == "both" else 2)  # a third note is out of one hand's reach
+    assert np.flatnonzero(player.seen("fingering")[0]).tolist() == [notes[0].finger]
+    assert "fingering" in player.rest().terms
+
+
+def test_known_fingers_stay_when_the_others_are_found(scenes: dict[str, Scene]) -> None:
+    notes = (SONG.notes[0], *UNFINGERED.notes[1:])
+    found = Player(scenes["both"], Score(notes)).task.sheets.songs[0]
+    assert found.notes[0].finger == SONG.notes[0].finger
+    assert all(note.finger >= 0 for note in found.notes)
 
 
 def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:

@@ -29,8 +29,8 @@ class TaskConfig:
     wrong_press_termination: bool = False
     """End the episode when a key sounds that should not."""
     fingering: Fingering = "auto"
-    """Reward fingers near their keys: as the score says, or where it does not (or with
-    transport) by optimal transport from fingertips to keys; or off."""
+    """Reward fingers near their keys: auto: those that the score names, and where it names none
+    those that a search finds; transport: whichever get there by the least way; or off."""
     energy_coefficient: float = 0.005
     """Weight of the energy term."""
     sustain_term: bool = False

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.model.config import Side
+from cadenza.music.fingering import Hands, find_fingering
 from cadenza.music.goals import Goals, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -35,8 +37,10 @@ _MOST = {  # of options that are 0 or more
 }
 
 
-def prepare(scores: Sequence[Score], config: TaskConfig) -> tuple[Score, ...]:
-    """The scores as the task will draw from them.
+def prepare(
+    scores: Sequence[Score], config: TaskConfig, sides: Sequence[Side]
+) -> tuple[Score, ...]:
+    """The scores as the task will draw from them, for the hands on these `sides`.
 
     Raises:
         CadenzaError: there is no score, or one without notes, or an option makes no sense.
@@ -46,7 +50,11 @@ def prepare(scores: Sequence[Score], config: TaskConfig) -> tuple[Score, ...]:
     if empty := [score.title for score in scores if not score.notes]:
         raise CadenzaError(f"nothing to play: {empty[0] or 'the score'} has no notes")
     _check(config)
-    return tuple(_arranged(score, config) for score in scores)
+    scores = [_arranged(score, config) for score in scores]
+    if config.fingering == "auto" and sides:
+        hands: Hands = "both" if len(sides) == 2 else sides[0]
+        scores = [find_fingering(score, hands)[0] for score in scores]
+    return tuple(scores)
 
 
 def _arranged(score: Score, config: TaskConfig) -> Score:
@@ -112,7 +120,6 @@ class Sheets:
         num_steps: (N,) control steps of its episode.
         steps_done: (N,) control steps since its reset.
         row: (N,) the step that comes next; after the last, as in the published system, the last.
-        transports_fingers: (N,) whether fingers are assigned to keys by optimal transport.
     """
 
     def __init__(self, num_envs: int, lookahead: int, fingers: NDArray[np.intp]) -> None:
@@ -125,7 +132,6 @@ class Sheets:
         self.num_steps = np.ones(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
-        self.transports_fingers = np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
         self._ahead = lookahead + 1
         self._rows_ahead = np.arange(self._ahead)
@@ -142,7 +148,6 @@ class Sheets:
         self._make_room(length + self._ahead)
         self.songs[env], self.num_steps[env] = score, length
         self.steps_done[env] = self.row[env] = 0
-        self.transports_fingers[env] = config.fingering == "transport" or not score.has_fingering
         fingers = np.where(np.isin(goals.fingers, self._there), goals.fingers, UNKNOWN_FINGER)
         self._goal[env], self._fingers[env], self._wanted[env] = False, UNKNOWN_FINGER, False
         self._goal[env, :length, :NUM_KEYS] = goals.keys

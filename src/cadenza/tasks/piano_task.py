@@ -78,7 +78,7 @@ class PianoTask:
         self.config = config or TaskConfig()
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs
-        self._scores = music.prepare(scores, self.config)
+        self._scores = music.prepare(scores, self.config, self.scene.sides)
         self._offset_joints = self._find_offset_joints()
         self.simulation = Simulation(
             self.scene,
@@ -211,15 +211,12 @@ class PianoTask:
         return terms
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
-        state, transported = self.state, self.sheets.transports_fingers
-        pairs = reward.finger_distances(state.fingertip_xpos, state.key_xpos, fingers)
-        by_score = reward.nearness(*pairs, self.num_envs, otherwise=0.0)
-        if not transported.any():
-            return by_score
-        tips = state.fingertip_xpos[:, self.scene.fingers]
-        pairs = reward.transport_distances(tips, state.key_xpos, keys & transported[:, None])
-        by_transport = reward.nearness(*pairs, self.num_envs, otherwise=1.0)
-        return np.where(transported, by_transport, by_score)
+        tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos
+        if self.config.fingering == "transport":
+            pairs = reward.transport_distances(tips[:, self.scene.fingers], key_xpos, keys)
+            return reward.nearness(*pairs, self.num_envs, otherwise=1.0)
+        pairs = reward.finger_distances(tips, key_xpos, fingers)
+        return reward.nearness(*pairs, self.num_envs, otherwise=0.0)
 
     # What is seen
 

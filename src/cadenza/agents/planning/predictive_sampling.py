@@ -100,7 +100,7 @@ class PredictiveSampling:
         wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
         keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
-        if sheets.transports_fingers[0]:
+        if self._task.config.fingering == "transport":
             there = self._task.scene.fingers
             pairs = reward.transport_distances(tips[:, there], centres, wanted)
         else:
