@@ -53,7 +53,7 @@ class Hand:
         self._qpos = scene.hand_qpos
         joints = [self._model.joint(f"rh_{name}") for name in self.free]
         self.low, self.high = np.array([joint.range for joint in joints]).T
-        self._mount = self._model.body("rh_forearm").pos[1]
+        self._forearm = self._model.body("rh_forearm").id
 
     def tips(self, q: Array) -> Array:
         """(5, 3) fingertips in the world [m]."""
@@ -61,14 +61,19 @@ class Hand:
         mujoco.mj_kinematics(self._model, self._data)
         return self._data.site_xpos[self._sites].copy()
 
-    def forearm_y(self, q: Array) -> float:
-        return float(self._mount + self.tx_sign * q[self.free.index("forearm_tx")])
+    def forearm_y(self) -> float:
+        """Where the forearm was when `tips` was called last [m]."""
+        return float(self._data.xpos[self._forearm, 1])
 
-    tx_sign = 1.0
+
+def distance(hand: Hand, pressing: Array) -> float:
+    """Between the first and the last of the pressing fingertips; of one, from the forearm [m]."""
+    first = pressing[0, 1] if len(pressing) > 1 else hand.forearm_y()
+    return float(pressing[-1, 1] - first)
 
 
 def posture(hand: Hand, fingers: tuple[int, ...], apart: float | None, start: Array) -> Array:
-    """Joints with which `fingers` press, two of them `apart` [m] if given, in a light posture."""
+    """Joints with which `fingers` press at a `distance` if given, in a light posture."""
     rest = (hand.low + hand.high) / 2
     rest[hand.free.index("WRJ2")] = rest[hand.free.index("WRJ1")] = 0.0
     for i, name in enumerate(hand.free):
@@ -89,7 +94,7 @@ def posture(hand: Hand, fingers: tuple[int, ...], apart: float | None, start: Ar
             light * np.delete((q - rest) / scale, slide),
         ]
         if apart is not None:
-            parts.append([pressing[-1, 1] - pressing[0, 1] - apart])
+            parts.append([distance(hand, pressing) - apart])
         return np.concatenate(parts)
 
     solution = least_squares(residual, start, bounds=(hand.low - 1e-9, hand.high + 1e-9))
@@ -100,19 +105,19 @@ def presses(hand: Hand, q: Array, fingers: tuple[int, ...], apart: float | None)
     tips = hand.tips(q)
     pressing = tips[list(fingers)]
     errors = np.stack([pressing[:, 0] - PRESS_X, pressing[:, 2] - PRESSED_Z])
-    off = 0.0 if apart is None else abs(pressing[-1, 1] - pressing[0, 1] - apart)
+    off = 0.0 if apart is None else abs(distance(hand, pressing) - apart)
     clear = all(tips[f, 2] > CLEAR_Z - TOLERANCE for f in ALL if f not in fingers)
     return bool(np.abs(errors).max() < TOLERANCE and off < TOLERANCE and clear)
 
 
-def extreme(hand: Hand, pair: tuple[int, int], q: Array, apart: float, step: float) -> float:
-    """The last distance from `apart` on, in steps, at which both fingers of a pair press."""
+def extreme(hand: Hand, fingers: tuple[int, ...], q: Array, apart: float, step: float) -> float:
+    """The last distance from `apart` on, in steps, at which `fingers` press."""
     rng = np.random.default_rng(0)
     while True:
         for attempt in range(STARTS):
             start = q if not attempt else rng.uniform(hand.low, hand.high)
-            found = posture(hand, pair, apart + step, start)
-            if presses(hand, found, pair, apart + step):
+            found = posture(hand, fingers, apart + step, start)
+            if presses(hand, found, fingers, apart + step):
                 q, apart = found, apart + step
                 break
         else:
@@ -123,17 +128,17 @@ def main() -> None:
     hand = Hand()
     middle = (hand.low + hand.high) / 2
     q = posture(hand, tuple(ALL), None, middle)
+    assert presses(hand, q, tuple(ALL), None)
     tips = hand.tips(q)
-    print("all five press:", presses(hand, q, tuple(ALL), None))
-    print("joints:", dict(zip(hand.free, q.round(2).tolist(), strict=True)))
-    offsets = tips[:, 1] - hand.forearm_y(q)
-    print("REST", offsets.round(4).tolist(), flush=True)
-    for pair in combinations(ALL, 2):
-        apart = float(tips[pair[1], 1] - tips[pair[0], 1])
-        start = posture(hand, pair, apart, q)
-        least = extreme(hand, pair, start, apart, -STEP)
-        most = extreme(hand, pair, start, apart, STEP)
-        print(pair, f"least {least:.3f}  comfortable {apart:.3f}  most {most:.3f}", flush=True)
+    offsets = tips[:, 1] - hand.forearm_y()
+    print("all five press in a light posture, from the forearm:", offsets.round(4).tolist())
+    print("distances of two fingers, or of one from the forearm [m]:")
+    for fingers in [*combinations(ALL, 1), *combinations(ALL, 2)]:
+        hand.tips(q)
+        apart = distance(hand, tips[list(fingers)])
+        start = posture(hand, fingers, apart, q)
+        least, most = (extreme(hand, fingers, start, apart, step) for step in (-STEP, STEP))
+        print(fingers, f"least {least:.3f}  at rest {apart:.3f}  most {most:.3f}", flush=True)
 
 
 if __name__ == "__main__":

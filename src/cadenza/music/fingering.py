@@ -13,7 +13,7 @@ Hard limits, of these hands on this keyboard:
 - a finger stays on its key as long as the note sounds; notes with less than `LETTING_GO` left
   when others begin count as over.
 
-Costs, about 1 for something worth avoiding once (see `_WEIGHTS`):
+Costs, about 1 for something worth avoiding once:
 
 - stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
 - moving the hand along the keyboard: by the way, and by its square over the time there is;
@@ -60,27 +60,34 @@ MOST = np.array(
 )
 """(5, 5) the greatest distances of two fingers that press, the first nearer the thumb."""
 LEAST = 0.0115 * np.maximum(np.arange(5) - np.arange(5)[:, None], 0)
-"""(5, 5) the least: fingers side by side, on neighbouring keys. (Alone, all pairs come closer.)"""
+"""(5, 5) the least: fingers side by side on neighbouring keys, which all pairs can reach."""
+
+OUTWARD = np.array([0.092, 0.084, 0.060, 0.037, 0.018])
+"""(5,) how far to the right of a fingertip that presses the forearm can be."""
 
 LETTING_GO = 0.05  # [s] one control step
 TOGETHER = 0.03  # [s] notes that begin within this time begin together
 _HOME = 0.15  # [m] from the keyboard's middle, where the forearms are mounted
-_APART = 0.12  # [m] forearms cannot be nearer, with both hands turned outwards
+_APART = 0.149  # [m] forearms touch when they are nearer: twice their radius
 _AT_EASE = 0.18  # [m] from here on the forearms do not mind each other
-_STANDS = np.linspace(-0.6, 0.6, 26)  # [m] where a hand without notes can be
+# Where a hand without notes can be [m]: there is always room for it beyond the other.
+_STANDS = np.linspace(-0.75, 0.75, 32)
 _ELSEWHERE = np.array([10.0])  # [m] where a hand that is not there is
 _NO_FINGER = 5  # in place of a finger: not played by this hand
 _NEVER = 1e9
 
 _STRETCH = 1.0
-_WAY = 4.0  # [1 / m]
+_WAY = 8.0  # [1 / m]
 _SPEED = 3.0  # [s / m^2]: 1 for 0.3 m in 0.25 s
 _SAME_FINGER, _TIME_TO_MOVE = 2.0, 0.15  # [s] to lift, move and press
-_CROSSING, _TIME_TO_CROSS = 1.0, 0.3  # [s]
+_CROSSING, _TIME_TO_CROSS = 0.5, 0.3  # [s]
 _OTHER_FINGER = 1.0
 _ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2, 0.0])
 _WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1, 0.0])
-_CLOSE = 1.0
+_CLOSE = 100.0  # [1 / m^2]
+
+
+_WHOSE = {"both": "both hands", "right": "the right hand", "left": "the left hand"}
 
 
 class Dropped(NamedTuple):
@@ -92,10 +99,18 @@ class Dropped(NamedTuple):
 
 @dataclass(frozen=True)
 class Solution:
-    """The fingers of all notes of a score, the notes dropped, and what the fingers cost."""
+    """What a search found.
+
+    Attributes:
+        score: with a finger on every note that is played.
+        dropped: what is not played.
+        unheeded: notes whose given fingers contradict others, or these hands; they are kept.
+        cost: of all fingers but the unheeded.
+    """
 
     score: Score
     dropped: tuple[Dropped, ...]
+    unheeded: tuple[Note, ...]
     cost: float
 
 
@@ -115,25 +130,34 @@ def find_fingering(score: Score, hands: Hands = "both") -> tuple[Score, tuple[Dr
 
 
 def solve(score: Score, hands: Hands = "both") -> Solution:
-    """As `find_fingering`, with the cost; of a score with all fingers it is that of its own."""
+    """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
     sides = [_STANDS if hands in ("both", side) else _ELSEWHERE for side in ("right", "left")]
     moments = [_beginning(sides)]
     reasons: dict[int, str] = {}
+    fingers: dict[int, int] = {}
+    unheeded: list[int] = []
     for time, begin in _onsets(score):
         moment, left_out = _next_moment(moments[-1], time, begin, sides)
         moments.append(moment)
         for press, reason in left_out:
             if press.finger == UNKNOWN_FINGER:
                 reasons |= dict.fromkeys(press.notes, reason)
-    fingers = dict(_trace_back(moments))
+            else:
+                fingers |= dict.fromkeys(press.notes, press.finger)
+                unheeded += press.notes
+    fingers |= _cheapest(moments)
     notes = tuple(
         replace(note, finger=fingers.get(i, UNKNOWN_FINGER))
         if note.finger == UNKNOWN_FINGER
         else note
         for i, note in enumerate(score.notes)
     )
-    dropped = tuple(Dropped(notes[i], reasons[i]) for i in sorted(reasons))
-    return Solution(replace(score, notes=notes), dropped, float(moments[-1].cost.min()))
+    return Solution(
+        score=replace(score, notes=notes),
+        dropped=tuple(Dropped(notes[i], f"{reasons[i]} {_WHOSE[hands]}") for i in sorted(reasons)),
+        unheeded=tuple(notes[i] for i in sorted(unheeded)),
+        cost=float(moments[-1].cost.min()),
+    )
 
 
 # What is pressed when
@@ -202,6 +226,7 @@ class _Shapes:
     count (S,)          notes played
     mean (S, m)         weights that give the mean of the notes played
     rest (S,)           the mean of their fingers' offsets from the forearm [m]
+    outward (S, m)      how far beyond each note the forearm can be [m]
     least, ease, most (S, P)    of the distances between the notes of each pair [m]
     """
 
@@ -210,6 +235,7 @@ class _Shapes:
     count: NDArray[np.intp]
     mean: Array
     rest: Array
+    outward: Array
     first: NDArray[np.intp]
     second: NDArray[np.intp]
     least: Array
@@ -232,13 +258,13 @@ def _shapes(m: int) -> _Shapes:
     weights = played / np.maximum(count, 1)[:, None]
     first, second = np.triu_indices(m, 1)
     pair = fingers[:, first], fingers[:, second]
-    rest = np.append(REST, 0.0)
     return _Shapes(
         fingers=fingers,
         one_hot=np.eye(6)[fingers].reshape(len(sets), 6 * m),
         count=count,
         mean=weights,
-        rest=(weights * rest[fingers]).sum(axis=1),
+        rest=(weights * np.append(REST, 0.0)[fingers]).sum(axis=1),
+        outward=np.append(OUTWARD, 10.0)[fingers],
         first=first,
         second=second,
         least=_with_no_finger(LEAST, -10.0)[pair],
@@ -258,7 +284,8 @@ class _States:
     fingers: NDArray[np.intp]  # (S, m)
     one_hot: Array  # (S, 6 m)
     count: NDArray[np.intp]  # (S,)
-    centre: Array  # (S,) where the forearm is [m]
+    centre: Array  # (S,) where the forearm is when the fingers are at rest [m]
+    outmost: Array  # (S,) where it can be on the side of the little finger [m]
     cost: Array  # (S,)
 
 
@@ -277,12 +304,13 @@ def _states(y: Array, wanted: Array, stands: Array) -> _States:
         able[:] = False
     rows = np.append(np.flatnonzero(able), np.full(len(stands), len(able) - 1))
     centre = shapes.mean @ y - shapes.rest
-    cost[-1] = min(cost[-1], 2 * _NEVER)
+    outmost = (y + shapes.outward).min(axis=1, initial=10.0)
     return _States(
         fingers=shapes.fingers[rows],
         one_hot=shapes.one_hot[rows],
         count=shapes.count[rows],
         centre=np.append(centre[able], stands),
+        outmost=np.append(outmost[able], stands),
         cost=cost[rows],
     )
 
@@ -327,13 +355,13 @@ def _next_moment(
     most = 5 * sum(side is _STANDS for side in sides)
     if len(held) + len(begin) <= most:
         moment = _moment(before, time, [*held, *begin], sides)
-        if moment.cost.size and moment.cost.min() < _NEVER:
+        if moment.cost.min() < _NEVER:
             return moment, []
     moment = _moment(before, time, held, sides)
     left_out = []
     for press in _outer_first(begin, held):
         if len(moment.presses) == most:
-            left_out.append((press, f"more than {most} notes at once"))
+            left_out.append((press, f"more than {most} notes at once for"))
             continue
         tried = _moment(before, time, [*moment.presses, press], sides)
         if tried.cost.min() < _NEVER:
@@ -346,8 +374,8 @@ def _next_moment(
 def _reason(moment: _Moment) -> str:
     right, left = (set(hand.count[hand.cost < _NEVER].tolist()) for hand in moment.hands)
     if not any(len(moment.presses) - count in left for count in right):
-        return "out of reach of the hands along with the other notes"
-    return "no hand is free to get there while it holds other notes"
+        return "with the notes around it out of reach of"
+    return "too far from what is held by"
 
 
 def _moment(
@@ -440,20 +468,23 @@ def _transition(before: _States, now: _States, change: Array, seconds: float) ->
 
 def _closeness(right: _States, left: _States) -> Array:
     """(R, L) what it costs that the forearms are near each other."""
-    apart = right.centre[:, None] + left.centre
-    near = np.maximum((_AT_EASE - apart) / (_AT_EASE - _APART), 0.0)
-    return np.where(apart < _APART, _NEVER, _CLOSE * near**2)
+    near = np.maximum(_AT_EASE - (right.centre[:, None] + left.centre), 0.0)
+    touch = right.outmost[:, None] + left.outmost < _APART
+    return _CLOSE * near**2 + _NEVER * touch
 
 
-def _trace_back(moments: Sequence[_Moment]) -> Iterator[tuple[int, int]]:
-    """(index, finger) of the notes on the cheapest way."""
+def _cheapest(moments: Sequence[_Moment]) -> dict[int, int]:
+    """Index of each note played -> its finger, on the cheapest way."""
+    fingers: dict[int, int] = {}
     last = moments[-1].cost
-    right, left = divmod(int(last.argmin()), last.shape[1])
+    state = np.unravel_index(last.argmin(), last.shape)
     for moment in reversed(moments[1:]):
-        for side, state in enumerate((right, left)):
-            presses = moment.presses[:: 1 - 2 * side]
-            for press, finger in zip(presses, moment.hands[side].fingers[state], strict=True):
+        for side, (hand, s) in enumerate(zip(moment.hands, state, strict=True)):
+            presses = moment.presses if side == 0 else moment.presses[::-1]
+            for press, finger in zip(presses, hand.fingers[s].tolist(), strict=True):
                 if finger != _NO_FINGER:
-                    yield from ((note, 5 * side + int(finger)) for note in press.notes)
-        right = int(moment.right_before[right, left])
-        left = int(moment.left_before[right, left])
+                    fingers |= dict.fromkeys(press.notes, 5 * side + finger)
+        right, left = state
+        right_before = moment.right_before[right, left]
+        state = (right_before, moment.left_before[right_before, left])
+    return fingers
