@@ -1,0 +1,107 @@
+"""Compares the fingers that Cadenza finds with those written beside the bundled pieces.
+
+    python tools/compare_fingering.py                                       # ours
+    python tools/compare_fingering.py path/to/bin/python OdeToJoy MinuetInG # and pianoplayer's
+
+The second form wants the Python of an environment with pianoplayer (pip install
+'pianoplayer[midi]'), which is told the hand of every note, as it does not choose hands, and takes
+up to minutes a piece.
+
+`hand` and `finger` are the shares of notes with the same hand and finger as written, `cost` what
+a fingering costs by `cadenza.music.fingering`, and `against` how many of its notes break what that
+takes for possible (they are left out of the cost).
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import mido
+
+from cadenza.music.fingering import solve
+from cadenza.music.library import load_score, songs
+from cadenza.music.score import UNKNOWN_FINGER, Note, Score
+
+
+def main() -> None:
+    pianoplayer, *names = sys.argv[1:] or [None]
+    print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)")
+    for name in names or [piece.name for piece in songs()]:
+        written = load_score(name)
+        bare = tuple(replace(note, finger=UNKNOWN_FINGER) for note in written.notes)
+        found = solve(replace(written, notes=bare)).score
+        row = f"{name:31} {len(bare):5} {_cost(written)}   {_agreement(written, found)}"
+        if pianoplayer:
+            begin = time.perf_counter()
+            row += f"   pianoplayer: {_agreement(written, _by_pianoplayer(pianoplayer, written))}"
+            row += f", {time.perf_counter() - begin:.0f} s"
+        print(row, flush=True)
+
+
+def _agreement(written: Score, found: Score) -> str:
+    pairs = [(a.finger, b.finger) for a, b in zip(written.notes, found.notes, strict=True)]
+    hand = sum(a // 5 == b // 5 for a, b in pairs) / len(pairs)
+    finger = sum(a == b for a, b in pairs) / len(pairs)
+    return f"{hand:4.2f} {finger:4.2f} {_cost(found)}"
+
+
+def _cost(score: Score) -> str:
+    """Cost of a fingering, and how many of its notes are against the limits."""
+    solution = solve(score)
+    return f"{solution.cost:6.1f} ({len(solution.unheeded)})"
+
+
+def _by_pianoplayer(python: str, written: Score) -> Score:
+    """The fingers of pianoplayer, -1 where it gives none."""
+    sides = sorted({note.finger // 5 for note in written.notes})
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "given.mid", Path(folder) / "found.txt"
+        _write_a_track_a_hand(written, sides, given)
+        hands = [] if len(sides) == 2 else [("--right-only", "--left-only")[sides[0]]]
+        options = ["--quiet", "--sound-off", "--chord-note-stagger-s", "0", *hands]
+        subprocess.run(
+            [python, "-m", "pianoplayer.cli", given, "-o", found, *options],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        rows = [line.split() for line in found.read_text().splitlines()]
+    fingers = {
+        (float(start), int(pitch)): abs(int(finger)) - 1 + 5 * int(channel)
+        for _, start, _, pitch, _, _, channel, finger, *_ in rows
+        if int(finger)
+    }
+
+    def finger(note: Note) -> int:
+        near = (
+            f
+            for (start, p), f in fingers.items()
+            if p == note.pitch and abs(start - note.start) < 0.01
+        )
+        return next(near, UNKNOWN_FINGER)
+
+    notes = tuple(replace(note, finger=finger(note)) for note in written.notes)
+    return replace(written, notes=notes)
+
+
+def _write_a_track_a_hand(score: Score, sides: list[int], path: Path) -> None:
+    midi = mido.MidiFile(ticks_per_beat=480)  # 960 ticks a second
+    for side in sides:
+        notes = [note for note in score.notes if note.finger // 5 == side]
+        events = [(round(960 * n.start), 1, n.pitch) for n in notes]
+        events += [(round(960 * n.end), 0, n.pitch) for n in notes]
+        track, now = mido.MidiTrack(), 0
+        for tick, on, pitch in sorted(events):
+            kind = "note_on" if on else "note_off"
+            track.append(mido.Message(kind, note=pitch, channel=side, time=tick - now))
+            now = tick
+        midi.tracks.append(track)
+    midi.save(path)
+
+
+if __name__ == "__main__":
+    main()
