@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
 from cadenza.model.scene import Scene, build_scene
 from cadenza.sim.simulation import Simulation, State
 
@@ -102,6 +103,32 @@ def test_copies_the_state_of_another(scene: Scene) -> None:
     for _ in range(5):
         copies.step(np.tile(ctrl, (3, 1)))
     assert_array_equal(copies.state.key_qpos[2], original.state.key_qpos[0])
+
+
+@pytest.mark.parametrize("sleeping", [False, True])
+def test_another_scene_goes_on_from_a_physics_state(sleeping: bool) -> None:
+    """To the bit where keys never sleep, and closely where they did."""
+    waking = build_scene(SceneConfig(sleeping_keys=False))
+    original = Simulation(build_scene(SceneConfig(sleeping_keys=sleeping)))
+    for ctrl in controls(waking, 1):
+        original.step(ctrl)
+    others = Simulation(waking, 2)
+    others.set_physics_state(original.physics_state(0))
+    for ctrl in list(controls(waking, 1, seed=5))[:2]:
+        original.step(ctrl)
+        others.step(np.tile(ctrl, (2, 1)))
+    for expected, found in zip(original.state, others.state, strict=True):
+        np.testing.assert_allclose(found[1], expected[0], rtol=0, atol=1e-3 * sleeping)
+
+
+def test_coordinates_are_those_of_keys_and_hands(scene: Scene) -> None:
+    simulation = Simulation(scene, 2)
+    for ctrl in controls(scene, 2):
+        simulation.step(ctrl)
+    positions, velocities = np.split(simulation.coordinates(), 2, axis=1)
+    assert_array_equal(positions[:, scene.key_qpos], simulation.state.key_qpos)
+    assert_array_equal(positions[:, scene.hand_qpos], simulation.state.hand_qpos)
+    assert_array_equal(velocities[:, scene.hand_qvel], simulation.state.hand_qvel)
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])

@@ -17,6 +17,8 @@ from cadenza.model.scene import Scene
 
 Array = NDArray[np.float64]
 
+PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
 _LOG = logging.getLogger(__name__)
 # Bad positions, velocities, accelerations and controls are neighbours among MuJoCo's warnings.
 _UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -233,6 +235,30 @@ class Simulation:
             mujoco.mj_copyData(data, self.scene.model, source)
             self._counted[i] = other._counted[env_id]
             self._read(i, self.state, i)
+
+    def physics_state(self, env_id: int) -> Array:
+        """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
+        model = self.scene.model
+        state = np.empty(mujoco.mj_stateSize(model, PHYSICS_STATE))
+        mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
+        return state
+
+    def set_physics_state(self, state: Array) -> None:
+        """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
+
+        That state may be of another scene, which differs from this one in sleeping keys only.
+        """
+        self.state = self._blank(self.num_envs)
+        for i, data in enumerate(self._data):
+            mujoco.mj_resetData(self.scene.model, data)
+            mujoco.mj_setState(self.scene.model, data, state, PHYSICS_STATE)
+            mujoco.mj_step1(self.scene.model, data)
+            self._counted[i] = False
+            self._read(i, self.state, i)
+
+    def coordinates(self) -> Array:
+        """(N, 2 V) positions and velocities of all V joints, keys and hands, in MuJoCo's order."""
+        return np.array([np.concatenate([data.qpos, data.qvel]) for data in self._data])
 
     def close(self) -> None:
         """Stops the threads."""

@@ -19,10 +19,10 @@ _LOG_VALUE_AT_MARGIN = np.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
 _FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
 _SOUNDS_FROM = KEY_TRAVEL - SOUND_TOLERANCE  # [rad]
-# Where on a key a finger is wanted, from the centre of its box.
-_PRESS_OFFSET = np.stack(
+PRESS_OFFSET = np.stack(
     [0.35 * KEY_HALF_SIZE[:, 0], np.zeros(len(KEY_HALF_SIZE)), 0.5 * KEY_HALF_SIZE[:, 2]], axis=1
 )
+"""(88, 3) where on a key a finger is wanted, from the centre of its box [m]."""
 
 
 def tolerance(x: Array, bound: float, margin: float) -> Array:
@@ -73,7 +73,7 @@ def finger_distances(
         distance (P,) [m].
     """
     env, key = (fingers >= 0).nonzero()
-    offset = fingertips[env, fingers[env, key]] - key_xpos[env, key] - _PRESS_OFFSET[key]
+    offset = fingertips[env, fingers[env, key]] - key_xpos[env, key] - PRESS_OFFSET[key]
     return env, np.sqrt(np.vecdot(offset, offset))
 
 
@@ -88,7 +88,7 @@ def transport_distances(
     envs, distances = [np.zeros(0, np.intp)], [np.zeros(0)]
     for env in np.flatnonzero(goal.any(axis=1)):
         key = np.flatnonzero(goal[env])
-        offsets = fingertips[env][:, None] - key_xpos[env, key] - _PRESS_OFFSET[key]
+        offsets = fingertips[env][:, None] - key_xpos[env, key] - PRESS_OFFSET[key]
         distance = np.sqrt((offsets**2).sum(axis=-1))
         assigned = distance[linear_sum_assignment(distance)]
         envs.append(np.full(len(assigned), env))

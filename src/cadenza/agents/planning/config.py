@@ -21,3 +21,21 @@ class PredictiveSamplingConfig:
     """How often its cost is counted [s]."""
     iterations: int = 1
     """How many times a control step draws and compares plans."""
+
+
+@dataclass(frozen=True)
+class ILQGConfig:
+    """iLQG, the planner with derivatives; the defaults are the paper's where it has any."""
+
+    horizon: float = 0.2
+    """How far a plan looks ahead [s]; a whole number of control steps."""
+    planning_timestep: float = 0.01
+    """How often its cost is counted [s]; a control step holds a whole number of them."""
+    iterations: int = 1
+    """How many times a control step improves the plan."""
+    num_step_sizes: int = 10
+    """Step sizes compared at a time, spaced evenly on a logarithmic scale from 1 to 0.001."""
+    control_weight: float = 1e-2
+    """Weight of the squared distance of servos from rest, in half ranges."""
+    centred: bool = False
+    """Centred finite differences, which take twice the time of forward ones."""

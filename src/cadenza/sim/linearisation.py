@@ -1,0 +1,160 @@
+"""Derivatives of the simulation by finite differences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.model.piano import NUM_KEYS
+from cadenza.model.scene import Scene
+from cadenza.sim.simulation import PHYSICS_STATE
+
+Array = NDArray[np.float64]
+
+EPSILON = 1e-8
+"""Of the finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch
+so often that at 1e-6 the derivatives over a control step are wrong by up to half."""
+
+
+class Linearisation(NamedTuple):
+    """K control steps looked at P times each, and how what is seen there depends on small changes.
+
+    V joints of keys and hands, A actuators.
+    """
+
+    jacobian: Array
+    """(K, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of
+    the control step, and by the control that is held through it."""
+    key_qpos: Array
+    """(K, P, 88) joint angles of the keys [rad]."""
+    key_xpos: Array
+    """(K, P, 88, 3) centres of the keys' boxes in the world [m]."""
+    key_jacobian: Array
+    """(K, P, 88, 3) their derivatives by the key's own joint [m/rad]."""
+    fingertip_xpos: Array
+    """(K, P, 10, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    fingertip_jacobian: Array
+    """(K, P, 10, 3, V) their derivatives by the joints."""
+
+
+class Lineariser:
+    """Linearises a scene along a trajectory.
+
+    A control is held through a control step of many physics steps. Each physics step is
+    differentiated by `mujoco.mjd_transitionFD`, on a pool of threads with an `MjData` for each, and
+    the products of these matrices give the derivatives over the control step. So the results are
+    the same bits for any number of threads.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_steps: int,
+        num_looks: int,
+        num_substeps: int,
+        num_threads: int = 1,
+        centred: bool = False,
+    ) -> None:
+        """Args:
+            scene: what to linearise; its keys must not sleep.
+            num_steps: K, control steps.
+            num_looks: P, how many times a control step is looked at, evenly, last at its end.
+            num_substeps: physics steps from one look to the next.
+            num_threads: how many threads share the work.
+            centred: whether differences are centred, which takes twice the time of forward ones.
+
+        Raises:
+            CadenzaError: the keys of the scene can sleep.
+        """
+        if scene.config.sleeping_keys:
+            raise CadenzaError(
+                "MuJoCo has no derivatives where keys sleep: choose sleeping_keys=False"
+            )
+        self.scene = scene
+        self._shape, self._num_substeps = (num_steps, num_looks), num_substeps
+        total = num_steps * num_looks * num_substeps
+        self._data = [mujoco.MjData(scene.model) for _ in range(total)]
+        self._ahead = mujoco.MjData(scene.model)
+        self._pool, self._centred = ThreadPoolExecutor(num_threads), centred
+
+    def linearise(self, state: Array, ctrl: Array) -> Linearisation:
+        """Args:
+        state: (S,) where to begin, as `Simulation.physics_state` returns it.
+        ctrl: (K, A) in actuator units, held for a control step each.
+        """
+        seen = self._roll_out(state, ctrl)
+        transitions = np.array(list(self._pool.map(self._differentiate, self._data)))
+        steps = np.split(transitions, self._shape[0])
+        return seen._replace(jacobian=np.array([self._chain(step) for step in steps]))
+
+    def _blank(self) -> Linearisation:
+        model, shape = self.scene.model, self._shape
+        return Linearisation(
+            jacobian=np.empty(0),
+            key_qpos=np.empty((*shape, NUM_KEYS)),
+            key_xpos=np.empty((*shape, NUM_KEYS, 3)),
+            key_jacobian=np.empty((*shape, NUM_KEYS, 3)),
+            fingertip_xpos=np.zeros((*shape, 10, 3)),
+            fingertip_jacobian=np.zeros((*shape, 10, 3, model.nv)),
+        )
+
+    def _roll_out(self, state: Array, ctrl: Array) -> Linearisation:
+        """Leaves in `_data` where each physics step begins; returns what is seen at the looks."""
+        model, data, seen = self.scene.model, self._ahead, self._blank()
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_setState(model, data, state, PHYSICS_STATE)
+        beginnings = iter(self._data)
+        for step, look in np.ndindex(self._shape):
+            data.ctrl = ctrl[step]
+            for _ in range(self._num_substeps):
+                _copy_state(model, data, next(beginnings))
+                mujoco.mj_step(model, data)
+            self._look(seen, (step, look))
+        return seen
+
+    def _look(self, seen: Linearisation, row: tuple[int, int]) -> None:
+        model, data, scene = self.scene.model, self._ahead, self.scene
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        keys = scene.key_qpos  # as all joints have one coordinate, these are their joints too
+        seen.key_qpos[row] = data.qpos[keys]
+        seen.key_xpos[row] = data.geom_xpos[scene.key_geoms]
+        lever = seen.key_xpos[row] - data.xanchor[keys]
+        seen.key_jacobian[row] = np.cross(data.xaxis[keys], lever)
+        seen.fingertip_xpos[row][scene.fingers] = data.site_xpos[scene.fingertip_sites]
+        for finger, site in zip(scene.fingers, scene.fingertip_sites, strict=True):
+            mujoco.mj_jacSite(model, data, seen.fingertip_jacobian[row][finger], None, site)
+
+    def _differentiate(self, data: Any) -> Array:
+        """(2 V, 2 V + A) derivatives of one physics step."""
+        model = self.scene.model
+        by_state = np.empty((2 * model.nv, 2 * model.nv))
+        by_ctrl = np.empty((2 * model.nv, model.nu))
+        mujoco.mjd_transitionFD(model, data, EPSILON, self._centred, by_state, by_ctrl, None, None)
+        return np.concatenate([by_state, by_ctrl], axis=1)
+
+    def _chain(self, transitions: Array) -> Array:
+        """(P, 2 V, 2 V + A) of a control step, from those of its physics steps."""
+        return np.array(list(_products(transitions))[self._num_substeps - 1 :: self._num_substeps])
+
+
+def _products(transitions: Array) -> Iterator[Array]:
+    """Derivatives of each state by the first and by the control that is held all the time."""
+    size = transitions.shape[1]
+    product = np.eye(*transitions.shape[1:])
+    for transition in transitions:
+        product = transition[:, :size] @ product
+        product[:, size:] += transition[:, size:]
+        yield product
+
+
+def _copy_state(model: Any, source: Any, target: Any) -> None:
+    state = np.empty(mujoco.mj_stateSize(model, PHYSICS_STATE))
+    mujoco.mj_getState(model, source, state, PHYSICS_STATE)
+    mujoco.mj_setState(model, target, state, PHYSICS_STATE)
