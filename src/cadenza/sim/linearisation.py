@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 EPSILON = 1e-8
 """Of the finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch
-so often that at 1e-6 the derivatives over a control step are wrong by up to half."""
+so often that at 1e-6 the derivatives over a control step can be wrong by their own size."""
 
 
 class Linearisation(NamedTuple):

@@ -47,9 +47,9 @@ class ILQG:
     A plan is a control for each control step of the horizon, held as the task holds it; the cost is
     counted at every planning step on the way, with derivatives over the part of the control step
     that lies behind. It is the cost of predictive sampling with smooth norms, sqrt(r'r + p^2) - p
-    instead of |r|, and a little for controls far from rest. Its Gauss-Newton approximation takes
-    the present norms as weights of squares (iteratively reweighted least squares). The pedal
-    follows the score. Nothing is random.
+    instead of |r|, and control_weight / 2 times the squared distance of controls from rest. Its
+    Gauss-Newton approximation takes the present norms as weights of squares (iteratively reweighted
+    least squares). The pedal follows the score. Nothing is random.
 
     Attributes:
         seconds: wall-clock time spent since the reset in "derivatives", "backward pass" and
