@@ -99,6 +99,11 @@ KEY_CENTRE: NDArray[np.float64] = np.stack(
 )
 
 
+def holding_torque(key: int) -> float:
+    """What holds the key at its stop against its spring [N m]."""
+    return float(_STIFFNESS * (KEY_TRAVEL[key] - _SPRING_REFERENCE))
+
+
 def key_name(key: int) -> str:
     """Name of the key's body; its joint and geom carry the same name."""
     return f"{'black' if IS_BLACK[key] else 'white'}_key_{key}"

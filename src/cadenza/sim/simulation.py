@@ -236,6 +236,24 @@ class Simulation:
             self._counted[i] = other._counted[env_id]
             self._read(i, self.state, i)
 
+    def place(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
+        """Puts the joints of every simulation of this batch here, with the keys at rest.
+
+        Args:
+            hand_qpos: (J,) [m, rad].
+            hand_qvel: (J,) [m/s, rad/s].
+            key_qpos: (88,) [rad].
+        """
+        self.state = self._blank(self.num_envs)
+        for i, data in enumerate(self._data):
+            mujoco.mj_resetData(self.scene.model, data)
+            data.qpos[self.scene.hand_qpos] = hand_qpos
+            data.qvel[self.scene.hand_qvel] = hand_qvel
+            data.qpos[self.scene.key_qpos] = key_qpos
+            mujoco.mj_step1(self.scene.model, data)
+            self._counted[i] = False
+            self._read(i, self.state, i)
+
     def physics_state(self, env_id: int) -> Array:
         """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
         model = self.scene.model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -39,3 +40,22 @@ class ILQGConfig:
     """Weight of the squared distance of servos from rest, in half ranges."""
     centred: bool = False
     """Centred finite differences, which take twice the time of forward ones."""
+
+
+SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
+
+
+@dataclass(frozen=True)
+class ScorePlannerConfig:
+    """Inverse kinematics of the whole song, refined by sampling around it."""
+
+    fingering: Literal["found", "score"] = "found"
+    """Which fingers play: those that suit these hands, or as far as it says those of the score."""
+    method: SamplingMethod | Literal["none"] = "predictive-sampling"
+    """How the plan is refined; with none, it is played as it is, with feedback."""
+    num_candidates: int = 16
+    """Plans compared at a time, for each hand, where what is planned goes wrong."""
+    iterations: int = 1
+    """How many times they are drawn and compared."""
+    horizon: float = 0.25
+    """How far a plan looks ahead [s]."""

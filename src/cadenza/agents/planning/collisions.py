@@ -1,0 +1,92 @@
+"""Keeps fingers out of each other: how far their links overlap, and how that changes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+# Radii of the capsules that collide, proximal to distal link [m]; see `model.shadow_hand`.
+_FINGER_RADII = (0.009, 0.009, 0.0067)
+_THUMB_RADII = (0.0105, 0.009, 0.0082)
+_CLEARANCE = 0.0015  # [m]
+
+
+class LinkCollisions:
+    """Pairs of links, of the F fingers of one hand or two, that could meet.
+
+    Neighbouring fingers, the thumb and the two fingers next to it, and thumbs and forefingers of
+    both hands; not the proximal links of neighbours, which are mounted far enough apart.
+    """
+
+    def __init__(self, num_fingers: int) -> None:
+        pairs = [
+            ((base + a, i), (base + b, j))
+            for base in range(0, num_fingers, 5)
+            for a, b in ((1, 2), (2, 3), (3, 4), (0, 1), (0, 2))
+            for i in range(3)
+            for j in range(3)
+            if (i or j if a else i)
+        ]
+        if num_fingers == 10:
+            pairs += [
+                ((a, i), (b, j)) for a in (0, 1) for b in (5, 6) for i in (1, 2) for j in (1, 2)
+            ]
+        table = np.array(pairs)  # (C, 2, 2)
+        self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
+        self._least = _radius(*self._a) + _radius(*self._b) + _CLEARANCE
+
+    def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, Array]:
+        """How much nearer than allowed links are, as negative lengths, and zero where they are not.
+
+        Args:
+            points: (S, F, 4, 3) of the fingers [m].
+            jacobian: (S, F, 4, 3, A).
+
+        Returns:
+            (S, C) [m] and their Jacobian (S, C, A).
+        """
+        a0, a1 = _ends(points, self._a)
+        b0, b1 = _ends(points, self._b)
+        s, t = _closest(a0, a1, b0, b1)
+        gap = a0 + s[..., None] * (a1 - a0) - b0 - t[..., None] * (b1 - b0)
+        distance = np.sqrt((gap**2).sum(axis=-1)) + 1e-9
+        overlap = np.minimum(distance - self._least, 0.0)
+        slope = np.zeros((*overlap.shape, jacobian.shape[-1]))
+        row, pair = np.nonzero(overlap)
+        s, t = s[row, pair, None, None], t[row, pair, None, None]
+        ends = [
+            jacobian[row, finger[pair], link[pair] + k]
+            for finger, link in (self._a, self._b)
+            for k in (0, 1)
+        ]
+        approach = (1 - s) * ends[0] + s * ends[1] - (1 - t) * ends[2] - t * ends[3]
+        normal = gap[row, pair] / distance[row, pair, None]
+        slope[row, pair] = np.einsum("nk,nka->na", normal, approach)
+        return overlap, slope
+
+
+def _radius(finger: Ids, link: Ids) -> Array:
+    thumb = finger % 5 == 0
+    return np.where(thumb, np.array(_THUMB_RADII)[link], np.array(_FINGER_RADII)[link])
+
+
+def _ends(points: Array, links: tuple[Ids, Ids]) -> tuple[Array, Array]:
+    finger, link = links
+    return points[:, finger, link], points[:, finger, link + 1]
+
+
+def _closest(a0: Array, a1: Array, b0: Array, b1: Array) -> tuple[Array, Array]:
+    """Where segments are nearest to each other, as fractions (...) of their lengths.
+
+    Ericson, Real-Time Collision Detection (2005), 5.1.9; parallel ones anywhere.
+    """
+    along_a, along_b, between = a1 - a0, b1 - b0, a0 - b0
+    aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
+    ab = np.vecdot(along_a, along_b)
+    da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
+    s = np.clip((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, 1e-12), 0.0, 1.0)
+    t = np.clip((ab * s + db) / bb, 0.0, 1.0)
+    return np.clip((ab * t - da) / aa, 0.0, 1.0), t

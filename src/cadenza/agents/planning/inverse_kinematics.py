@@ -1,0 +1,235 @@
+"""Postures of the hands for a whole song, as one sparse least-squares problem.
+
+The unknowns are all postures at once. Every residual belongs to one posture (fingertips in their
+boxes, fingers out of each other, forearms apart, joints near rest) or to three in a row (smooth
+motion), so that the normal equations are banded, and a Gauss-Newton step costs a time linear in
+the song's length. Levenberg-Marquardt damping is kept for each posture by itself: one that is hard
+to find does not hold up the others.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from cadenza.agents.planning.collisions import LinkCollisions
+from cadenza.agents.planning.targets import Targets
+from cadenza.model.kinematics import TIP, Kinematics
+from cadenza.model.servos import Servos
+
+Array = NDArray[np.float64]
+
+
+class Comfort(NamedTuple):
+    """How a servo is at ease: where it rests, and what counts as one away from that [m, rad].
+
+    `change` is that of the second difference from step to step, `stride` the most that an
+    iteration moves it.
+    """
+
+    rest: float = 0.0
+    sigma: float = 0.5
+    change: float = 0.4
+    stride: float = 0.4
+
+
+_STIFF = Comfort(sigma=0.05, change=0.05, stride=0.05)  # whatever the paper's action space lacks
+_COMFORT = {
+    "forearm_tx": Comfort(0.0, 1000.0, 0.005, 0.05),
+    "forearm_ty": Comfort(0.01, 0.05, 0.02, 0.05),
+    "WRJ2": Comfort(0.0, 0.3, 0.1),
+    "WRJ1": Comfort(-0.05, 0.3, 0.1),
+    "THJ4": Comfort(0.72),
+    "THJ3": Comfort(0.15),
+    "THJ2": Comfort(0.38),
+    "FFJ4": Comfort(-0.1),
+    "FFJ3": Comfort(0.75),
+    "FFJ0": Comfort(1.2, 0.8, 0.8),
+    "MFJ4": Comfort(-0.05),
+    "MFJ3": Comfort(0.8),
+    "MFJ0": Comfort(1.2, 0.8, 0.8),
+    "RFJ4": Comfort(0.0),
+    "RFJ3": Comfort(0.8),
+    "RFJ0": Comfort(1.2, 0.8, 0.8),
+    "LFJ4": Comfort(-0.03),
+    "LFJ3": Comfort(0.75),
+    "LFJ0": Comfort(1.15, 0.8, 0.8),
+}
+_OVERLAP = 0.002  # [m] of links that counts as one
+_FOREARMS_APART = 0.16  # [m] they touch at 0.149
+_FOREARMS_SIGMA = 0.005  # [m]
+
+_ITERATIONS = 25
+_CONVERGED = 1e-3  # relative decrease of the cost
+
+
+def rest_posture(servos: Servos) -> Array:
+    """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
+    rest = np.array([_comfort(name).rest for name in servos.names])
+    return np.clip(rest, servos.low, servos.high)
+
+
+def _comfort(name: str) -> Comfort:
+    return _COMFORT.get(name, _STIFF)
+
+
+def solve_postures(
+    kinematics: Kinematics,
+    servos: Servos,
+    fingers: NDArray[np.intp],
+    targets: Targets,
+    guess: Array,
+    mounted_apart: float,
+) -> Array:
+    """Postures (S, A) that put the fingertips into their boxes, smoothly.
+
+    Args:
+        kinematics: of the scene.
+        servos: of the scene.
+        fingers: (F,) the fingers that are there, of 0..9.
+        targets: of all ten fingers in S states.
+        guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
+            what the joints like best.
+        mounted_apart: distance of the forearms when their slides are at 0 [m].
+    """
+    problem = _Problem(kinematics, servos, fingers, targets, guess, mounted_apart)
+    postures = guess.copy()
+    damping = np.ones(len(guess) - 1)
+    now = problem.linearise(postures)
+    for _ in range(_ITERATIONS):
+        band, gradient = problem.normal_equations(postures, now)
+        for _ in range(8):
+            trial = problem.step(postures, band, gradient, damping)
+            there = problem.linearise(trial)
+            worse = there.cost > 1.02 * now.cost + 0.02
+            near = worse | np.roll(worse, 1) | np.roll(worse, -1)
+            better = there.cost.sum() < now.cost.sum()
+            if better:
+                eased = np.maximum(damping / 4, 1e-3)
+                damping = np.where(near, np.minimum(damping * 4, 1e3), eased)
+                break
+            damping = np.where(near, np.minimum(damping * 8, 1e3), damping)
+        if not better:
+            break
+        gained = now.cost.sum() - there.cost.sum()
+        postures, now = trial, there
+        if gained < _CONVERGED * now.cost.sum():
+            break
+    return postures
+
+
+class _Linearised(NamedTuple):
+    residual: Array  # (S - 1, R)
+    slope: Array  # (S - 1, R, A)
+    cost: Array  # (S - 1,) half the squares of all residuals, those in time at their first posture
+
+
+class _Problem:
+    """The residuals of postures 1 to S - 1."""
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        servos: Servos,
+        fingers: NDArray[np.intp],
+        targets: Targets,
+        guess: Array,
+        mounted_apart: float,
+    ) -> None:
+        self._kinematics, self._servos = kinematics, servos
+        self._low, self._high = targets.low[1:, fingers], targets.high[1:, fingers]
+        self._sigma = targets.sigma[1:, fingers]
+        self._links = LinkCollisions(len(fingers))
+        self._rest = guess[1:]
+        comforts = [_comfort(name) for name in servos.names]
+        self._stiffness = np.array([c.sigma for c in comforts]) ** -2.0
+        self._inertia = np.array([c.change for c in comforts]) ** -2.0
+        self._stride = np.array([c.stride for c in comforts])
+        self._mounted_apart = mounted_apart
+        slides = [a for a, name in enumerate(servos.names) if name == "forearm_tx"]
+        self._slides = slides if len(slides) == 2 else []  # right, left
+        self._base = self._smoothness_band(len(guess) - 1)
+
+    def _smoothness_band(self, count: int) -> Array:
+        """The constant part of the normal equations, in the upper form of `solveh_banded`.
+
+        Differences x[s+1] - 2 x[s] + x[s-1], the first with the hands at rest before they start.
+        """
+        servos = len(self._stiffness)
+        diagonal = np.tile(self._stiffness, (count, 1))
+        next_one = np.zeros((count, servos))
+        next_but_one = np.zeros((count, servos))
+        diagonal += self._inertia
+        diagonal[:-1] += 4 * self._inertia
+        diagonal[:-2] += self._inertia
+        next_one[1:] -= 2 * self._inertia
+        next_one[1:-1] -= 2 * self._inertia
+        next_but_one[2:] += self._inertia
+        band = np.zeros((2 * servos + 1, count * servos))
+        band[-1], band[servos], band[0] = (
+            values.ravel() for values in (diagonal, next_one, next_but_one)
+        )
+        return band
+
+    def linearise(self, postures: Array) -> _Linearised:
+        moving = postures[1:]
+        points, jacobian = self._kinematics.fingers(moving)
+        tips = points[:, :, TIP]
+        outside = (tips - np.clip(tips, self._low, self._high)) / self._sigma
+        pulled = jacobian[:, :, TIP] * ((outside != 0) / self._sigma)[..., None]
+        overlap, overlap_slope = self._links.overlaps(points, jacobian)
+        count, size = moving.shape
+        residuals = [outside.reshape(count, -1), overlap / _OVERLAP]
+        slopes = [pulled.reshape(count, -1, size), overlap_slope / _OVERLAP]
+        if self._slides:
+            near, near_slope = self._forearms(moving)
+            residuals.append(near)
+            slopes.append(near_slope)
+        residual = np.concatenate(residuals, axis=1)
+        in_time = self._inertia * self._second_differences(postures) ** 2
+        at_ease = self._stiffness * (moving - self._rest) ** 2
+        cost = 0.5 * ((residual**2).sum(axis=1) + (in_time + at_ease).sum(axis=1))
+        return _Linearised(residual, np.concatenate(slopes, axis=1), cost)
+
+    def _forearms(self, moving: Array) -> tuple[Array, Array]:
+        right, left = self._slides
+        distance = self._mounted_apart + moving[:, right] - moving[:, left]
+        near = np.minimum(distance - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
+        slope = np.zeros((len(moving), 1, moving.shape[1]))
+        slope[:, 0, right] = (near < 0) / _FOREARMS_SIGMA
+        slope[:, 0, left] = -slope[:, 0, right]
+        return near[:, None], slope
+
+    def _second_differences(self, postures: Array) -> Array:
+        """(S - 1, A)"""
+        return np.diff(np.concatenate([postures[:1], postures]), n=2, axis=0)
+
+    def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
+        """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""
+        servos = self._servos
+        count, size = len(postures) - 1, len(servos.low)
+        gradient = np.einsum("sra,sr->sa", at.slope, at.residual)
+        gradient += self._stiffness * (postures[1:] - self._rest)
+        change = self._inertia * self._second_differences(postures)
+        gradient += change
+        gradient[:-1] -= 2 * change[1:]
+        gradient[:-2] += change[2:]
+        blocks = at.slope.transpose(0, 2, 1) @ at.slope
+        band = self._base.copy()
+        for above in range(size):  # diagonals of the blocks
+            row = band[-1 - above].reshape(count, size)
+            row[:, above:] += np.diagonal(blocks, above, axis1=1, axis2=2)
+        outwards = np.where(gradient > 0, postures[1:] <= servos.low, postures[1:] >= servos.high)
+        band[-1] += 1e9 * outwards.ravel()
+        return band, np.where(outwards, 0.0, gradient)
+
+    def step(self, postures: Array, band: Array, gradient: Array, damping: Array) -> Array:
+        damped = band.copy()
+        damped[-1] += (damping[:, None] / self._stride**2).ravel()
+        change = solveh_banded(damped, -gradient.ravel(), overwrite_ab=True, check_finite=False)
+        change = np.clip(change.reshape(gradient.shape), -self._stride, self._stride)
+        moved = np.clip(postures[1:] + change, self._servos.low, self._servos.high)
+        return np.concatenate([postures[:1], moved])

@@ -1,0 +1,107 @@
+"""Which finger holds which key down when, as far as the hands can be there."""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.model.piano import KEY_CENTRE
+
+Array = NDArray[np.float64]
+
+# What a hand needs to jump, measured by having it do so: within `_WITHIN_REACH` the fingers do it;
+# further away it lifts for a step, glides with `_GLIDE`, and strikes.
+_WITHIN_REACH = 0.03  # [m]
+_REACH_WHILE_HOLDING = 0.06  # [m]
+_GLIDE = 40.0  # [m/s^2] as if it sped up over half the way and slowed down over the other
+_STEPS_AHEAD = 8  # further away than this, no jump needs the time
+
+
+class Press(NamedTuple):
+    """Finger 0..9 holds `key` down in the states `first` up to, not including, `last`.
+
+    State t + 1 follows from step t; state 0 is where the hands start.
+    """
+
+    finger: int
+    key: int
+    first: int
+    last: int
+
+    @property
+    def side(self) -> int:
+        """0 right, 1 left."""
+        return self.finger // 5
+
+
+def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press]:
+    """The presses that goals ask for, by time.
+
+    Args:
+        keys: (T, 88) that should be down after each step.
+        fingers: (T, 88) that should press them; keys without a finger are left alone.
+    """
+    asked = np.where(keys, fingers, -1)
+    edges = np.diff(asked, axis=0, prepend=-1, append=-1) != 0
+    presses = [
+        Press(int(asked[first, key]), int(key), int(first) + 1, int(last) + 1)
+        for key in np.flatnonzero(keys.any(axis=0))
+        for first, last in pairwise(np.flatnonzero(edges[:, key]))
+        if asked[first, key] >= 0
+    ]
+    return sorted(presses, key=lambda press: (press.first, press.key))
+
+
+def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press]:
+    """The presses, cut short where finger or hand must be elsewhere soon after.
+
+    A press keeps a step at least.
+
+    Args:
+        presses: by time.
+        rest_y: (10,) where the fingertips are along the keyboard when the forearms are at 0 [m].
+        dt: control step [s].
+    """
+    cut = [press for side in (0, 1) for press in _let_hand_go(presses, side, rest_y, dt)]
+    next_of: dict[int, Press] = {}
+    result = []
+    for press in sorted(cut, key=lambda press: (press.first, press.key), reverse=True):
+        last = press.last
+        following = next_of.get(press.finger)
+        if following and following.key != press.key:
+            last = max(min(last, following.first - 1), press.first + 1)
+        next_of[press.finger] = press
+        result.append(press._replace(last=last))
+    return result[::-1]
+
+
+def _let_hand_go(presses: list[Press], side: int, rest_y: Array, dt: float) -> list[Press]:
+    mine = [press for press in presses if press.side == side]
+    chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
+    places = [[_hand_y(press, rest_y) for press in chord] for chord in chords]
+    means = [float(np.mean(place)) for place in places]
+    cut = []
+    for i, chord in enumerate(chords):
+        for press, place in zip(chord, places[i], strict=True):
+            last = press.last
+            for j in range(i + 1, len(chords)):
+                first = chords[j][0].first
+                if first > press.last + _STEPS_AHEAD:
+                    break
+                if press.last > first + 1:  # held while the hand plays on
+                    beyond = abs(means[j] - place) - _REACH_WHILE_HOLDING
+                else:
+                    beyond = abs(means[j] - means[i]) - _WITHIN_REACH
+                if beyond > 0:
+                    steps = 1 + np.ceil(np.sqrt(4 * beyond / _GLIDE) / dt)
+                    last = min(last, max(first - int(steps), press.first + 1))
+            cut.append(press._replace(last=last))
+    return cut
+
+
+def _hand_y(press: Press, rest_y: Array) -> float:
+    """Where the forearm is when this finger presses and is at rest [m]."""
+    return float(KEY_CENTRE[press.key, 1] - rest_y[press.finger])

@@ -1,0 +1,219 @@
+"""Makes a nominal plan work in simulation: receding-horizon sampling around it, a hand at a time.
+
+A hand alone, with all keys, moves just as it does beside the other as long as the two do not
+touch, at two to three times the speed. Sampling is only done where the nominal plan fails.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planning.sampling import UPDATES, Around
+from cadenza.model.scene import Scene
+from cadenza.model.servos import servos_of
+from cadenza.sim.simulation import Simulation, State
+from cadenza.tasks import reward
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Standard deviations of what is sampled, of a control [m, rad].
+_SIGMA = {"forearm_tx": 0.01, "forearm_ty": 0.005, "WRJ2": 0.03, "WRJ1": 0.03}
+_FINGER_SIGMA, _COUPLED_SIGMA = 0.08, 0.12
+_IDLE_FINGER = 0.3  # of that, for fingers that do not play within the horizon
+_SPARSE = 0.3  # half of the candidates change this share of the servos
+_KEPT = 0.5  # of the correction to the nominal plan from one control step to the next
+
+_WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
+_ALMOST = (
+    3.0  # of a key's travel that lacks to the stop, or passes what does not yet sound, squared
+)
+_NO_HARM = 0.3  # of its travel that a key may be down
+_ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
+_IDLE_ASTRAY = 200.0
+_FURTHEST = 0.03  # [m] further away does not count more
+_ALONG_KEY = 0.55  # distances along the key count less
+_AT_THE_END = 1.5  # of the horizon they count more
+_DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
+
+
+class HandPart:
+    """What one hand has to do over T steps.
+
+    Attributes:
+        mine: (T, 88) keys that this hand should hold down.
+        wrong: (T, 88) keys that it should not.
+        fingertips: (T + 1, 5, 3) where its fingertips should be [m].
+        fingers: of the ten.
+        playing: (T + 1, 5) whether they are about to press, press, or let go.
+    """
+
+    def __init__(self, keys: Mask, fingers: NDArray[np.int8], nominal: Nominal, hand: int) -> None:
+        """`hand` is 0 for the right, 1 for the left; arrays as in `nominal_plan`."""
+        self.mine = keys & (fingers >= 0) & (fingers // 5 == hand)
+        others = keys & ~self.mine
+        soon = others.copy()  # the other hand needs a moment to leave a key
+        soon[1:] |= others[:-1]
+        soon[2:] |= others[:-2]
+        self.wrong = ~keys & ~soon
+        self.fingers = slice(5 * hand, 5 * hand + 5)
+        first = 5 * hand if nominal.fingertips.shape[1] > 5 else 0
+        self.fingertips = nominal.fingertips[:, first : first + 5]
+        self.playing = np.zeros((len(keys) + 1, 5), bool)
+        for press in nominal.presses:
+            if press.side == hand:
+                self.playing[max(press.first - 2, 0) : press.last + 1, press.finger % 5] = True
+
+
+class HandRefinement:
+    """Controls of one hand, step by step."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        part: HandPart,
+        nominal: Nominal,
+        servo_ids: NDArray[np.intp],
+        config: ScorePlannerConfig,
+        dt: float,
+        num_threads: int,
+        rng: np.random.Generator,
+    ) -> None:
+        """Args:
+        scene: with this hand only.
+        part: what it has to do.
+        nominal: the plan, of all servos.
+        servo_ids: which of these are this hand's.
+        config: how to sample.
+        dt: control step [s].
+        num_threads: that share the rollouts.
+        rng: what is random.
+        """
+        self._scene, self._part, self._rng = scene, part, rng
+        self._servos = servos_of(scene)
+        self._to_posture = np.linalg.pinv(self._servos.joints)
+        tracking = nominal.tracking
+        self._ctrl = tracking.ctrl[:, servo_ids]
+        self._gain = tracking.gain[:, servo_ids]
+        self._expected = tracking.expected[:, servo_ids]
+        self._update = UPDATES[config.method] if config.method != "none" else None
+        self._candidates, self._iterations = config.num_candidates, config.iterations
+        self._horizon = max(1, round(config.horizon / dt))
+        self._sigma = np.array([_sigma(name) for name in self._servos.names])
+        self._finger = np.array([_finger(name) for name in self._servos.names])
+        self._twin = Simulation(scene, 1, dt)
+        self._single = Simulation(scene, 1, dt)
+        self._batch = Simulation(scene, self._candidates, dt, num_threads)
+        self._correction = np.zeros((self._horizon, len(self._sigma)))
+        self._step = 0
+
+    def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
+        """(A,) the controls of this hand from the state that it is in now.
+
+        Args:
+            hand_qpos: (J,) of this hand [m, rad].
+            hand_qvel: (J,)
+            key_qpos: (88,) [rad]
+        """
+        if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
+            self._twin.place(hand_qpos, hand_qvel, key_qpos)
+        ctrl = self._plan()
+        self._twin.step(ctrl[None])
+        self._step += 1
+        return ctrl
+
+    def _plan(self) -> Array:
+        steps = len(self._ctrl)
+        rows = np.minimum(np.arange(self._step, self._step + self._horizon), steps - 1)
+        nominal = self._ctrl[rows].copy()
+        nominal[0] -= self._feedback()
+        if self._update is None:
+            return self._clip(nominal[0])
+        best = self._clip(nominal + self._correction)
+        cost, wrong = self._try(self._single, best[None], rows)
+        if wrong[0]:
+            best = self._search(self._clip(nominal), best, cost[0], rows)
+        self._correction[:-1] = _KEPT * (best - nominal)[1:]
+        self._correction[-1] = 0.0
+        return best[0]
+
+    def _feedback(self) -> Array:
+        """(A,) what deviations from the expected positions and speeds take from the controls."""
+        state = self._twin.state
+        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
+        deviation = self._to_posture.T @ here - self._expected[self._step]
+        return (self._gain[self._step] * deviation).sum(axis=1)
+
+    def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
+        assert self._update is not None
+        around = Around(best, np.broadcast_to(self._sigma_at(rows), best.shape))
+        for iteration in range(self._iterations):
+            candidates = self._draw(around)
+            candidates[0] = nominal if iteration == 0 else self._clip(around.mean)
+            costs, _ = self._try(self._batch, candidates, rows)
+            around = self._update(candidates, costs, around)
+            cheapest = int(np.argmin(costs))
+            if costs[cheapest] < cost:
+                best, cost = candidates[cheapest], costs[cheapest]
+        mean = self._clip(around.mean)
+        if not (mean == best).all() and self._try(self._single, mean[None], rows)[0][0] < cost:
+            return mean
+        return best
+
+    def _draw(self, around: Around) -> Array:
+        """(N, H, A) candidates: noise that changes evenly from the first step to the last."""
+        servos = len(self._sigma)
+        ends = self._rng.standard_normal((self._candidates, 2, 1, servos))
+        late = np.linspace(0.0, 1.0, self._horizon)[:, None]
+        noise = (1 - late) * ends[:, 0] + late * ends[:, 1]
+        sparse = self._rng.random((self._candidates, 1, servos)) < _SPARSE
+        sparse[: self._candidates // 2] = True
+        return self._clip(around.mean + around.sigma * noise * sparse)
+
+    def _sigma_at(self, rows: NDArray[np.intp]) -> Array:
+        playing = self._part.playing[np.append(rows, rows[-1] + 1)].any(axis=0)
+        busy = (self._finger < 0) | playing[self._finger]
+        return self._sigma * np.where(busy, 1.0, _IDLE_FINGER)
+
+    def _clip(self, ctrl: Array) -> Array:
+        return np.clip(ctrl, self._servos.low, self._servos.high)
+
+    def _try(
+        self, simulation: Simulation, ctrl: Array, rows: NDArray[np.intp]
+    ) -> tuple[Array, NDArray[np.intp]]:
+        """Cost (N,) of plans (N, H, A) from here on, and how often a key was wrong in each."""
+        simulation.copy_from(self._twin, 0)
+        inside = min(len(rows), len(self._ctrl) - self._step)  # past the end nothing matters
+        states = simulation.rollout(ctrl[:, :inside])
+        cost, wrong = _cost(states, self._part, rows[:inside])
+        return np.where(states.unstable.any(axis=1), np.inf, cost), wrong
+
+
+def _cost(states: State, part: HandPart, rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
+    """Cost (N,) and number of wrong keys (N,) of states (N, H, ...) after the steps `rows`."""
+    depth = reward.key_state(states.key_qpos)
+    sounding = reward.key_activation(states.key_qpos)
+    mine, wrong = part.mine[rows], part.wrong[rows]
+    mistakes = ((mine & ~sounding) | (wrong & sounding)).sum(axis=(1, 2))
+    lacking = np.where(mine, (1.0 - depth) ** 2, 0.0)
+    lacking += np.where(wrong, np.maximum(depth - _NO_HARM, 0.0) ** 2, 0.0)
+    tips = states.fingertip_xpos[:, :, part.fingers]
+    offset = (tips - part.fingertips[rows + 1]) * (_ALONG_KEY, 1.0, 1.0)
+    astray = np.minimum((offset**2).sum(axis=-1), _FURTHEST**2)
+    astray *= np.where(part.playing[rows + 1], _ASTRAY, _IDLE_ASTRAY)
+    astray[:, -1] *= _AT_THE_END
+    cost = _WRONG * mistakes + _ALMOST * lacking.sum(axis=(1, 2)) + astray.sum(axis=(1, 2))
+    return cost, mistakes
+
+
+def _sigma(name: str) -> float:
+    return _SIGMA.get(name, _COUPLED_SIGMA if name.endswith("J0") else _FINGER_SIGMA)
+
+
+def _finger(name: str) -> int:
+    """0 thumb to 4 little finger, -1 for wrist and forearm."""
+    fingers = ("TH", "FF", "MF", "RF", "LF")
+    return fingers.index(name[:2]) if name[:2] in fingers else -1

@@ -1,0 +1,80 @@
+"""Controls that make the servos follow postures: feed-forward of their lag, and feedback."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from cadenza.model.servos import Servos
+
+Array = NDArray[np.float64]
+
+
+class Tracking(NamedTuple):
+    """Controls over T steps that make the servos follow a reference; see `track`."""
+
+    ctrl: Array
+    """(T, A)"""
+    gain: Array
+    """(T, A, 2) what a deviation of position and speed takes from the control."""
+    expected: Array
+    """(T + 1, A, 2) position and speed of each servo."""
+
+
+# How much less a control's distance from the reference weighs than the servo's own.
+_CONTROL_WEIGHT = 0.02
+
+
+def track(servos: Servos, reference: Array, offset: Array, dt: float) -> Tracking:
+    """Follows `reference` (T + 1, A), of which the first row is where the servos are.
+
+    Each servo by itself is a mass on a damped spring whose other end is the control, held for
+    `dt` [s]. The controls minimise the squared distance from the reference plus a little of their
+    own: a linear-quadratic tracker (e.g. Anderson & Moore, Optimal Control: Linear Quadratic
+    Methods, 1990, chapter 4), solved for all servos at once by the Riccati recursion.
+
+    Args:
+        servos: what has to follow.
+        reference: positions after each step.
+        offset: (T, A) what forces from outside add to each control.
+        dt: time between steps [s].
+    """
+    step, push = _discretise(servos, dt)
+    steps, count = len(reference) - 1, len(servos.low)
+    gain = np.zeros((steps, count, 2))
+    towards = np.zeros((steps, count))
+    value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
+    slope = np.zeros((count, 2))
+    for t in range(steps - 1, -1, -1):
+        value[:, 0, 0] += 1.0
+        slope[:, 0] -= reference[t + 1]
+        pushed = np.einsum("aij,aj->ai", value, push)
+        curvature = _CONTROL_WEIGHT + np.einsum("ai,ai->a", push, pushed)
+        gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[:, None]
+        pull = _CONTROL_WEIGHT * reference[t + 1]
+        towards[t] = (pull - np.einsum("ai,ai->a", push, slope)) / curvature
+        closed = step - push[:, :, None] * gain[t][:, None, :]
+        slope = np.einsum("aji,aj->ai", closed, slope) + gain[t] * pull[:, None]
+        value = np.einsum("aji,ajk->aik", step, value @ closed)
+        value = (value + value.transpose(0, 2, 1)) / 2
+    expected = np.zeros((steps + 1, count, 2))
+    expected[0, :, 0] = reference[0]
+    ctrl = np.zeros((steps, count))
+    for t in range(steps):
+        wanted = towards[t] - np.einsum("ai,ai->a", gain[t], expected[t])
+        ctrl[t] = np.clip(wanted, servos.low, servos.high)
+        expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
+    return Tracking(np.clip(ctrl + offset, servos.low, servos.high), gain, expected)
+
+
+def _discretise(servos: Servos, dt: float) -> tuple[Array, Array]:
+    """(A, 2, 2) and (A, 2): what a step of `dt` [s] makes of position and speed, and of control."""
+    k, d, m = servos.stiffness, servos.damping, servos.inertia
+    motion = np.zeros((len(k), 3, 3))
+    motion[:, 0, 1] = 1.0
+    motion[:, 1] = np.stack([-k / m, -d / m, k / m], axis=1)
+    exact = expm(motion * dt)
+    return exact[:, :2, :2], exact[:, :2, 2]
