@@ -65,6 +65,22 @@ def test_a_key_held_through_a_repeated_note_is_one_note_too_few():
     assert held == pytest.approx(2 / 3)
 
 
+def timing_error(played, goal):
+    return playing_metrics(played, STILL, goal, STILL, 0.05)["timing_error"]
+
+
+def test_the_timing_error_is_the_mean_distance_of_beginnings():
+    goal = roll((5, 15, 10), (20, 30, 12))
+    assert timing_error(goal, goal) == 0
+    # One 0.15 s late, the other 0.05 s early; how they end does not matter.
+    assert timing_error(roll((8, 10, 10), (19, 40, 12)), goal) == pytest.approx(0.1)
+    # Further than 0.2 s away it is another note, and so is another key.
+    assert timing_error(roll((10, 15, 10), (22, 30, 12)), goal) == pytest.approx(0.1)
+    assert timing_error(roll((20, 30, 12), (5, 15, 11)), goal) == 0
+    assert np.isnan(timing_error(roll((5, 15, 11)), goal))
+    assert np.isnan(timing_error(roll(), goal))
+
+
 def test_silence_against_silence_is_perfect_and_against_notes_is_nothing():
     some = roll((0, 10, 10))
     assert note_f1(roll(), roll()) == (1, 1)

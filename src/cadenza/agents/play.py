@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -25,9 +26,9 @@ class Performance:
 
     episode: Episode
     metrics: dict[str, Any]
-    """The scores of `music.metrics`, `return`, `reward/<term>` summed over the episode, `steps`,
-    `planning_seconds` spent by the agent, `playing_seconds` by the simulation, and whether the
-    simulation became `unstable`."""
+    """The scores of `music.metrics`, None for one that is not defined; `return`, `reward/<term>`
+    summed over the episode; `steps`, `planning_seconds` spent by the agent, from its reset on,
+    `playing_seconds` by the simulation, and whether the simulation became `unstable`."""
 
 
 def play(
@@ -51,9 +52,10 @@ def play(
         raise CadenzaError(f"seed {seed}: choose 0 or more")
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
+    started = time.perf_counter()
     agent.reset(task, agent_rng)
+    planning, playing = time.perf_counter() - started, 0.0
     record = _Record(task)
-    planning = playing = 0.0
     ended = unstable = False
     while not ended:
         started = time.perf_counter()
@@ -67,7 +69,9 @@ def play(
         unstable = bool(transition.unstable[0])
         if progress:
             progress(int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
-    metrics = task.episode_metrics(0) | record.sums()
+    scores = task.episode_metrics(0)  # JSON has no NaN
+    metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
+    metrics |= record.sums()
     metrics |= {
         "steps": int(task.sheets.steps_done[0]),
         "planning_seconds": planning,
@@ -115,7 +119,7 @@ class _Record:
         total = terms.pop("reward_total")
         return {"return": total} | {n.replace("_", "/", 1): value for n, value in terms.items()}
 
-    def episode(self, metrics: dict[str, float]) -> Episode:
+    def episode(self, metrics: dict[str, Any]) -> Episode:
         task, scene = self._task, self._task.scene
         rows = {name: np.array(values) for name, values in self._rows.items()}
         steps = len(rows["action"])

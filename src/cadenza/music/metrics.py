@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from cadenza.music.performance import key_runs
 from cadenza.music.score import LOWEST_PITCH
 
 ONSET_TOLERANCE = 0.05  # [s], the default of mir_eval
+LATENESS_TOLERANCE = 0.2  # [s] within which a note counts as played, if at the wrong time
 
 
 def step_metrics(
@@ -32,7 +34,7 @@ def playing_metrics(
     goal_sustain: NDArray[Any],
     dt: float,
 ) -> dict[str, float]:
-    """Figures of merit, each 0..1, of T control steps of `dt` [s].
+    """Figures of merit, 0..1 but for the last, of T control steps of `dt` [s].
 
     `precision`, `recall`, `f1` of the keys (T, 88) and `sustain_*` of the pedal (T,): of each step
     as in `step_metrics`, then the mean over steps, as the published RoboPianist computes them.
@@ -42,6 +44,11 @@ def playing_metrics(
     note; it is found if one of the same key starts within 0.05 s, and for the second also ends
     within 0.05 s or a fifth of the wanted note's length, whichever is more. At steps of 0.05 s a
     key one step late still counts, two steps late does not.
+
+    `timing_error` [s]: how far, on average, the beginnings of notes are from where they should be,
+    of as many pairs of notes of the same key as can be made that begin within 0.2 s of each other
+    (mir_eval's matching); NaN where there is none. Notes begin on steps, so that a hand which is
+    late by less than `dt` is not late.
     """
     precision, recall, f1 = step_metrics(key_activation, goal_keys)
     pedal = step_metrics(sustain_activation[:, None], goal_sustain[:, None])
@@ -63,14 +70,22 @@ def _note_metrics(played: NDArray[Any], goal: NDArray[Any], dt: float) -> dict[s
     sounded, sounded_pitch = _intervals(played, dt)
     if not len(wanted) or not len(sounded):  # mir_eval calls two empty lists a score of 0
         f1 = float(len(wanted) == len(sounded))
-        return {"note_onset_f1": f1, "note_onset_offset_f1": f1}
+        return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
+    notes = (wanted, wanted_pitch, sounded, sounded_pitch)
 
     def f1_of(**options: Any) -> float:
-        notes = (wanted, wanted_pitch, sounded, sounded_pitch)
         compare = mir_eval.transcription.precision_recall_f1_overlap
         return float(compare(*notes, onset_tolerance=ONSET_TOLERANCE, **options)[2])
 
-    return {"note_onset_f1": f1_of(offset_ratio=None), "note_onset_offset_f1": f1_of()}
+    pairs = mir_eval.transcription.match_notes(
+        *notes, onset_tolerance=LATENESS_TOLERANCE, offset_ratio=None
+    )
+    errors = [abs(wanted[i, 0] - sounded[j, 0]) for i, j in pairs]
+    return {
+        "note_onset_f1": f1_of(offset_ratio=None),
+        "note_onset_offset_f1": f1_of(),
+        "timing_error": float(np.mean(errors)) if errors else math.nan,
+    }
 
 
 def _intervals(
