@@ -77,6 +77,24 @@ def test_the_figures_and_settings_are_in_the_page(write, episode):
     assert page.words.index("F1") < page.words.index("Precision")
 
 
+def test_what_was_missed_is_in_the_page(tmp_path, episode):
+    misses = [
+        {"time": 1.25, "note": "C♯4", "finger": 7, "what": "never sounded", "reason": "<too fast>"},
+        {"time": 2.0, "note": "D4", "finger": -1, "what": "100 ms late", "reason": "no finger"},
+    ]
+    write_report(tmp_path / "a.html", episode, {}, {}, SILENCE, misses=misses)
+    words = [word for word in Page(tmp_path / "a.html").words if word]
+    first = words.index("1.25 s")
+    assert words[first : first + 5] == [
+        "1.25 s",
+        "C♯4",
+        "left middle",
+        "never sounded",
+        "<too fast>",
+    ]
+    assert words[first + 5 : first + 8] == ["2.00 s", "D4", "–"]
+
+
 def test_the_page_loads_nothing_from_elsewhere(write, episode):
     page = write(episode)
     for tag, attributes in page.elements:

@@ -23,3 +23,9 @@ KEY_Y: NDArray[np.float64] = _key_y()
 
 The model's black keys stand up to 0.5 mm further to the right.
 """
+
+
+def note_name(key: int) -> str:
+    """Such as C4 for the middle C, key 39; black keys by their sharps."""
+    names = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B")
+    return f"{names[(key + 9) % 12]}{(key + 9) // 12}"

@@ -13,7 +13,7 @@ import html
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ def write_report(
     settings: Mapping[str, Any],
     audio: NDArray[np.floating],
     sample_rate: int = SAMPLE_RATE,
+    misses: Sequence[Mapping[str, Any]] = (),
 ) -> None:
     """Writes the page of an episode to `path`.
 
@@ -46,6 +47,8 @@ def write_report(
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top. None
             is not shown.
         audio: the performance, (n,) or (n, 2) within -1..1, starting with the first step.
+        misses: of each note that was lost `time` [s], `note`, `finger` 0..9 or -1, `what` became of
+            it, and the `reason`; without any, the page has no such table.
     """
     figures = sorted(_flat(metrics), key=lambda item: item[0] != "f1")
     facts = _facts(episode, dict(_flat(settings)))
@@ -55,16 +58,22 @@ def write_report(
             f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts
         ),
         "cards": "".join(_card(name, value) for name, value in figures),
+        "misses": _misses(misses),
         "settings": _table(dict(_flat(settings))),
         "roll_label": html.escape(_in_words(episode)),
         "data": _json(
             _recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}
         ),
-        "css": _asset("page.css"),
-        "three": _asset("three.min.js"),
-        "js": "\n".join(map(_asset, _SCRIPTS)),
+        "css": asset("page.css"),
+        "three": asset("three.min.js"),
+        "js": "\n".join(map(asset, _SCRIPTS)),
     }
-    page = re.sub(r"{{(\w+)}}", lambda mark: parts[mark[1]], _asset("page.html"))
+    write_page(path, "page.html", parts)
+
+
+def write_page(path: Path, template: str, parts: Mapping[str, str]) -> None:
+    """Writes the asset `template` to `path`, each `{{name}}` in it replaced by its part."""
+    page = re.sub(r"{{(\w+)}}", lambda mark: parts[mark[1]], asset(template))
     with write_atomically(path) as file:
         file.write(page.encode())
 
@@ -90,14 +99,14 @@ def _recording(episode: Episode) -> dict[str, Any]:
         "scene": scene,
         "poses": _base64(poses),
         "angles": _base64(np.uint8(np.clip(episode["key_qpos"] / travel, 0, 1) * 255)),
-        "states": _base64(_verdict(episode["goal_keys"], episode["key_activation"])),
-        "pedal": _base64(_verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "states": _base64(verdict(episode["goal_keys"], episode["key_activation"])),
+        "pedal": _base64(verdict(episode["goal_sustain"], episode["sustain_activation"])),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
     }
 
 
-def _verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """0 rightly silent, 1 hit, 2 wrong, 3 missed."""
+def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """What became of each, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
 
 
@@ -142,6 +151,34 @@ def _table(settings: Mapping[str, Any]) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
+def _misses(misses: Sequence[Mapping[str, Any]]) -> str:
+    """A section with a row for each, nothing if there are none."""
+    if not misses:
+        return ""
+    rows = (
+        (
+            f"{miss['time']:.2f} s",
+            miss["note"],
+            _finger(miss["finger"]),
+            miss["what"],
+            miss["reason"],
+        )
+        for miss in misses
+    )
+    cells = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in rows)
+    return (
+        '<section class="card" aria-labelledby="misses-title">'
+        f'<h2 id="misses-title">Notes missed or let go early: {len(misses)}</h2>'
+        f'<div class="scroll list" tabindex="0"><table><tr>{"</tr><tr>".join(cells)}</tr></table>'
+        "</div></section>"
+    )
+
+
+def _finger(finger: int) -> str:
+    names = ("thumb", "index", "middle", "ring", "little")
+    return f"{('right', 'left')[finger // 5]} {names[finger % 5]}" if finger >= 0 else "–"
+
+
 def _breakable(text: str) -> str:
     """`text` that a narrow screen breaks after separators rather than within words."""
     return re.sub(r"[/\\_,=]|\.(?=[^\W\d])", r"\g<0><wbr>", html.escape(text))
@@ -179,5 +216,6 @@ def _base64(content: bytes | ArrayLike) -> str:
     return base64.b64encode(raw).decode()
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file of `assets`."""
     return resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8")

@@ -1,0 +1,275 @@
+"""Which notes a planned performance lost, and why, in plain words.
+
+A note is a stretch of steps over which a key should sound without a break. It is lost where it
+never sounded, sounded more than a step late, or was let go more than a step early. Of these rules
+the first that holds says why it did not sound, or late:
+
+1. no finger: the fingering left it out, or gave it to a hand that is not there.
+2. not come up: the key still sounded from the note before.
+3. cut short: the plan holds the key for `_SHORTEST` steps at most and less than wanted, because
+   its finger, or the whole hand, has to be elsewhere soon.
+4. wrong neighbour: up to two keys away another began to sound within two steps, with the finger
+   nearer to that key than to its own.
+5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
+   and another fingertip was within `_TOUCHING`, or the forearms were within `_FOREARMS_TOUCH`.
+6. out of reach: the plan itself has the finger beside the key.
+7. too fast: the finger came late, or the plan has it come faster than `_FAST`.
+8. astray: the finger was not over its key, and none of the above.
+9. not pressed down: the finger was over the key, which did not reach its stop.
+
+A note that was let go early was cut short where the plan says so; otherwise the finger left the
+key ("astray"), or the key came up under it ("not held down").
+
+These are rules about where things were, not proofs of what caused what: of several troubles, the
+list names one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planning.presses import Press
+from cadenza.episode import Episode
+from cadenza.model.piano import KEY_CENTRE, KEY_HALF_SIZE
+from cadenza.music.fingering import Dropped
+from cadenza.music.keyboard import note_name
+from cadenza.music.performance import key_runs
+from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER, Score
+from cadenza.tasks.reward import key_state
+
+Array = NDArray[np.float64]
+
+_IN_TIME = 1  # steps that a note may begin late, or end early
+_SHORTEST = 2  # steps that a key takes to go down
+_BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
+_ASTRAY = 0.01  # [m]
+_TOUCHING = 0.018  # [m] between centres of fingertips, which are 13 to 16 mm thick
+_FOREARMS_TOUCH = 0.152  # [m] along the keyboard, 3 mm more than their diameter
+_FAST = 0.7  # [m/s]
+_COMING = 4  # steps within which a finger that is late is seen to come
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A note that was lost, in whole or in part."""
+
+    time: float
+    """When it should have begun [s]."""
+    note: str
+    """Its name, such as C4."""
+    finger: int
+    """0..4 right thumb to little, 5..9 left, -1 none."""
+    what: str
+    """What became of it, such as "never sounded"."""
+    cause: str
+    """One of a few, to count them by."""
+    reason: str
+    """The same in more words."""
+    sounded: bool
+    """In time; it was only let go early."""
+
+
+class _Note(NamedTuple):
+    """`key` should sound from step `first` up to, not including, `last`."""
+
+    key: int
+    first: int
+    last: int
+
+
+def misses_of(
+    episode: Episode, score: Score, dropped: Sequence[Dropped], nominal: Nominal
+) -> list[Miss]:
+    """What was lost of an episode, by time.
+
+    Args:
+        episode: as it was played.
+        score, dropped, nominal: of the `ScorePlanner` that played it.
+    """
+    inquiry = _Inquiry(episode, score, dropped, nominal)
+    runs = zip(*(array.tolist() for array in key_runs(episode["goal_keys"])), strict=True)
+    notes = sorted((_Note(key, first, last) for first, last, key in runs), key=lambda n: n[1])
+    return [miss for note in notes if (miss := inquiry.into(note))]
+
+
+def in_a_line(misses: Sequence[Miss], episode: Episode) -> str:
+    """Such as "missed 3 of 210 notes: 2 too fast, 1 no finger; let go of 4 early: 4 cut short"."""
+    num_notes = len(key_runs(episode["goal_keys"])[0])
+    missed = [miss.cause for miss in misses if not miss.sounded]
+    early = [miss.cause for miss in misses if miss.sounded]
+    line = f"missed {len(missed)} of {num_notes} notes{_counted(missed)}"
+    return line + (f"; let go of {len(early)} early{_counted(early)}" if early else "")
+
+
+def _counted(causes: Sequence[str]) -> str:
+    parts = [f"{count} {cause}" for cause, count in Counter(causes).most_common()]
+    return ": " + ", ".join(parts) if parts else ""
+
+
+class _Inquiry:
+    """What is known about an episode, and the rules."""
+
+    def __init__(
+        self, episode: Episode, score: Score, dropped: Sequence[Dropped], nominal: Nominal
+    ) -> None:
+        self._dt, self._steps = episode.dt, episode.num_steps
+        self._goal, self._played = episode["goal_keys"], episode["key_activation"]
+        self._depth = key_state(episode["key_qpos"])
+        self._tips = episode["fingertip_xpos"]
+        self._there = self._tips.any(axis=(0, 2))
+        self._planned = np.zeros((len(nominal.fingertips), NUM_FINGERS, 3))
+        self._planned[:, self._there] = nominal.fingertips
+        self._presses = {(press.key, press.first - 1): press for press in nominal.presses}
+        self._of_finger: dict[int, list[Press]] = {i: [] for i in range(NUM_FINGERS)}
+        for press in nominal.presses:
+            self._of_finger[press.finger].append(press)
+        self._left_out = _left_out(self._goal, score, dropped, self._dt)
+        self._forearms = _forearms_apart(episode)
+
+    def into(self, note: _Note) -> Miss | None:
+        """What became of a note, if it was lost."""
+        press = self._presses.get((note.key, note.first))
+        finger = press.finger if press else UNKNOWN_FINGER
+        sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
+        late = int(sounding[0]) - note.first if len(sounding) else self._steps
+        held_through = not late and self._sounds_from_before(note)
+        if held_through or late > _IN_TIME:
+            what = f"{self._ms(late)} late" if late < self._steps else "never sounded"
+            what = "not struck again" if held_through else what
+            cause, reason = self._why_not(note, press, held_through)
+            sounded = False
+        elif (short := note.last - 1 - int(sounding[-1])) > _IN_TIME:
+            what, sounded = f"let go {self._ms(short)} early", True
+            cause, reason = self._why_early(note, press, int(sounding[-1]) + 1)
+        else:
+            return None
+        name = note_name(note.key)
+        return Miss(note.first * self._dt, name, finger, what, cause, reason, sounded)
+
+    def _ms(self, steps: int) -> str:
+        return f"{1000 * steps * self._dt:.0f} ms"
+
+    def _sounds_from_before(self, note: _Note) -> bool:
+        """Whether the key still sounds from an earlier note of the score."""
+        before = np.flatnonzero(~self._played[: note.first, note.key])
+        since = int(before[-1]) + 1 if len(before) else 0
+        return bool(self._goal[since : note.first, note.key].any())
+
+    # Notes that did not sound in time
+
+    def _why_not(self, note: _Note, press: Press | None, held_through: bool) -> tuple[str, str]:
+        if press is None:
+            why = self._left_out.get((note.key, note.first), "its hand does not play")
+            return "no finger", f"no finger for it: {why}"
+        if held_through:
+            return "not come up", "the key did not come up after the note before it"
+        if press.last < note.last + 1 and press.last - press.first <= _SHORTEST:
+            return "cut short", f"let go too early to sound, as planned: {self._cut(press)}"
+        if (neighbour := self._neighbour(note, press)) is not None:
+            return "wrong neighbour", f"the finger pressed {note_name(neighbour)} instead"
+        rows = slice(note.first, min(note.first + 1 + _IN_TIME, self._steps))
+        beside = float(_beside(self._tips[rows, press.finger], note.key).min())
+        if beside <= _BESIDE:
+            depth = float(self._depth[note.first : note.last, note.key].max())
+            return "not pressed down", f"the key went {100 * depth:.0f} % of its way"
+        return self._why_elsewhere(note, press, f"the finger was {1000 * beside:.0f} mm away")
+
+    def _why_elsewhere(self, note: _Note, press: Press, where: str) -> tuple[str, str]:
+        row, finger = note.first, press.finger
+        if with_what := self._collision(row, finger):
+            return "collided", f"collided with {with_what}: {where}"
+        if (planned := float(_beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
+            return "out of reach", f"out of reach: the plan has it {1000 * planned:.0f} mm away"
+        coming = self._tips[row : row + 1 + _COMING, finger]
+        speed = self._speed(row + 1, finger)
+        if (_beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
+            return "too fast", f"too fast, planned at {speed:.1f} m/s: {where}"
+        return "astray", where
+
+    def _neighbour(self, note: _Note, press: Press) -> int | None:
+        """The key near by that the finger struck in place of its own."""
+        rows = slice(max(note.first - _IN_TIME, 0), note.first + 2 + _IN_TIME)
+        wrong = self._played[rows] & ~self._goal[rows]
+        tip = self._tips[min(note.first + _IN_TIME, self._steps - 1), press.finger]
+        for key in range(max(note.key - 2, 0), min(note.key + 3, NUM_KEYS)):
+            nearer = _beside(tip, key) < _beside(tip, note.key)
+            if key != note.key and wrong[:, key].any() and nearer:
+                return key
+        return None
+
+    def _collision(self, row: int, finger: int) -> str:
+        """What is in the way of a finger that is not where it is planned to be, if anything."""
+        tip = self._tips[row, finger]
+        if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
+            return ""
+        distance = np.linalg.norm(self._tips[row] - tip, axis=1)
+        distance[~self._there] = distance[finger] = np.inf
+        if distance.min() < _TOUCHING:
+            other = int(distance.argmin()) // 5 != finger // 5
+            return "a finger of the other hand" if other else "the finger beside it"
+        return "the other forearm" if self._forearms[row] < _FOREARMS_TOUCH else ""
+
+    def _speed(self, state: int, finger: int) -> float:
+        """At which the plan has it move along the keyboard over the last two steps [m/s]."""
+        before = max(state - 2, 0)
+        way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
+        return float(abs(way)) / ((state - before) * self._dt)
+
+    # Notes that were let go early
+
+    def _why_early(self, note: _Note, press: Press | None, end: int) -> tuple[str, str]:
+        """Of a note that no longer sounds from step `end` on."""
+        if press is None:
+            return "no finger", "no finger was there for it; another pressed the key in passing"
+        if press.last <= note.last and end >= press.last - 1 - _IN_TIME:
+            return "cut short", f"as planned: {self._cut(press)}"
+        beside = float(_beside(self._tips[end, press.finger], note.key))
+        if beside > _BESIDE:
+            return "astray", f"the finger left the key and was {1000 * beside:.0f} mm away"
+        return "not held down", "the key came up under the finger"
+
+    def _cut(self, press: Press) -> str:
+        """Why the plan lets a key go early."""
+        later = (p for p in self._of_finger[press.finger] if p.first > press.first)
+        following = next((p for p in later if p.key != press.key), None)
+        if following and following.first - press.last <= 1:
+            return f"its finger had to press {note_name(following.key)}"
+        return "the hand had to jump"
+
+
+def _beside(tips: Array, key: int) -> Array:
+    """(...) how far fingertips (..., 3) are from being over a key [m], seen from above."""
+    outside = np.abs(tips - KEY_CENTRE[key])[..., :2] - KEY_HALF_SIZE[key, :2]
+    return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
+
+
+def _left_out(
+    goal: NDArray[np.bool_], score: Score, dropped: Sequence[Dropped], dt: float
+) -> Mapping[tuple[int, int], str]:
+    """(key, step) -> why the note that begins there has no finger.
+
+    Where a key is struck again at once, the goal begins a step after the note.
+    """
+    fps = 1 / dt
+    silence = int(goal.any(axis=1).argmax()) - int(score.notes[0].start * fps)
+    return {
+        (note.key, silence + int(note.start * fps) + late): reason
+        for late in (1, 0)
+        for note, reason in dropped
+    }
+
+
+def _forearms_apart(episode: Episode) -> Array:
+    """(T,) distance of the forearms along the keyboard [m]."""
+    bodies = list(episode.scene["bodies"])
+    if not {"rh_forearm", "lh_forearm"} <= set(bodies):
+        return np.full(episode.num_steps, np.inf)
+    right, left = (episode["body_xpos"][:, bodies.index(f"{s}h_forearm"), 1] for s in "rl")
+    return np.asarray(right - left, np.float64)

@@ -1,0 +1,233 @@
+"""Why notes were missed: performances that go wrong in one known way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cadenza.agents.planning.misses import Miss, in_a_line, misses_of
+from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planning.presses import Press, presses_of
+from cadenza.episode import Episode
+from cadenza.model.piano import KEY_CENTRE, KEY_TRAVEL
+from cadenza.music.fingering import Dropped
+from cadenza.music.score import Note, Score
+
+STEPS, DT = 40, 0.05
+C4, D4, C5 = 39, 41, 51
+INDEX = 1
+# A silent half second, then C4 for half a second, and C5 for another, both with the index finger.
+NOTES = ((C4, 10, 20), (C5, 25, 35))
+SCORE = Score((Note(0.0, 0.5, 60, finger=INDEX), Note(0.75, 1.25, 72, finger=INDEX)))
+FOREARMS = {"bodies": ["rh_forearm", "lh_forearm"]}
+
+
+class Concert:
+    """A plan that works and its performance without a mistake; tests spoil it."""
+
+    def __init__(self) -> None:
+        self.goal = np.zeros((STEPS, 88), bool)
+        fingers = np.full((STEPS, 88), -1, np.int8)
+        for key, first, last in NOTES:
+            self.goal[first:last, key] = True
+            fingers[first:last, key] = INDEX
+        self.played = self.goal.copy()
+        self.presses = presses_of(self.goal, fingers)
+        self.planned = np.zeros((STEPS + 1, 10, 3))  # fingers 4 cm apart, at C4 and then at C5
+        for state in range(STEPS + 1):
+            key = C4 if state < 22 else C5
+            place = KEY_CENTRE[key, 1] + 0.04 * (np.arange(10) - INDEX)
+            place[5:] -= 0.6  # the left hand, far away
+            self.planned[state, :, 1] = place
+        self.tips = self.planned[1:].copy()
+        self.forearms = np.tile([0.15, -0.15], (STEPS, 1))
+        self.dropped: tuple[Dropped, ...] = ()
+
+    def sounds(self, key: int, first: int, last: int) -> None:
+        self.played[:, key] = False
+        self.played[first:last, key] = True
+
+    def misses(self) -> list[Miss]:
+        xpos = np.zeros((STEPS, 2, 3))
+        xpos[..., 1] = self.forearms
+        arrays: dict[str, Any] = {
+            "action": np.zeros((STEPS, 1)),
+            "goal_keys": self.goal,
+            "key_activation": self.played,
+            "key_qpos": np.where(self.played, KEY_TRAVEL, 0.6 * KEY_TRAVEL),
+            "fingertip_xpos": self.tips,
+            "body_xpos": xpos,
+        }
+        self.episode = Episode("A concert", DT, arrays, FOREARMS)
+        nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
+        return misses_of(self.episode, SCORE, self.dropped, nominal)
+
+    def cut(self, last: int, then: Press | None = None) -> None:
+        self.presses[0] = self.presses[0]._replace(last=last)
+        self.presses[1:1] = [then] if then else []
+
+
+@pytest.fixture
+def concert() -> Concert:
+    return Concert()
+
+
+def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
+    assert concert.misses() == []
+    assert in_a_line([], concert.episode) == "missed 0 of 2 notes"
+
+
+def test_a_step_late_and_a_step_short_are_in_time(concert: Concert) -> None:
+    concert.sounds(C4, 11, 19)
+    assert concert.misses() == []
+
+
+@pytest.mark.parametrize(
+    ("steps", "what", "sounded"),
+    [
+        ((0, 0), "never sounded", False),
+        ((12, 20), "100 ms late", False),
+        ((20, 24), "never sounded", False),
+        ((10, 17), "let go 150 ms early", True),
+    ],
+)
+def test_what_became_of_a_note(
+    concert: Concert, steps: tuple[int, int], what: str, sounded: bool
+) -> None:
+    concert.sounds(C4, *steps)
+    (miss,) = concert.misses()
+    assert (miss.time, miss.note, miss.finger) == (0.5, "C4", INDEX)
+    assert (miss.what, miss.sounded) == (what, sounded)
+
+
+def silent(concert: Concert) -> None:
+    concert.sounds(C4, 0, 0)
+
+
+def dropped(concert: Concert) -> None:
+    silent(concert)
+    del concert.presses[0]
+    concert.dropped = (Dropped(SCORE.notes[0], "too far from what is held by both hands"),)
+
+
+def other_hand(concert: Concert) -> None:
+    silent(concert)
+    del concert.presses[0]
+
+
+def jump(concert: Concert) -> None:
+    silent(concert)
+    concert.cut(12)
+
+
+def next_note(concert: Concert) -> None:
+    silent(concert)
+    concert.cut(12, Press(INDEX, D4, 13, 15))
+
+
+def neighbour(concert: Concert) -> None:
+    silent(concert)
+    concert.sounds(D4, 11, 15)
+    concert.tips[10:12, INDEX, 1] = KEY_CENTRE[D4, 1]
+
+
+def beside(concert: Concert, steps: slice = slice(5, 25), by: float = -0.04) -> None:
+    silent(concert)
+    concert.tips[steps, INDEX, 1] += by
+
+
+def finger_in_the_way(concert: Concert) -> None:
+    beside(concert)  # the thumb is there
+
+
+def other_hand_in_the_way(concert: Concert) -> None:
+    beside(concert, by=0.015)
+    concert.tips[10, 7] = concert.tips[10, INDEX] + (0, 0.01, 0.01)
+
+
+def forearms(concert: Concert) -> None:
+    beside(concert, by=0.015)
+    concert.forearms[10] = (0.07, -0.07)
+
+
+def planned_beside(concert: Concert) -> None:
+    beside(concert, by=0.02)
+    concert.planned[1:] = concert.tips
+
+
+def late(concert: Concert) -> None:
+    beside(concert, slice(5, 12), by=0.0165)
+
+
+def fast(concert: Concert) -> None:
+    concert.planned[5:10, :, 1] -= 0.1
+    beside(concert, by=0.0165)
+
+
+def elsewhere(concert: Concert) -> None:
+    beside(concert, by=0.0165)
+
+
+REASONS: dict[Callable[[Concert], None], tuple[str, str]] = {
+    dropped: ("no finger", "no finger for it: too far from what is held by both hands"),
+    other_hand: ("no finger", "no finger for it: its hand does not play"),
+    jump: ("cut short", "let go too early to sound, as planned: the hand had to jump"),
+    next_note: ("cut short", "let go too early to sound, as planned: its finger had to press D4"),
+    neighbour: ("wrong neighbour", "the finger pressed D4 instead"),
+    finger_in_the_way: ("collided", "the finger beside it"),
+    other_hand_in_the_way: ("collided", "a finger of the other hand"),
+    forearms: ("collided", "the other forearm"),
+    planned_beside: ("out of reach", "the plan has it 9 mm away"),
+    late: ("too fast", "the finger was 5 mm away"),
+    fast: ("too fast", "planned at 1.0 m/s"),
+    elsewhere: ("astray", "the finger was 5 mm away"),
+    silent: ("not pressed down", "60 % of its way"),
+}
+
+
+@pytest.mark.parametrize("spoil", REASONS, ids=lambda spoil: spoil.__name__)
+def test_why_a_note_did_not_sound(spoil: Callable[[Concert], None], concert: Concert) -> None:
+    spoil(concert)
+    (miss,) = concert.misses()
+    cause, words = REASONS[spoil]
+    assert (miss.note, miss.what, miss.cause) == ("C4", "never sounded", cause)
+    assert words in miss.reason
+
+
+def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
+    concert.goal[15] = False
+    concert.presses[:1] = [Press(INDEX, C4, 11, 16), Press(INDEX, C4, 17, 21)]
+    (miss,) = concert.misses()
+    assert (miss.time, miss.what, miss.cause) == (0.8, "not struck again", "not come up")
+
+
+@pytest.mark.parametrize(
+    ("planned", "by", "cause"),
+    [(16, 0.0, "cut short"), (21, 0.03, "astray"), (21, 0.0, "not held down")],
+)
+def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concert: Concert) -> None:
+    concert.sounds(C4, 10, 15)
+    concert.cut(planned)
+    concert.tips[15:, INDEX, 1] += by
+    (miss,) = concert.misses()
+    assert (miss.what, miss.cause) == ("let go 250 ms early", cause)
+
+
+def test_the_line_counts_by_cause(concert: Concert) -> None:
+    neighbour(concert)
+    concert.sounds(C5, 25, 30)
+    misses = concert.misses()
+    assert in_a_line(misses, concert.episode) == (
+        "missed 1 of 2 notes: 1 wrong neighbour; let go of 1 early: 1 not held down"
+    )
+
+
+def test_with_one_hand_only(concert: Concert) -> None:
+    silent(concert)
+    concert.planned = concert.planned[:, :5]
+    concert.tips[:, 5:] = 0.0
+    (miss,) = concert.misses()
+    assert miss.cause == "not pressed down"
