@@ -1,0 +1,206 @@
+"""Several agents at the same song as one HTML file: figures, and what went right when.
+
+Plain HTML with drawings in SVG: no script, no network, no server.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.episode import Episode
+from cadenza.music.keyboard import IS_BLACK, note_name
+from cadenza.music.performance import key_runs
+from cadenza.report.page import asset, verdict, write_page
+
+COLUMNS = {
+    "f1": ("F1", 3),
+    "precision": ("Precision", 3),
+    "recall": ("Recall", 3),
+    "note_onset_f1": ("Note onset F1", 3),
+    "timing_error": ("Timing error [ms]", 0),
+    "energy": ("Energy [J]", 1),
+    "planning": ("Planning time / music", 2),
+}
+"""Figures of a run -> what they are called, and how many decimals are shown."""
+_BARS = ("f1", "precision", "recall", "note_onset_f1")
+_MIDDLE_C = 39
+_ROW = 7  # [px] height of a key in the piano roll
+_STEP_HEIGHT = 6  # [px] of one key in the strips
+
+
+@dataclass(frozen=True)
+class Run:
+    """One episode of one agent."""
+
+    agent: str
+    seed: int
+    figures: Mapping[str, float]
+    """Those of `COLUMNS`; NaN where one is not defined."""
+    episode: Episode
+
+
+def means(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
+    """Agent -> mean of each figure over its runs, of those in which it is defined."""
+    agents = dict.fromkeys(run.agent for run in runs)
+    return {
+        agent: {
+            name: _mean([r.figures[name] for r in runs if r.agent == agent]) for name in COLUMNS
+        }
+        for agent in agents
+    }
+
+
+def _mean(values: Sequence[float]) -> float:
+    defined = [value for value in values if not math.isnan(value)]
+    return math.fsum(defined) / len(defined) if defined else math.nan
+
+
+def in_text(runs: Sequence[Run]) -> str:
+    """The table of means, for a terminal."""
+    rows = [["", *(title for title, _ in COLUMNS.values())]]
+    for agent, figures in means(runs).items():
+        rows.append([agent, *(_shown(name, figures[name]) for name in COLUMNS)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
+    )
+
+
+def write_comparison(path: Path, runs: Sequence[Run]) -> None:
+    """Writes the page of `runs`, of at least one, to `path`."""
+    longest = max((run.episode for run in runs), key=lambda episode: episode.num_steps)
+    title = html.escape(longest.song or "Untitled")
+    parts = {
+        "title": title,
+        "facts": _facts(runs, longest),
+        "table": _table(means(runs)),
+        "bars": "".join(_bars(name, runs) for name in _BARS),
+        "roll": _roll(longest),
+        "strips": "".join(_strip(run, longest.num_steps) for run in runs),
+        "seconds": _seconds(longest.num_steps * longest.dt),
+        "css": asset("page.css") + asset("comparison.css"),
+    }
+    write_page(path, "comparison.html", parts)
+
+
+def _facts(runs: Sequence[Run], longest: Episode) -> str:
+    seeds = ", ".join(str(seed) for seed in dict.fromkeys(run.seed for run in runs))
+    notes = len(key_runs(longest["goal_keys"])[0])
+    facts = {
+        "length": f"{longest.num_steps * longest.dt:.1f} s",
+        "notes": str(notes),
+        "agents": str(len(means(runs))),
+        "seeds": seeds,
+    }
+    return "".join(f"<span>{name} <b>{value}</b></span>" for name, value in facts.items())
+
+
+def _shown(name: str, value: float) -> str:
+    if math.isnan(value):
+        return "–"
+    return f"{value * (1000 if name == 'timing_error' else 1):z.{COLUMNS[name][1]}f}"
+
+
+def _table(figures: Mapping[str, Mapping[str, float]]) -> str:
+    head = "".join(f'<th scope="col">{title}</th>' for title, _ in COLUMNS.values())
+    rows = (
+        f'<tr><th scope="row">{html.escape(agent)}</th>'
+        + "".join(f"<td>{_shown(name, of_agent[name])}</td>" for name in COLUMNS)
+        + "</tr>"
+        for agent, of_agent in figures.items()
+    )
+    return f"<table><thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _bars(name: str, runs: Sequence[Run]) -> str:
+    """A bar an agent, as long as the mean, with a dot for each of several seeds."""
+    lines = []
+    for agent, figures in means(runs).items():
+        each = [run.figures[name] for run in runs if run.agent == agent]
+        dots = "".join(f'<u style="left:{100 * x:.1f}%"></u>' for x in each if len(each) > 1)
+        lines.append(
+            f"<dt>{html.escape(agent)}</dt><dd><span>"
+            f'<i style="width:{100 * figures[name]:.1f}%"></i>{dots}</span>'
+            f"<b>{_shown(name, figures[name])}</b></dd>"
+        )
+    return f"<section><h3>{COLUMNS[name][0]}</h3><dl>{''.join(lines)}</dl></section>"
+
+
+# Drawings over time: x in control steps, stretched to the width that there is
+
+
+def _svg(steps: int, top: int, height: int, words: str, content: str) -> str:
+    return (
+        f'<svg viewBox="0 {top} {steps} {height}" height="{height}" preserveAspectRatio="none" '
+        f'role="img" aria-label="{html.escape(words)}">{content}</svg>'
+    )
+
+
+def _roll(episode: Episode) -> str:
+    """What the score asks for: names of the Cs, and the notes over rows of keys."""
+    first, last, key = key_runs(episode["goal_keys"])
+    low = max(min([*key.tolist(), _MIDDLE_C]) - 2, 0)
+    high = min(max([*key.tolist(), _MIDDLE_C]) + 2, len(IS_BLACK) - 1)
+    height = (high - low + 1) * _ROW
+    black = (
+        f"M0 {_ROW * (high - k)}h{episode.num_steps}v{_ROW}H0z"
+        for k in range(low, high + 1)
+        if IS_BLACK[k]
+    )
+    notes = (
+        f"M{i} {_ROW * (high - k) + 1}H{j - 0.15}v{_ROW - 2}H{i}z"
+        for i, j, k in zip(first.tolist(), last.tolist(), key.tolist(), strict=True)
+    )
+    drawn = f'<path class="black" d="{"".join(black)}"/><path class="goal" d="{"".join(notes)}"/>'
+    names = "".join(
+        f'<span style="top:{_ROW * (high - k) + _ROW / 2:g}px">{note_name(k)}</span>'
+        for k in range(low, high + 1)
+        if note_name(k)[:-1] == "C"
+    )
+    words = f"Piano roll of the {len(first)} notes to play"
+    return (
+        f'<div class="names">{names}</div>'
+        f"<div>{_svg(episode.num_steps, 0, height, words, drawn)}</div>"
+    )
+
+
+def _strip(run: Run, steps: int) -> str:
+    """Of each step, keys that rightly sound and missing ones above the line, wrong ones below."""
+    verdicts = verdict(run.episode["goal_keys"], run.episode["key_activation"])
+    hit, wrong, missed = (_STEP_HEIGHT * (verdicts == v).sum(axis=1) for v in (1, 2, 3))
+    up, down = int((hit + missed).max()), int(wrong.max())
+    layers = {"hit": (0 * hit, -hit), "missed": (-hit, -hit - missed), "wrong": (0 * wrong, wrong)}
+    drawn = "".join(
+        f'<path class="{name}" d="{"".join(_blocks(*edges))}"/>' for name, edges in layers.items()
+    )
+    drawn += f'<path class="line" d="M0 0H{steps}"/>'
+    shares = (np.count_nonzero(verdicts == v) for v in (1, 3, 2))
+    words = "{} key steps right, {} missing, {} wrong".format(*shares)
+    name = html.escape(run.agent)
+    return (
+        f'<div class="whose"><b>{name}</b> <small>seed {run.seed}</small></div>'
+        f"<div>{_svg(steps, -up - 1, up + down + 2, words, drawn)}</div>"
+    )
+
+
+def _blocks(start: NDArray[np.intp], end: NDArray[np.intp]) -> Iterator[str]:
+    """SVG paths of what lies between two heights (T,), a block where they stay the same."""
+    changes = np.flatnonzero((np.diff(start) != 0) | (np.diff(end) != 0)) + 1
+    edges = [0, *changes.tolist(), len(start)]
+    for first, last in pairwise(edges):
+        if start[first] != end[first]:
+            yield f"M{first} {start[first]}H{last}V{end[first]}H{first}z"
+
+
+def _seconds(duration: float) -> str:
+    tick = next((t for t in (0.5, 1, 2, 5, 10, 20, 30, 60) if duration / t <= 12), 120)
+    times = np.arange(0, duration, tick)
+    return "".join(f'<span style="left:{100 * t / duration:.2f}%">{t:g} s</span>' for t in times)
