@@ -3,8 +3,6 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
-# Five times the samples that the paper draws, and half a second to get to the first note.
-OPTIONS ?= --planner.iterations 5 --initial-buffer-time 0.5
 
 .PHONY: play test check bench lock clean
 .DEFAULT_GOAL := help
@@ -25,7 +23,7 @@ $(VENV)/installed: pyproject.toml requirements.lock
 	@touch $@
 
 play: $(VENV)/installed
-	$(BIN)/cadenza play $(SONG) $(OPTIONS)
+	$(BIN)/cadenza play $(SONG)
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,21 +16,26 @@ import numpy as np
 import pytest
 
 import cadenza
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.replay import options_of
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.model.config import SceneConfig
 from cadenza.model.piano import KEY_TRAVEL, NUM_KEYS
 from cadenza.model.scene import build_scene
+from cadenza.music.fingering_file import read_fingering
 from cadenza.music.goals import score_to_goals
 from cadenza.music.library import songs
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.tasks.config import TaskConfig
 
 DATA = Path(__file__).parent / "data"
 TUNE = Score(
     (Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), (PedalEvent(0.3, 127),)
 )
 QUICK = ("--agent", "zero", "--no-video")
+AT_ONCE = ("--initial-buffer-time", "0")  # with the first note
 RUN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
 RUN += "from cadenza.cli import main; main(sys.argv[1:])"
 
@@ -65,19 +71,21 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--help"])
     assert stop.value.code == 0
     said = capsys.readouterr().out
-    for word in ("play", "songs", "info", "piano"):
+    for word in ("play", "plan", "compare", "songs", "info", "piano"):
         assert word in said
 
 
-@pytest.mark.parametrize("command", ["play", "songs", "info"])
+@pytest.mark.parametrize("command", ["play", "plan", "compare", "songs", "info"])
 def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])
     assert stop.value.code == 0
     said = capsys.readouterr().out
     assert ("SONG" in said) == (command != "songs")
-    options = ("--agent", "--output", "--seed", "--wrong-press-termination", "--hands")
-    assert all((option in said) == (command == "play") for option in options)
+    options = ("--output", "--seed", "--wrong-press-termination", "--hands", "--planner.method")
+    performs = command in ("play", "plan", "compare")
+    assert all((option in said) == performs for option in options)
+    assert ("--agent" in said) == ("--ilqg.horizon" in said) == (command in ("play", "compare"))
 
 
 def test_starts_without_the_heavy_libraries() -> None:
@@ -153,6 +161,7 @@ def test_play_leaves_what_it_promises(
 ) -> None:
     plan, folder = perfect_plan(TUNE, tmp_path / "plan.npz"), tmp_path / "new" / "folder"
     arguments = ["play", tune, "--hands", "none", "--agent", "replay", "--plan", plan, "-o", folder]
+    arguments += AT_ONCE
     main([str(argument) for argument in arguments])
     said = capsys.readouterr()
     assert "F1 1.000  precision 1.000  recall 1.000" in said.out
@@ -166,9 +175,9 @@ def test_play_leaves_what_it_promises(
     scores = {"precision", "recall", "f1"}
     scores |= {f"sustain_{name}" for name in scores} | {"note_onset_f1", "note_onset_offset_f1"}
     other = {"return", "reward/key_press", "steps", "planning_seconds", "playing_seconds"}
-    assert metrics.keys() == scores | other | {"unstable"}
+    assert metrics.keys() == scores | other | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
-    assert (metrics["steps"], metrics["unstable"]) == (13, 0)
+    assert (metrics["steps"], metrics["unstable"], metrics["timing_error"]) == (13, 0, 0)
 
     settings = json.loads((folder / "settings.json").read_text())
     assert (settings["seed"], settings["agent"], settings["plan"]) == (0, "replay", str(plan))
@@ -182,7 +191,8 @@ def test_play_leaves_what_it_promises(
 
 
 def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_path: Path) -> None:
-    main(["play", str(tune), *QUICK, "--sustain-term", "--forearm-term", "-o", str(tmp_path)])
+    terms = ["--sustain-term", "--forearm-term"]
+    main(["play", str(tune), *QUICK, *AT_ONCE, *terms, "-o", str(tmp_path)])
     episode = load_episode(tmp_path / "episode.npz")
     with np.load(DATA / "episode_a.npz") as recording:
         names = set(recording.files) - {"song", "dt"}
@@ -232,16 +242,173 @@ def test_results_go_below_the_working_folder_by_default(
 
 
 def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:
-    options = ["--initial-buffer-time", "0.5", "--hands", "left", "--no-reduced-action-space"]
+    options = ["--initial-buffer-time", "0.25", "--hands", "left", "--no-reduced-action-space"]
     options += ["--forearm-dofs", "tx", "tz"]
     main(["play", str(tune), *QUICK, *options, "-o", str(tmp_path)])
     episode = load_episode(tmp_path / "episode.npz")
     scene = SceneConfig(hands="left", reduced_action_space=False, forearm_dofs=("tx", "tz"))
     assert episode["actuator_names"].tolist() == list(build_scene(scene).actuator_names)
-    assert episode.num_steps == 23
+    assert episode.num_steps == 18
+
+
+def test_the_hands_have_half_a_second_to_get_into_place(tune: Path, tmp_path: Path) -> None:
+    main(["play", str(tune), *QUICK, "-o", str(tmp_path)])
+    goal = load_episode(tmp_path / "episode.npz")["goal_keys"]
+    assert len(goal) == 23
+    assert goal.any(axis=1).argmax() == 10
+
+
+def test_the_planner_plays_by_default(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", str(tune), "--no-video", "-o", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert figures(tmp_path)["f1"] > 0.9
+    assert json.loads((tmp_path / "settings.json").read_text())["agent"] == "planner"
+    lost = json.loads((tmp_path / "misses.json").read_text())
+    missed = [miss for miss in lost if not miss["sounded"]]
+    assert f"missed {len(missed)} of 3 notes" in said
+
+
+def test_notes_without_a_finger_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    low_and_high = Score((Note(0.0, 0.4, 30), Note(0.0, 0.4, 90)))
+    write_midi(low_and_high, tmp_path / "far.mid")
+    options = ["--hands", "right", "--no-video", "-o", str(tmp_path)]
+    main(["play", str(tmp_path / "far.mid"), *options])
+    said = capsys.readouterr().out
+    (lost,) = json.loads((tmp_path / "misses.json").read_text())
+    assert (lost["note"], lost["finger"], lost["time"]) == ("F♯1", -1, 0.5)
+    assert "missed 1 of 2 notes: 1 no finger" in said
+    assert "1 of them have no finger: " + lost["reason"].removeprefix("no finger for it: ") in said
+    assert lost["reason"] in (tmp_path / "report.html").read_text()
+
+
+def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> None:
+    options = ["--predictive-sampling.num-candidates", "3", "--ilqg.iterations", "2"]
+    options += ["--planner.method", "none", "--agent", "predictive-sampling", "--no-video"]
+    main(["play", str(tune), *options, "-o", str(tmp_path)])
+    settings = json.loads((tmp_path / "settings.json").read_text())
+    assert settings["predictive_sampling"]["num_candidates"] == 3
+    assert settings["ilqg"]["iterations"] == 2
+    assert settings["planner"]["method"] == "none"
+    assert not (tmp_path / "misses.json").exists()  # they do not say what they had in mind
+
+
+# Planning
+
+
+def told_to_run(out: str) -> list[str]:
+    """The arguments of the command on the last line."""
+    program, *arguments = shlex.split(out.strip().splitlines()[-1])
+    assert program == "cadenza"
+    return arguments
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--stretch", "1.3", "--hands", "right", "--no-reduced-action-space"],
+        ["--random-pitch-shift", "5", "--seed", "3", "--physics", "fast"],
+    ],
+)
+def test_a_plan_replays_bit_for_bit(
+    options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a plan.npz"
+    main(["plan", str(tune), "-o", str(path), *options])
+    said = capsys.readouterr().out
+    assert "missed" in said
+    main([*told_to_run(said), "--no-video", "-o", str(tmp_path)])
+    with np.load(path) as plan:
+        planned = json.loads(str(plan["metrics"]))
+        assert plan["action"].dtype == np.float64
+        assert (str(plan["song"]), float(plan["dt"])) == ("tune", 0.05)
+    planned = {name: value for name, value in planned.items() if not name.endswith("_seconds")}
+    assert figures(tmp_path) == planned
+
+
+def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
+    main(["plan", str(tune), "-o", str(tmp_path / "tune.npz"), "--stretch", "2"])
+    fingered = read_fingering(tmp_path / "tune.fingering", read_midi(tune))
+    fingers = [note.finger for note in fingered.notes]
+    assert min(fingers) >= 0
+    with np.load(tmp_path / "tune.npz") as plan:
+        assert plan["fingering"][:, 2].tolist() == fingers
+        assert plan["fingering"][:, 1].tolist() == [60, 64, 67]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--initial-buffer-time", "0"], "initial_buffer_time 0.5, here it is 0.0"),
+        (["--stretch", "1.001"], "stretch 1.0, here it is 1.001"),
+        (["--hand-spacing", "0.31"], "hand_spacing 0.3, here it is 0.31"),
+    ],
+)
+def test_a_plan_made_with_other_options(
+    options: list[str],
+    message: str,
+    tmp_path: Path,
+    tune: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, task, scene = tmp_path / "plan.npz", TaskConfig(initial_buffer_time=0.5), SceneConfig()
+    np.savez(path, action=np.zeros((23, 39)), options=json.dumps(options_of(task, scene, 0)))
+    arguments = ("play", tune, "--agent", "replay", "--plan", path, *options, "-o", tmp_path)
+    said = refused_in_a_line(capsys, *arguments)
+    assert f"{path}: was planned with {message}; choose the same" in said
+
+
+def test_a_plan_is_an_npz_file(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "tune.fingering")
+    assert "tune.fingering: a plan is a .npz file" in message
+
+
+def test_half_a_plan_is_not_kept(
+    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clenched = build_scene().action_high
+    monkeypatch.setattr(ScorePlanner, "act", lambda _: clenched)
+    path = tmp_path / "plan.npz"
+    options = ("-o", path, "--wrong-press-termination")
+    assert "no whole plan to keep" in refused_in_a_line(capsys, "plan", tune, *options)
+    assert not path.exists()
+
+
+# Comparing
+
+
+def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--agents", "planner", "zero", "--seeds", "0", "1", "--planner.method", "none"]
+    main(["compare", str(tune), *options, "-o", str(tmp_path)])
+    heading, planner, zero, *_ = capsys.readouterr().out.splitlines()
+    assert heading.split()[:3] == ["F1", "Precision", "Recall"]
+    assert (planner.split()[0], zero.split()[0]) == ("planner", "zero")
+    found = json.loads((tmp_path / "compare.json").read_text())
+    runs = [(run["agent"], run["seed"]) for run in found["runs"]]
+    assert runs == [("planner", 0), ("planner", 1), ("zero", 0), ("zero", 1)]
+    f1 = [run["f1"] for run in found["runs"]]
+    assert found["means"]["planner"]["f1"] == pytest.approx((f1[0] + f1[1]) / 2)
+    assert planner.split()[1] == f"{found['means']['planner']['f1']:.3f}"
+    assert found["means"]["planner"]["energy"] > found["means"]["zero"]["energy"]
+    assert found["means"]["zero"]["timing_error"] is None
+    assert "seed 1" in (tmp_path / "compare.html").read_text()
 
 
 # MIDI files as they come
+
+
+@pytest.mark.parametrize("options", [["--agents"], ["--seeds"]])
+def test_comparing_nothing(
+    options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = refused_in_a_line(capsys, "compare", tune, *options, "-o", tmp_path)
+    assert "nothing to compare" in message
 
 
 def test_tracks_tempo_changes_and_notes_off_the_keyboard(
@@ -277,11 +444,11 @@ def test_tracks_tempo_changes_and_notes_off_the_keyboard(
     assert "88 keys" in told["repaired 1"]
     main(["play", str(path), *QUICK, "-o", str(tmp_path / "played")])
     assert "88 keys" in capsys.readouterr().err
-    assert load_episode(tmp_path / "played/episode.npz").num_steps == 31
+    assert load_episode(tmp_path / "played/episode.npz").num_steps == 41
 
 
 @pytest.mark.parametrize("notes", [[], [5, 120]])
-@pytest.mark.parametrize("command", ["info", "play"])
+@pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
 def test_a_file_without_a_note_to_play(
     command: str, notes: list[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -296,7 +463,7 @@ def test_a_file_without_a_note_to_play(
 # What is wrong is said in a line
 
 
-@pytest.mark.parametrize("command", ["info", "play"])
+@pytest.mark.parametrize("command", ["info", "play", "plan", "compare"])
 def test_songs_that_there_are_not(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -320,7 +487,11 @@ def test_songs_that_there_are_not(
         (["--agent", "zero", "--initial-buffer-time", "-1"], "initial_buffer_time -1.0"),
         (["--agent", "zero", "--hand-spacing", "9"], "hand_spacing 9.0 m"),
         (["--agent", "zero", "--forearm-dofs", "tx", "tx"], "forearm_dofs"),
-        (["--planner.num-knots", "1"], "num_knots 1"),
+        (["--planner.num-candidates", "1"], "num_candidates 1: choose 2 or more"),
+        (
+            ["--agent", "predictive-sampling", "--predictive-sampling.num-knots", "1"],
+            "num_knots 1",
+        ),
     ],
 )
 def test_options_that_make_no_sense(

@@ -30,17 +30,20 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "goal" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("line", command_lines())
-def test_the_commands_run(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commands_run_one_after_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "tests").symlink_to(ROOT / "tests")
     monkeypatch.chdir(tmp_path)
-    arguments = shlex.split(line)[1:]
-    if "--help" in arguments:
-        with pytest.raises(SystemExit) as stop:
-            main(arguments)
-        assert stop.value.code == 0
-    else:  # the video takes longest and has tests of its own
-        main([*arguments, *(["--no-video"] if arguments[0] == "play" else [])])
+    for line in command_lines():
+        arguments = shlex.split(line)[1:]
+        if "--help" in arguments:
+            with pytest.raises(SystemExit) as stop:
+                main(arguments)
+            assert stop.value.code == 0
+        else:  # the video takes longest and has tests of its own
+            main([*arguments, *(["--no-video"] if arguments[0] == "play" else [])])
+        assert capsys.readouterr().out, line
 
 
 def test_the_make_targets_exist() -> None:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+)
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -23,35 +31,90 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cadenza.agents.agent import Agent
+    from cadenza.agents.planning.misses import Miss
+    from cadenza.agents.planning.score_planner import ScorePlanner
     from cadenza.agents.play import Performance
     from cadenza.music.score import Score
     from cadenza.tasks.piano_task import PianoTask
 
-AgentName = Literal["predictive-sampling", "zero", "random", "replay"]
+AgentName = Literal["planner", "predictive-sampling", "ilqg", "zero", "random"]
+
+
+def _with_time_to_begin() -> TaskConfig:
+    """From where they start, the hands cannot sound a note at time 0."""
+    return TaskConfig(initial_buffer_time=0.5)
 
 
 @dataclass(frozen=True)
-class Play:
+class _Performing:
+    """What all that perform a song have in common."""
+
+    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
+    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
+    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=_with_time_to_begin)
+    scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
+    planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
+
+    @property
+    def default_folder(self) -> Path:
+        return Path("played") / Path(self.song).stem
+
+
+@dataclass(frozen=True)
+class _WithOtherPlanners(_Performing):
+    """The paper's planners have options of their own."""
+
+    predictive_sampling: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
+    ilqg: ILQGConfig = field(default_factory=ILQGConfig)
+
+
+@dataclass(frozen=True)
+class Play(_WithOtherPlanners):
     """Have the hands play a song, and leave sound, video, scores and a page to look at.
 
     Example: cadenza play OdeToJoy -o joy
     """
 
-    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
-    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
-    agent: AgentName = "predictive-sampling"
+    agent: AgentName | Literal["replay"] = "planner"
     """Who plays. "replay" plays the actions of --plan."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; played/SONG by default. Files of an earlier run are replaced."""
     seed: int = 0
     """Of everything random; the same seed plays the same."""
     plan: Path | None = None
-    """For --agent replay: a .npz file with an array "action" (T, A) in actuator units."""
+    """For --agent replay: what "cadenza plan" wrote, or another .npz file with an array "action"
+    (T, A) in actuator units."""
     video: bool = True
     """Write video.mp4 too, where this machine can draw."""
-    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=TaskConfig)
-    scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
-    planner: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
+
+
+@dataclass(frozen=True)
+class Plan(_Performing):
+    """Plan how to play a song, and keep the actions and the fingers.
+
+    Example: cadenza plan OdeToJoy -o joy.npz
+    """
+
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The plan, a .npz file; played/SONG/plan.npz by default. Which finger plays which note stands
+    as text beside it, in a file of the same name that ends in .fingering."""
+    seed: int = 0
+    """Of everything random; the same seed plans the same."""
+
+
+@dataclass(frozen=True)
+class Compare(_WithOtherPlanners):
+    """Have several agents play the same song, and draw how they do.
+
+    Example: cadenza compare OdeToJoy --agents planner predictive-sampling --seeds 0 1 2
+    """
+
+    agents: tuple[AgentName, ...] = ("planner", "predictive-sampling")
+    """Who plays."""
+    seeds: tuple[int, ...] = (0,)
+    """Each agent plays once with each."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for compare.html and compare.json; played/SONG by default."""
 
 
 @dataclass(frozen=True)
@@ -68,47 +131,187 @@ class Info:
 
 
 def play(command: Play) -> None:
-    from cadenza.agents.play import play as play_episode
-    from cadenza.music.library import load_score
-    from cadenza.tasks.piano_task import PianoTask
+    from cadenza.agents.planning.misses import misses_of
+    from cadenza.agents.planning.score_planner import ScorePlanner
 
-    score = load_score(command.song)
-    for remark in score.remarks:
-        print(f"{command.song}: {remark}", file=sys.stderr)
-    agent = _agent(command)
+    score = _score(command.song)
+    agent = _player(command)
     if command.plan is not None:
-        command = _in_the_physics_of(command.plan, command)
-    task = PianoTask([score], command.task, command.scene)
-    folder = command.output or Path("played") / Path(command.song).stem
+        command = _as_planned(command.plan, command)
+    task = _task(score, command)
+    folder = command.output or command.default_folder
     _check_writable(folder)
-    with closing(task), _progress("playing", "steps") as advance:
-        performance = play_episode(task, agent, command.seed, advance)
-    _write_results(folder, command, performance, task)
-    _print_scores(performance.metrics)
+    with closing(task):
+        performance = _perform(task, agent, command.seed, "playing")
+    misses = None
+    if isinstance(agent, ScorePlanner):
+        misses = misses_of(performance.episode, agent.score, agent.dropped, agent.nominal)
+    _write_results(folder, command, performance, task, misses)
+    _print_scores(performance)
+    if isinstance(agent, ScorePlanner) and misses is not None:
+        _print_what_was_lost(agent, performance, misses)
     print(f"\nOpen {folder / 'report.html'}")
 
 
-def _in_the_physics_of(plan: Path, command: Play) -> Play:
-    from cadenza.agents.replay import physics_of
+def plan(command: Plan) -> None:
+    from cadenza.agents.planning.misses import misses_of
+    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.replay import options_of, save_plan
+    from cadenza.music.fingering_file import SUFFIX, write_fingering
 
+    path = command.output or command.default_folder / "plan.npz"
+    if path.suffix != ".npz":
+        raise CadenzaError(f"{path}: a plan is a .npz file; choose a name that ends so")
+    score = _score(command.song)
+    agent = ScorePlanner(command.planner)
+    task = _task(score, command)
+    _check_writable(path.parent)
+    with closing(task):
+        performance = _perform(task, agent, command.seed, "planning")
+    if performance.episode.num_steps < task.sheets.num_steps[0]:
+        raise CadenzaError(
+            f"{command.song}: ended after {performance.episode.num_steps} of "
+            f"{task.sheets.num_steps[0]} steps, at a wrong key or an unstable simulation, so that "
+            "there is no whole plan to keep; try another seed"
+        )
+    # The notes are the same in the same order; times and pitches are again those of the file.
+    notes = zip(score.notes, agent.score.notes, strict=True)
+    fingered = replace(score, notes=tuple(replace(n, finger=m.finger) for n, m in notes))
+    options = options_of(command.task, command.scene, command.seed)
+    save_plan(path, performance.episode, performance.metrics, options, fingered)
+    write_fingering(fingered, path.with_suffix(SUFFIX))
+    _print_scores(performance)
+    misses = misses_of(performance.episode, agent.score, agent.dropped, agent.nominal)
+    _print_what_was_lost(agent, performance, misses)
+    print(f"\nFingers in {path.with_suffix(SUFFIX)}; to see and hear the plan:")
+    print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
+
+
+def compare(command: Compare) -> None:
+    from cadenza.report.comparison import Run, in_text, means, write_comparison
+
+    if not command.agents or not command.seeds:
+        raise CadenzaError("nothing to compare: name at least one agent and one seed")
+    score = _score(command.song)
+    agents = {name: _agent(name, command) for name in command.agents}
+    task = _task(score, command)
+    folder = command.output or command.default_folder
+    _check_writable(folder)
+    runs = []
+    with closing(task):
+        for (name, agent), seed in product(agents.items(), dict.fromkeys(command.seeds)):
+            performance = _perform(task, agent, seed, f"{name}, seed {seed}")
+            figures = _figures(performance, command.task)
+            runs.append(Run(name, seed, figures, performance.episode))
+    content = {
+        "means": means(runs),
+        "runs": [{"agent": run.agent, "seed": run.seed, **run.figures} for run in runs],
+        "settings": asdict(command),
+    }
+    _write_json(folder / "compare.json", content)
+    write_comparison(folder / "compare.html", runs)
+    print(in_text(runs))
+    print(f"\nOpen {folder / 'compare.html'}")
+
+
+def _figures(performance: Performance, config: TaskConfig) -> dict[str, float]:
+    """What is compared. The energy is that of all actuators, their power as of each step's end."""
+    metrics = performance.metrics
+    figures = {name: metrics[name] for name in ("f1", "precision", "recall", "note_onset_f1")}
+    energy = math.nan
+    if config.energy_coefficient and "reward/energy" in metrics:
+        energy = -metrics["reward/energy"] / config.energy_coefficient * config.control_timestep
+    error = metrics["timing_error"]
+    return figures | {
+        "timing_error": math.nan if error is None else error,
+        "energy": energy,
+        "planning": metrics["planning_seconds"] / _seconds_of_music(performance),
+    }
+
+
+def _seconds_of_music(performance: Performance) -> float:
+    return performance.episode.num_steps * performance.episode.dt
+
+
+def _score(song: str) -> Score:
+    from cadenza.music.library import load_score
+
+    score = load_score(song)
+    for remark in score.remarks:
+        print(f"{song}: {remark}", file=sys.stderr)
+    return score
+
+
+def _task(score: Score, command: _Performing) -> PianoTask:
+    from cadenza.tasks.piano_task import PianoTask
+
+    return PianoTask([score], command.task, command.scene)
+
+
+def _perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performance:
+    from cadenza.agents.play import play as play_episode
+
+    with _progress(doing, "steps") as advance:
+        return play_episode(task, agent, seed, advance)
+
+
+def _as_planned(plan: Path, command: Play) -> Play:
+    """In the physics of the plan; its other options must be those of the command."""
+    from cadenza.agents.replay import check_options, options_of, physics_of
+
+    check_options(plan, options_of(command.task, command.scene, command.seed))
     scene = replace(command.scene, **physics_of(plan))
     if scene.physics != command.scene.physics:
         print(f"{plan}: was made in the {scene.physics} physics, played in it", file=sys.stderr)
     return replace(command, scene=scene)
 
 
-def _agent(command: Play) -> Agent:
-    from cadenza.agents.agent import RandomAgent, ZeroAgent
-    from cadenza.agents.planning.predictive_sampling import PredictiveSampling
+def _to_replay(command: Plan, path: Path) -> list[str]:
+    """The options with which "cadenza play" replays what `command` has planned."""
+    flags = ["--agent", "replay", "--plan", str(path)]
+    for options, default in (
+        (command.task, _with_time_to_begin()),
+        (command.scene, SceneConfig()),
+    ):
+        for name, value in asdict(options).items():
+            if value == getattr(default, name):
+                continue
+            flag = name.replace("_", "-")
+            if isinstance(value, bool):
+                flags.append(f"--{'' if value else 'no-'}{flag}")
+            else:
+                values = value if isinstance(value, tuple) else (value,)
+                flags += [f"--{flag}", *map(str, values)]
+    return [*flags, *(["--seed", str(command.seed)] if command.seed else [])]
+
+
+def _player(command: Play) -> Agent:
     from cadenza.agents.replay import ReplayAgent, load_plan
 
-    if (command.agent == "replay") != (command.plan is not None):
-        raise CadenzaError("--agent replay and --plan FILE.npz go together: give both or neither")
-    if command.plan is not None:
+    if command.agent == "replay" and command.plan is not None:
         return ReplayAgent(load_plan(command.plan))
-    if command.agent == "predictive-sampling":
-        return PredictiveSampling(command.planner)
-    return ZeroAgent() if command.agent == "zero" else RandomAgent()
+    if command.agent == "replay" or command.plan is not None:
+        raise CadenzaError("--agent replay and --plan FILE.npz go together: give both or neither")
+    return _agent(command.agent, command)
+
+
+def _agent(name: AgentName, command: _WithOtherPlanners) -> Agent:
+    from cadenza.agents.agent import RandomAgent, ZeroAgent
+    from cadenza.agents.planning.ilqg import ILQG
+    from cadenza.agents.planning.predictive_sampling import PredictiveSampling
+    from cadenza.agents.planning.score_planner import ScorePlanner
+
+    match name:
+        case "planner":
+            return ScorePlanner(command.planner)
+        case "predictive-sampling":
+            return PredictiveSampling(command.predictive_sampling)
+        case "ilqg":
+            return ILQG(command.ilqg)
+        case "zero":
+            return ZeroAgent()
+        case "random":
+            return RandomAgent()
 
 
 def _check_writable(folder: Path) -> None:
@@ -125,10 +328,14 @@ def _check_writable(folder: Path) -> None:
         ) from error
 
 
-def _write_results(folder: Path, command: Play, performance: Performance, task: PianoTask) -> None:
-    import json
-
-    from cadenza.files import write_atomically
+def _write_results(
+    folder: Path,
+    command: Play,
+    performance: Performance,
+    task: PianoTask,
+    misses: Sequence[Miss] | None,
+) -> None:
+    """`misses` of the planner; it has to know the plan to say why."""
     from cadenza.music.midi import write_midi
     from cadenza.music.performance import performed_score
     from cadenza.report.page import write_report
@@ -140,17 +347,26 @@ def _write_results(folder: Path, command: Play, performance: Performance, task: 
         episode["key_activation"], episode["sustain_activation"], episode.dt, episode["key_qpos"]
     )
     episode.save(folder / "episode.npz")
-    for name, content in (("metrics", metrics), ("settings", settings)):
-        with write_atomically(folder / f"{name}.json") as file:
-            file.write((json.dumps(content, indent=2) + "\n").encode())
+    _write_json(folder / "metrics.json", metrics)
+    _write_json(folder / "settings.json", settings)
+    lost = [asdict(miss) for miss in misses or ()]
+    if misses is not None:
+        _write_json(folder / "misses.json", lost)
     write_midi(played, folder / "played.mid")
     with _progress("writing sound and page", "files") as advance:
         advance(0, 2)
         audio = synthesize(played)
         advance(1, 2)
-        write_report(folder / "report.html", episode, metrics, settings, audio)
+        write_report(folder / "report.html", episode, metrics, settings, audio, misses=lost)
     if command.video:
         _write_video(folder / "video.mp4", performance, task, audio)
+
+
+def _write_json(path: Path, content: Any) -> None:
+    from cadenza.files import write_atomically
+
+    with write_atomically(path) as file:
+        file.write((json.dumps(_plain(content), indent=2, allow_nan=False) + "\n").encode())
 
 
 def _write_video(path: Path, performance: Performance, task: PianoTask, audio: Any) -> None:
@@ -269,28 +485,53 @@ def _progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
         yield advance
 
 
-def _print_scores(metrics: dict[str, float]) -> None:
+def _print_scores(performance: Performance) -> None:
+    metrics = performance.metrics
     print(
         f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
         f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
     )
     print(
         f"{metrics['steps']} steps, return {metrics['return']:.1f}, "
-        f"planned in {metrics['planning_seconds']:.1f} s, "
-        f"simulated in {metrics['playing_seconds']:.1f} s"
+        f"planned in {metrics['planning_seconds']:.1f} s and "
+        f"simulated in {metrics['playing_seconds']:.1f} s for "
+        f"{_seconds_of_music(performance):.1f} s of music"
     )
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
 
 
+def _print_what_was_lost(
+    agent: ScorePlanner, performance: Performance, misses: Sequence[Miss]
+) -> None:
+    from collections import Counter
+
+    from cadenza.agents.planning.misses import in_a_line
+
+    print(in_a_line(misses, performance.episode))
+    reasons = Counter(reason for _, reason in agent.dropped)
+    for reason, count in reasons.most_common():
+        print(f"{count} of them have no finger: {reason}")
+
+
 def _plain(value: Any) -> Any:
-    """The same with paths as text, for JSON."""
+    """The same as JSON has it: paths as text, null for what is not a number."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, float) and math.isnan(value):
+        return None
     return str(value) if isinstance(value, Path) else value
 
 
-_COMMANDS: dict[type, Callable[[Any], None]] = {Play: play, Songs: songs, Info: info}
+_COMMANDS: dict[type, Callable[[Any], None]] = {
+    Play: play,
+    Plan: plan,
+    Compare: compare,
+    Songs: songs,
+    Info: info,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
+from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays
+from cadenza.files import read_arrays, write_atomically
+from cadenza.model.config import SceneConfig
+from cadenza.music.score import Score
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+
+_CHANGE_NOTHING = {  # options of the task that move no key and no hand
+    "n_steps_lookahead",
+    "n_seconds_lookahead",
+    "fingering",
+    "energy_coefficient",
+    "sustain_term",
+    "forearm_term",
+}
+_TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
 
 
 class ReplayAgent:
@@ -59,6 +76,58 @@ def physics_of(path: Path) -> dict[str, Any]:
         "physics": str(arrays.get("physics", "published")),
         "sleeping_keys": bool(arrays.get("sleeping_keys", False)),
     }
+
+
+def options_of(task: TaskConfig, scene: SceneConfig, seed: int) -> dict[str, Any]:
+    """What has to be the same for a plan to play the same, by name, as JSON has it."""
+    options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING}
+    drawn = any(value for name, value in options.items() if name.startswith("random_"))
+    options |= {n: v for n, v in asdict(scene).items() if n not in _TAKEN_FROM_PLAN}
+    options |= {"seed": seed} if drawn else {}
+    return dict(json.loads(json.dumps(options)))
+
+
+def check_options(path: Path, options: Mapping[str, Any]) -> None:
+    """Compares `options` with those that a plan was made with, where it says.
+
+    Raises:
+        CadenzaError: they differ.
+    """
+    made_with = json.loads(str(read_arrays(path).get("options", "{}")))
+    for name, value in made_with.items():
+        if options.get(name) != value:
+            raise CadenzaError(
+                f"{path}: was planned with {name} {value}, here it is {options.get(name)}; "
+                "choose the same"
+            )
+
+
+def save_plan(
+    path: Path,
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    options: Mapping[str, Any],
+    fingered: Score,
+) -> None:
+    """Writes what `load_plan`, `physics_of` and `check_options` read, and what there is to know.
+
+    action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
+    fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none.
+    """
+    notes = [(note.start, note.pitch, note.finger) for note in fingered.notes]
+    with write_atomically(path) as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            action=episode["action"],
+            physics=episode["physics"],
+            sleeping_keys=episode["sleeping_keys"],
+            song=np.str_(episode.song),
+            dt=np.float64(episode.dt),
+            metrics=np.str_(json.dumps(metrics)),
+            options=np.str_(json.dumps(options)),
+            fingering=np.array(notes, np.float64),
+        )
 
 
 def load_plan(path: Path) -> NDArray[np.float64]:

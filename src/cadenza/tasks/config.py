@@ -25,7 +25,8 @@ class TaskConfig:
     transpose: int = 0
     """Move all notes by this many semitones."""
     initial_buffer_time: float = 0.0
-    """Silence before the first note, in which the hands can get into place [s]."""
+    """Silence before the first note, in which the hands can get into place [s]; they begin 10 cm
+    above the keys, and a note at time 0 cannot be played in time."""
     wrong_press_termination: bool = False
     """End the episode when a key sounds that should not."""
     fingering: Fingering = "auto"
