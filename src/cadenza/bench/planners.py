@@ -2,6 +2,9 @@
 
     OPENBLAS_NUM_THREADS=1 python -m cadenza.bench.planners SONG [--steps N] [--iterations I ...]
 
+With --whole-song instead those that plan the whole song: the plan of `ScorePlanner` as it is and
+refined, and `TrackedPresses`.
+
 Prints a table in Markdown. Plans for small matrices are faster where the threads of the linear
 algebra do not compete with those of the simulation, hence the variable.
 """
@@ -15,9 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.planning.config import ILQGConfig, PredictiveSamplingConfig
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+)
 from cadenza.agents.planning.ilqg import ILQG
 from cadenza.agents.planning.predictive_sampling import PredictiveSampling
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.tracked_presses import TrackedPresses
 from cadenza.music.library import load_score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -30,7 +39,7 @@ class Result(NamedTuple):
     fingering: float
     """Mean nearness of the fingers to their keys, 0..1, the task's fingering term."""
     ratio: float
-    """Planning time over the music's."""
+    """Planning time over the music's; what is done beforehand is shared out over the song."""
     parts: dict[str, float]
     """The share of it that went to each part of the planner, if it keeps account."""
 
@@ -39,8 +48,11 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
     """Has the agent play the first `num_steps` control steps."""
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
+    started = time.perf_counter()
     agent.reset(task, agent_rng)
-    planning = fingering = 0.0
+    beforehand = time.perf_counter() - started
+    planning = beforehand * num_steps / int(task.sheets.num_steps[0])
+    fingering = 0.0
     for _ in range(num_steps):
         started = time.perf_counter()
         action = agent.act()
@@ -71,8 +83,9 @@ def main() -> None:
     parser.add_argument("song", help="a bundled piece or a MIDI file")
     parser.add_argument("--steps", type=int, default=40, help="control steps, at most the song's")
     parser.add_argument("--iterations", type=int, nargs="+", default=[1], help="a control step")
-    parser.add_argument("--seeds", type=int, default=3, help="of predictive sampling")
+    parser.add_argument("--seeds", type=int, default=3, help="of planners that sample")
     parser.add_argument("--centred", action="store_true", help="iLQG with centred differences")
+    parser.add_argument("--whole-song", action="store_true", help="plan the whole song")
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
     options = parser.parse_args()
     config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
@@ -87,6 +100,11 @@ def main() -> None:
     print(f"{options.song}, {num_steps} control steps\n")
     print("| planner | F1 | fingering | planning time / music | of which |")
     print("| --- | --- | --- | --- | --- |")
+    if options.whole_song:
+        row("nominal plan", ScorePlanner(ScorePlannerConfig(method="none")))
+        row("nominal plan, refined", ScorePlanner(), options.seeds)
+        row("optimised presses, tracked", TrackedPresses())
+        return
     row("hands at rest", ZeroAgent())
     for iterations in options.iterations:
         sampling = PredictiveSamplingConfig(iterations=iterations)

@@ -254,6 +254,20 @@ class Simulation:
             self._counted[i] = False
             self._read(i, self.state, i)
 
+    def displace(self, hand_qpos: Array, hand_qvel: Array) -> None:
+        """Moves the hands of each simulation and leaves the keys as they are.
+
+        Args:
+            hand_qpos: (N, J) to add to their positions [m, rad].
+            hand_qvel: (N, J) to add to their speeds [m/s, rad/s].
+        """
+        self.state = self._blank(self.num_envs)
+        for i, data in enumerate(self._data):
+            data.qpos[self.scene.hand_qpos] += hand_qpos[i]
+            data.qvel[self.scene.hand_qvel] += hand_qvel[i]
+            mujoco.mj_step1(self.scene.model, data)
+            self._read(i, self.state, i)
+
     def physics_state(self, env_id: int) -> Array:
         """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
         model = self.scene.model

@@ -59,3 +59,11 @@ class ScorePlannerConfig:
     """How many times they are drawn and compared."""
     horizon: float = 0.25
     """How far a plan looks ahead [s]."""
+
+
+@dataclass(frozen=True)
+class TrackedPressesConfig:
+    """Trajectory optimisation of the presses beforehand, tracked by time-varying LQR."""
+
+    iterations: int = 4
+    """How many times the controls around a press are improved at most, until no key is wrong."""

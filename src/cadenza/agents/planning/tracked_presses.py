@@ -1,0 +1,102 @@
+"""Optimises the presses of a song beforehand and tracks the result by time-varying LQR.
+
+The paper (Zakka et al., CoRL 2023) names it as an alternative to its planners.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planning.config import ScorePlannerConfig, TrackedPressesConfig
+from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planning.predictive_sampling import available_cores
+from cadenza.agents.planning.press_optimisation import PressOptimisation, Trajectory
+from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.tracking import Tracking
+from cadenza.errors import CadenzaError
+from cadenza.model.config import Side
+from cadenza.model.hand import prefix
+from cadenza.model.scene import build_scene
+from cadenza.music.goals import Goals
+from cadenza.tasks.music import goals_of
+from cadenza.tasks.piano_task import PianoTask
+
+
+class TrackedPresses:
+    """Plans everything when an episode begins; then only feedback is left.
+
+    Like `ScorePlanner`, it plans with the scene that the task's configuration describes. What is
+    fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is random.
+
+    Attributes:
+        trajectories: what each hand is to do, after `reset`.
+    """
+
+    def __init__(self, config: TrackedPressesConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
+        self.config = config or TrackedPressesConfig()
+        if not 0 <= self.config.iterations < math.inf:
+            raise CadenzaError(f"iterations {self.config.iterations}: choose 0 or more")
+        self.trajectories: list[Trajectory] = []
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        """Raises:
+        CadenzaError: there are no hands in the scene.
+        """
+        planner = ScorePlanner(ScorePlannerConfig(method="none"))
+        planner.reset(task, rng)
+        goals = goals_of(planner.score, task.config)
+        self._pedal = goals.sustain.astype(np.float64)
+        self._task, self._step = task, 0
+        self._parts, self.trajectories = [], []
+        for side in task.scene.sides:
+            servos = _of_side(task.scene.actuator_names, side)
+            joints = _of_side(task.scene.hand_joint_names, side)
+            with threadpool_limits(1):  # small matrices, and the same bits everywhere
+                optimisation = self._optimisation(task, goals, planner.nominal, side, servos)
+                start = task.state.hand_qpos[0, joints]
+                self.trajectories.append(optimisation.optimise(start))
+            self._parts.append((servos, joints))
+
+    def _optimisation(
+        self,
+        task: PianoTask,
+        goals: Goals,
+        nominal: Nominal,
+        side: Side,
+        servos: NDArray[np.intp],
+    ) -> PressOptimisation:
+        hand = int(side == "left")
+        return PressOptimisation(
+            build_scene(replace(task.scene.config, hands=side)),
+            HandPart(goals.keys, goals.fingers, nominal, hand),
+            np.array([press.first - 1 for press in nominal.presses if press.side == hand], np.intp),
+            Tracking._make(part[:, servos] for part in nominal.tracking),
+            self.config,
+            task.config.control_timestep,
+            available_cores(),
+        )
+
+    def act(self) -> Array:
+        task, state = self._task, self._task.state
+        action = np.zeros(task.action_size)
+        action[-1] = self._pedal[self._step]
+        for (servos, joints), planned in zip(self._parts, self.trajectories, strict=True):
+            here = np.concatenate([state.hand_qpos[0, joints], state.hand_qvel[0, joints]])
+            deviation = here - planned.state[self._step]
+            action[servos] = planned.ctrl[self._step] + planned.gain[self._step] @ deviation
+        self._step += 1
+        return np.clip(action, task.action_low, task.action_high)
+
+
+def _of_side(names: tuple[str, ...], side: Side) -> NDArray[np.intp]:
+    return np.array([i for i, name in enumerate(names) if name.startswith(prefix(side))], np.intp)

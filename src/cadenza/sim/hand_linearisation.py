@@ -1,0 +1,80 @@
+"""Derivatives of whole control steps by the hands and their controls."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.model.scene import Scene
+from cadenza.sim.simulation import Simulation, State
+
+Array = NDArray[np.float64]
+
+
+class HandLinearisation(NamedTuple):
+    """K control steps, and how that to which they lead depends on how they begin.
+
+    Derivatives are by z = (positions, speeds, control), 2 J + A of the hands' J joints and A
+    actuators, at the beginning of the step. The keys begin it as they are.
+    """
+
+    hands: Array
+    """(K, 2 J, 2 J + A) of the hands' positions and speeds."""
+    keys: Array
+    """(K, 88, 2 J + A) of the keys' angles."""
+    fingertips: Array
+    """(K, 10, 3, 2 J + A) of the fingertips' places."""
+    states: State
+    """What the steps lead to, arrays (K, ...)."""
+
+
+class HandLineariser:
+    """Takes differences over whole control steps, as large as the deviations to be met.
+
+    `linearisation.Lineariser` differentiates every physics step by keys and hands and says what the
+    next micrometre does, in which dry friction holds joints where they are.
+    """
+
+    def __init__(
+        self, scene: Scene, difference: Array, control_timestep: float, num_threads: int = 1
+    ) -> None:
+        """Args:
+        scene: with hands; its keys may sleep.
+        difference: (2 J + A,) of each element of z.
+        control_timestep: [s]
+        num_threads: how many threads share the work.
+        """
+        self._difference = difference
+        self._joints = len(scene.hand_joint_names)
+        self._displaced = np.concatenate([np.zeros((1, len(difference))), np.diag(difference)])
+        self._along = Simulation(scene, 1, control_timestep)
+        self._batch = Simulation(scene, 1 + len(difference), control_timestep, num_threads)
+
+    def linearise(self, start: Simulation, ctrl: Array) -> HandLinearisation:
+        """Along the steps that simulation 0 of `start` would take with controls (K, A)."""
+        self._along.copy_from(start, 0)
+        rows = [self._step(control) for control in ctrl]
+        hands, keys, fingertips, states = zip(*rows, strict=True)
+        joined = State._make(np.concatenate(parts) for parts in zip(*states, strict=True))
+        return HandLinearisation(np.array(hands), np.array(keys), np.array(fingertips), joined)
+
+    def _step(self, control: Array) -> tuple[Array, Array, Array, State]:
+        batch, joints = self._batch, self._joints
+        batch.copy_from(self._along, 0)
+        batch.displace(self._displaced[:, :joints], self._displaced[:, joints : 2 * joints])
+        batch.step(control + self._displaced[:, 2 * joints :])
+        self._along.step(control[None])
+        state = batch.state
+        hands = np.concatenate([state.hand_qpos, state.hand_qvel], axis=1)
+        return (
+            self._slope(hands),
+            self._slope(state.key_qpos),
+            self._slope(state.fingertip_xpos),
+            self._along.state,
+        )
+
+    def _slope(self, values: Array) -> Array:
+        """(..., 2 J + A) derivatives from values (1 + 2 J + A, ...)."""
+        return np.moveaxis(values[1:] - values[0], 0, -1) / self._difference
