@@ -55,9 +55,9 @@ class ScorePlannerConfig:
     """How the plan is refined; with none, it is played as it is, with feedback."""
     num_candidates: int = 16
     """Plans compared at a time, for each hand, where what is planned goes wrong."""
-    iterations: int = 1
-    """How many times they are drawn and compared."""
-    horizon: float = 0.25
+    iterations: int = 3
+    """How many times they are drawn and compared at most, until one makes no mistake."""
+    horizon: float = 0.35
     """How far a plan looks ahead [s]."""
 
 

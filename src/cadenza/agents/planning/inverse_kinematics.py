@@ -59,6 +59,7 @@ _COMFORT = {
     "LFJ0": Comfort(1.15, 0.8, 0.8),
 }
 _OVERLAP = 0.002  # [m] of links that counts as one
+_WALL = 0.001  # [m] into black keys
 _FOREARMS_APART = 0.16  # [m] they touch at 0.149
 _FOREARMS_SIGMA = 0.005  # [m]
 
@@ -142,6 +143,7 @@ class _Problem:
         self._kinematics, self._servos = kinematics, servos
         self._low, self._high = targets.low[1:, fingers], targets.high[1:, fingers]
         self._sigma = targets.sigma[1:, fingers]
+        self._wall = targets.wall[1:, fingers]
         self._links = LinkCollisions(len(fingers))
         self._rest = guess[1:]
         comforts = [_comfort(name) for name in servos.names]
@@ -182,8 +184,10 @@ class _Problem:
         pulled = jacobian[:, :, TIP] * ((outside != 0) / self._sigma)[..., None]
         overlap, overlap_slope = self._links.overlaps(points, jacobian)
         count, size = moving.shape
-        residuals = [outside.reshape(count, -1), overlap / _OVERLAP]
-        slopes = [pulled.reshape(count, -1, size), overlap_slope / _OVERLAP]
+        into_wall = np.minimum(tips[:, :, 0] - self._wall, 0.0) / _WALL
+        out_of_wall = jacobian[:, :, TIP, 0] * ((into_wall < 0) / _WALL)[..., None]
+        residuals = [outside.reshape(count, -1), into_wall, overlap / _OVERLAP]
+        slopes = [pulled.reshape(count, -1, size), out_of_wall, overlap_slope / _OVERLAP]
         if self._slides:
             near, near_slope = self._forearms(moving)
             residuals.append(near)

@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 # further away it lifts for a step, glides with `_GLIDE`, and strikes.
 _WITHIN_REACH = 0.03  # [m]
 _REACH_WHILE_HOLDING = 0.06  # [m]
-_GLIDE = 40.0  # [m/s^2] as if it sped up over half the way and slowed down over the other
+# As if it sped up over half the way and slowed down over the other [m/s^2]; a chord has to land
+# on several keys at once.
+_GLIDE, _GLIDE_OF_CHORD = 80.0, 50.0
 _STEPS_AHEAD = 8  # further away than this, no jump needs the time
 
 
@@ -96,7 +98,8 @@ def _let_hand_go(presses: list[Press], side: int, rest_y: Array, dt: float) -> l
                 else:
                     beyond = abs(means[j] - means[i]) - _WITHIN_REACH
                 if beyond > 0:
-                    steps = 1 + np.ceil(np.sqrt(4 * beyond / _GLIDE) / dt)
+                    glide = _GLIDE if len(chord) == len(chords[j]) == 1 else _GLIDE_OF_CHORD
+                    steps = 1 + np.ceil(np.sqrt(4 * beyond / glide) / dt)
                     last = min(last, max(first - int(steps), press.first + 1))
             cut.append(press._replace(last=last))
     return cut

@@ -25,6 +25,9 @@ _SIGMA = {"forearm_tx": 0.01, "forearm_ty": 0.005, "WRJ2": 0.03, "WRJ1": 0.03}
 _FINGER_SIGMA, _COUPLED_SIGMA = 0.08, 0.12
 _IDLE_FINGER = 0.3  # of that, for fingers that do not play within the horizon
 _SPARSE = 0.3  # half of the candidates change this share of the servos
+# What frees a hand that is caught between keys: it lifts itself for a step or two [rad].
+_LIFT = {"WRJ1": -0.35, "FFJ3": -0.5, "MFJ3": -0.5, "RFJ3": -0.5, "LFJ3": -0.5}
+_LIFTED_STEPS = 2
 _KEPT = 0.5  # of the correction to the nominal plan from one control step to the next
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
@@ -104,6 +107,7 @@ class HandRefinement:
         self._horizon = max(1, round(config.horizon / dt))
         self._sigma = np.array([_sigma(name) for name in self._servos.names])
         self._finger = np.array([_finger(name) for name in self._servos.names])
+        self._lifts = _lifts(self._servos.names, self._horizon)
         self._twin = Simulation(scene, 1, dt)
         self._single = Simulation(scene, 1, dt)
         self._batch = Simulation(scene, self._candidates, dt, num_threads)
@@ -133,8 +137,8 @@ class HandRefinement:
         if self._update is None:
             return self._clip(nominal[0])
         best = self._clip(nominal + self._correction)
-        cost, wrong = self._try(self._single, best[None], rows)
-        if wrong[0]:
+        cost, mistakes = self._try(self._single, best[None], rows)
+        if mistakes[0]:
             best = self._search(self._clip(nominal), best, cost[0], rows)
         self._correction[:-1] = _KEPT * (best - nominal)[1:]
         self._correction[-1] = 0.0
@@ -148,16 +152,20 @@ class HandRefinement:
         return (self._gain[self._step] * deviation).sum(axis=1)
 
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
+        """A cheaper plan than `best` if there is one; stops when a plan makes no mistakes."""
         assert self._update is not None
         around = Around(best, np.broadcast_to(self._sigma_at(rows), best.shape))
         for iteration in range(self._iterations):
             candidates = self._draw(around)
             candidates[0] = nominal if iteration == 0 else self._clip(around.mean)
-            costs, _ = self._try(self._batch, candidates, rows)
+            candidates[1 : 1 + _LIFTED_STEPS] = self._clip(around.mean + self._lifts)
+            costs, mistakes = self._try(self._batch, candidates, rows)
             around = self._update(candidates, costs, around)
             cheapest = int(np.argmin(costs))
             if costs[cheapest] < cost:
                 best, cost = candidates[cheapest], costs[cheapest]
+                if not mistakes[cheapest]:
+                    return best
         mean = self._clip(around.mean)
         if not (mean == best).all() and self._try(self._single, mean[None], rows)[0][0] < cost:
             return mean
@@ -207,6 +215,13 @@ def _cost(states: State, part: HandPart, rows: NDArray[np.intp]) -> tuple[Array,
     astray[:, -1] *= _AT_THE_END
     cost = _WRONG * mistakes + _ALMOST * lacking.sum(axis=(1, 2)) + astray.sum(axis=(1, 2))
     return cost, mistakes
+
+
+def _lifts(names: tuple[str, ...], horizon: int) -> Array:
+    """(_LIFTED_STEPS, H, A) what is added to the controls to lift the hand for 1, 2, ... steps."""
+    lift = np.array([_LIFT.get(name, 0.0) for name in names])
+    steps = np.arange(1, _LIFTED_STEPS + 1)[:, None, None]
+    return lift * (np.arange(horizon)[None, :, None] < steps)
 
 
 def _sigma(name: str) -> float:

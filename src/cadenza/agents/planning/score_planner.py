@@ -94,6 +94,6 @@ def _ids(names: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
 
 
 def _check(config: ScorePlannerConfig) -> None:
-    for name, least in (("num_candidates", 2), ("iterations", 1), ("horizon", 0)):
+    for name, least in (("num_candidates", 4), ("iterations", 1), ("horizon", 0)):
         if not least <= getattr(config, name) < float("inf"):
             raise CadenzaError(f"{name} {getattr(config, name)}: choose {least} or more")

@@ -26,8 +26,9 @@ _RADIUS = np.array([0.0082] + [0.0067] * 4)  # of the fingertips' ends, thumb to
 
 # Where keys are pressed, towards the player from the middle of the keyboard's depth [m]: whites
 # clear of the blacks, the thumb near their edge, as it is shorter, and blacks on their ridge.
-_ON_WHITE, _THUMB_ON_WHITE, _ON_BLACK = 0.047, 0.056, -0.01
+_ON_WHITE, _THUMB_ON_WHITE, _ON_BLACK = 0.047, 0.056, 0.0
 _BLACK_TOP = BLACK.centre_z + BLACK.half_size[2]
+_IN_FRONT_OF_BLACK = 0.025
 _OVER_KEYS = (-0.04, 0.066)  # [m] where idle fingertips stay
 
 _TOLERANCE = (0.003, 0.001)  # [m] along the key, across it
@@ -39,8 +40,9 @@ _APPROACH = 4  # states before a press in which its finger gets over the key
 _FORCE_MARGIN = 1.6
 
 # What a box is worth: the distance from it [m] that counts as one standard deviation.
-_AT_KEY = np.array([0.003, 0.0015, 0.001])
-_ABOVE_KEY = np.array([0.003, 0.0015, 0.003])
+_X_SIGMA = 0.006
+_AT_KEY = np.array([_X_SIGMA, 0.0015, 0.001])
+_ABOVE_KEY = np.array([_X_SIGMA, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
 
 
@@ -51,6 +53,8 @@ class Targets(NamedTuple):
     high: Array
     sigma: Array
     """Distances from the box that count as one [m]."""
+    wall: Array
+    """(S, 10) nearest to the player that black keys are: the least x [m]."""
     force: Array
     """(S, 10) downwards [N]."""
 
@@ -76,7 +80,8 @@ def _idle(num_states: int) -> Targets:
     low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
     low[:, :, 0], high[:, :, 0] = _OVER_KEYS
     low[:, :, 2] = _BLACK_TOP + _LIFTED + np.tile(_RADIUS, 2)
-    return Targets(low, high, np.broadcast_to(_IDLE, shape).copy(), np.zeros(shape[:2]))
+    sigma = np.broadcast_to(_IDLE, shape).copy()
+    return Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
 
 def _approach(targets: Targets, press: Press, before: int) -> None:
@@ -88,14 +93,14 @@ def _approach(targets: Targets, press: Press, before: int) -> None:
         high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
         sigma = np.where([True, True, steps > 1], _ABOVE_KEY * steps, _ABOVE_KEY)
         sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
-        _box(targets, state, press.finger, over, (low, high), sigma)
+        _box(targets, state, press.finger, press.key, over, (low, high), sigma)
 
 
 def _hold(targets: Targets, press: Press) -> None:
     at = _at(press, KEY_TRAVEL[press.key])
     depth = at[2] - _DEEP
     states = slice(press.first, press.last)
-    _box(targets, states, press.finger, at, (depth, depth), _AT_KEY)
+    _box(targets, states, press.finger, press.key, at, (depth, depth), _AT_KEY)
     lever = at[0] - KEY_CENTRE[press.key, 0] + KEY_HALF_SIZE[press.key, 0]
     targets.force[states, press.finger] = _FORCE_MARGIN * holding_torque(press.key) / lever
 
@@ -103,13 +108,16 @@ def _hold(targets: Targets, press: Press) -> None:
 def _let_go(targets: Targets, press: Press) -> None:
     """Straight up before it goes anywhere, or it would drag along the key."""
     over = _at(press, angle=0.0)
-    _box(targets, press.last, press.finger, over, (over[2] + _LIFTED, np.inf), _ABOVE_KEY)
+    _box(
+        targets, press.last, press.finger, press.key, over, (over[2] + _LIFTED, np.inf), _ABOVE_KEY
+    )
 
 
 def _box(
     targets: Targets,
     states: int | slice,
     finger: int,
+    key: int,
     at: Array,
     height: tuple[float, float],
     sigma: Array,
@@ -118,6 +126,8 @@ def _box(
     targets.low[states, finger] = (*(at[:2] - room), height[0])
     targets.high[states, finger] = (*(at[:2] + room), height[1])
     targets.sigma[states, finger] = sigma
+    if not IS_BLACK[key]:
+        targets.wall[states, finger] = _IN_FRONT_OF_BLACK
 
 
 def _at(press: Press, angle: float) -> Array:
