@@ -48,6 +48,7 @@ class HandPart:
 
     Attributes:
         mine: (T, 88) keys that this hand should hold down.
+        planned: (T, 88) those of them that the plan holds down.
         wrong: (T, 88) keys that it should not.
         fingertips: (T + 1, 5, 3) where its fingertips should be [m].
         fingers: of the ten.
@@ -65,9 +66,11 @@ class HandPart:
         self.fingers = slice(5 * hand, 5 * hand + 5)
         first = 5 * hand if nominal.fingertips.shape[1] > 5 else 0
         self.fingertips = nominal.fingertips[:, first : first + 5]
+        self.planned = np.zeros_like(self.mine)
         self.playing = np.zeros((len(keys) + 1, 5), bool)
         for press in nominal.presses:
             if press.side == hand:
+                self.planned[press.first - 1 : press.last - 1, press.key] = True
                 self.playing[max(press.first - 2, 0) : press.last + 1, press.finger % 5] = True
 
 
@@ -201,11 +204,15 @@ class HandRefinement:
 
 
 def _cost(states: State, part: HandPart, rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
-    """Cost (N,) and number of wrong keys (N,) of states (N, H, ...) after the steps `rows`."""
+    """Cost (N,) and mistakes (N,) of states (N, H, ...) after the steps `rows`.
+
+    A key that the plan lets go early is no mistake to search for, though it costs.
+    """
     depth = reward.key_state(states.key_qpos)
     sounding = reward.key_activation(states.key_qpos)
     mine, wrong = part.mine[rows], part.wrong[rows]
-    mistakes = ((mine & ~sounding) | (wrong & sounding)).sum(axis=(1, 2))
+    missing, sounds_wrong = mine & ~sounding, wrong & sounding
+    mistakes = ((missing & part.planned[rows]) | sounds_wrong).sum(axis=(1, 2))
     lacking = np.where(mine, (1.0 - depth) ** 2, 0.0)
     lacking += np.where(wrong, np.maximum(depth - _NO_HARM, 0.0) ** 2, 0.0)
     tips = states.fingertip_xpos[:, :, part.fingers]
@@ -213,7 +220,8 @@ def _cost(states: State, part: HandPart, rows: NDArray[np.intp]) -> tuple[Array,
     astray = np.minimum((offset**2).sum(axis=-1), _FURTHEST**2)
     astray *= np.where(part.playing[rows + 1], _ASTRAY, _IDLE_ASTRAY)
     astray[:, -1] *= _AT_THE_END
-    cost = _WRONG * mistakes + _ALMOST * lacking.sum(axis=(1, 2)) + astray.sum(axis=(1, 2))
+    cost = _WRONG * (missing | sounds_wrong).sum(axis=(1, 2))
+    cost = cost + _ALMOST * lacking.sum(axis=(1, 2)) + astray.sum(axis=(1, 2))
     return cost, mistakes
 
 
