@@ -98,11 +98,13 @@ def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: in
     nothing = TROUBLES[0]
     plans = [f1_in_trouble(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
     for trouble in TROUBLES:
-        players = [[agent(), ReplayAgent(plan)] for plan in plans]
         f1 = np.array(
             [
-                [f1_in_trouble(score, config, trouble, player, seed)[0] for player in pair]
-                for seed, pair in enumerate(players)
+                [
+                    f1_in_trouble(score, config, trouble, player, seed)[0]
+                    for player in (agent(), ReplayAgent(plan))
+                ]
+                for seed, plan in enumerate(plans)
             ]
         )
         figures = zip(f1.mean(axis=0), f1.min(axis=0), strict=True)
