@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 # What a hand needs to jump, measured by having it do so: within `_WITHIN_REACH` the fingers do it;
 # further away it lifts for a step, glides with `_GLIDE`, and strikes.
-_WITHIN_REACH = 0.035  # [m]
+_WITHIN_REACH = 0.05  # [m]
 _REACH_WHILE_HOLDING = 0.06  # [m]
 # As if it sped up over half the way and slowed down over the other [m/s^2]; a chord has to land
 # on several keys at once.
