@@ -453,9 +453,9 @@ def _installation_facts() -> dict[str, Any]:
     import mujoco
 
     from cadenza import __version__
-    from cadenza.agents.planning.predictive_sampling import available_cores
     from cadenza.model.scene import build_scene
     from cadenza.sim.render import Renderer
+    from cadenza.sim.simulation import available_cores
 
     try:
         Renderer(build_scene()).close()

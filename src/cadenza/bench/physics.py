@@ -15,14 +15,13 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.predictive_sampling import available_cores
 from cadenza.agents.replay import load_plan
 from cadenza.files import read_arrays
 from cadenza.model.config import Physics, SceneConfig
 from cadenza.model.scene import Scene, build_scene
 from cadenza.music.metrics import step_metrics
 from cadenza.music.score import NUM_KEYS
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.simulation import Simulation, available_cores
 from cadenza.tasks.reward import key_activation
 
 NOISE = 0.01  # standard deviation, in units of half the control range

@@ -22,13 +22,12 @@ from scipy.optimize import linear_sum_assignment
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.box_ddp import Model, Policy, backward_pass
 from cadenza.agents.planning.config import ILQGConfig
-from cadenza.agents.planning.predictive_sampling import available_cores
 from cadenza.errors import CadenzaError
 from cadenza.model.piano import KEY_TRAVEL
 from cadenza.model.scene import build_scene
 from cadenza.music.score import NUM_KEYS
 from cadenza.sim.linearisation import Linearisation, Lineariser
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.simulation import Simulation, available_cores
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 

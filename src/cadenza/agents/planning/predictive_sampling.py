@@ -7,7 +7,6 @@ drawn around the last one, itself among them, the cheapest in simulation is carr
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
-from cadenza.sim.simulation import Simulation, State
+from cadenza.sim.simulation import Simulation, State, available_cores
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 
@@ -123,8 +122,3 @@ def _check(config: PredictiveSamplingConfig) -> None:
             f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
             "the horizon must hold a planning step"
         )
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

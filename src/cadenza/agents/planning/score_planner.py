@@ -10,12 +10,12 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.nominal import Nominal, nominal_plan
-from cadenza.agents.planning.predictive_sampling import available_cores
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.errors import CadenzaError
 from cadenza.model.scene import build_scene
 from cadenza.music.fingering import Dropped, find_fingering
 from cadenza.music.score import UNKNOWN_FINGER, Score
+from cadenza.sim.simulation import available_cores
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 

@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import ScorePlannerConfig, TrackedPressesConfig
 from cadenza.agents.planning.nominal import Nominal
-from cadenza.agents.planning.predictive_sampling import available_cores
 from cadenza.agents.planning.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.score_planner import ScorePlanner
@@ -25,6 +24,7 @@ from cadenza.model.config import Side
 from cadenza.model.hand import prefix
 from cadenza.model.scene import build_scene
 from cadenza.music.goals import Goals
+from cadenza.sim.simulation import available_cores
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 
