@@ -487,7 +487,7 @@ def test_songs_that_there_are_not(
         (["--agent", "zero", "--initial-buffer-time", "-1"], "initial_buffer_time -1.0"),
         (["--agent", "zero", "--hand-spacing", "9"], "hand_spacing 9.0 m"),
         (["--agent", "zero", "--forearm-dofs", "tx", "tx"], "forearm_dofs"),
-        (["--planner.num-candidates", "1"], "num_candidates 1: choose 2 or more"),
+        (["--planner.num-candidates", "1"], "num_candidates 1: choose 4 or more"),
         (
             ["--agent", "predictive-sampling", "--predictive-sampling.num-knots", "1"],
             "num_knots 1",
