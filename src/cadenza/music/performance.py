@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.music.keyboard import IS_BLACK
 from cadenza.music.score import LOWEST_PITCH, NUM_KEYS, Note, PedalEvent, Score
 
 # A key goes down by this angle [rad] until it stops.
@@ -17,8 +18,7 @@ SOFTEST, LOUDEST = 30, 120  # MIDI velocities
 # [s] over which the key's speed is averaged: as short as tells loud from soft at 20 steps a second.
 STRIKE_TIME = 0.1
 
-_PITCHES = np.arange(NUM_KEYS) + LOWEST_PITCH
-_TRAVEL = np.where(np.isin(_PITCHES % 12, (1, 3, 6, 8, 10)), BLACK_KEY_TRAVEL, WHITE_KEY_TRAVEL)
+_TRAVEL = np.where(IS_BLACK, BLACK_KEY_TRAVEL, WHITE_KEY_TRAVEL)
 
 
 def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:

@@ -138,8 +138,7 @@ class PressOptimisation:
 
         def law(step: int, state: State) -> Array:
             here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)
-            deviation = self._to_posture.T @ here - self._tracking.expected[step]
-            change = (self._tracking.gain[step] * deviation).sum(axis=1)
+            change = self._tracking.feedback(step, self._to_posture.T @ here)
             return (self._tracking.ctrl[step] - change)[None]
 
         return self._roll_out(self._single, first, last, law)[0]

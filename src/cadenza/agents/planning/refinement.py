@@ -98,13 +98,10 @@ class HandRefinement:
         num_threads: that share the rollouts.
         rng: what is random.
         """
-        self._scene, self._part, self._rng = scene, part, rng
+        self._part, self._rng = part, rng
         self._servos = servos_of(scene)
         self._to_posture = np.linalg.pinv(self._servos.joints)
-        tracking = nominal.tracking
-        self._ctrl = tracking.ctrl[:, servo_ids]
-        self._gain = tracking.gain[:, servo_ids]
-        self._expected = tracking.expected[:, servo_ids]
+        self._tracking = nominal.tracking.of(servo_ids)
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
@@ -133,9 +130,9 @@ class HandRefinement:
         return ctrl
 
     def _plan(self) -> Array:
-        steps = len(self._ctrl)
+        steps = len(self._tracking.ctrl)
         rows = np.minimum(np.arange(self._step, self._step + self._horizon), steps - 1)
-        nominal = self._ctrl[rows].copy()
+        nominal = self._tracking.ctrl[rows]
         nominal[0] -= self._feedback()
         if self._update is None:
             return self._clip(nominal[0])
@@ -151,8 +148,7 @@ class HandRefinement:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
         state = self._twin.state
         here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
-        deviation = self._to_posture.T @ here - self._expected[self._step]
-        return (self._gain[self._step] * deviation).sum(axis=1)
+        return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
         """A cheaper plan than `best` if there is one; stops when a plan makes no mistakes."""
@@ -197,7 +193,9 @@ class HandRefinement:
     ) -> tuple[Array, NDArray[np.intp]]:
         """Cost (N,) of plans (N, H, A) from here on, and how often a key was wrong in each."""
         simulation.copy_from(self._twin, 0)
-        inside = min(len(rows), len(self._ctrl) - self._step)  # past the end nothing matters
+        inside = min(
+            len(rows), len(self._tracking.ctrl) - self._step
+        )  # past the end nothing matters
         states = simulation.rollout(ctrl[:, :inside])
         cost, wrong = _cost(states, self._part, rows[:inside])
         return np.where(states.unstable.any(axis=1), np.inf, cost), wrong

@@ -14,6 +14,7 @@ from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.errors import CadenzaError
 from cadenza.model.scene import build_scene
 from cadenza.music.fingering import Dropped, find_fingering
+from cadenza.music.goals import Goals
 from cadenza.music.score import UNKNOWN_FINGER, Score
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.music import goals_of
@@ -29,6 +30,7 @@ class ScorePlanner:
     Attributes:
         score: the song with the fingers that are to play it, after `reset`.
         dropped: notes that no finger is there for.
+        goals: that song per control step.
         nominal: the plan before refinement.
     """
 
@@ -40,6 +42,7 @@ class ScorePlanner:
         _check(self.config)
         self.score = Score(())
         self.dropped: tuple[Dropped, ...] = ()
+        self.goals: Goals
         self.nominal: Nominal
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
@@ -50,7 +53,7 @@ class ScorePlanner:
             raise CadenzaError("the planner plans for hands, and this scene has none")
         self._task, self._step = task, 0
         self.score, self.dropped = self._fingered(task)
-        goals = goals_of(self.score, task.config)
+        self.goals = goals = goals_of(self.score, task.config)
         dt = task.config.control_timestep
         scene = build_scene(task.scene.config)
         # BLAS shares small products among threads, which takes longer, and other bits come out.

@@ -91,16 +91,16 @@ def _approach(targets: Targets, press: Press, before: int) -> None:
         steps = press.first - state
         low = over[2] + (_HOVER if steps == 1 else _HOVER + 0.004)
         high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
-        sigma = np.where([True, True, steps > 1], _ABOVE_KEY * steps, _ABOVE_KEY)
+        sigma = _ABOVE_KEY * steps
         sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
-        _box(targets, state, press.finger, press.key, over, (low, high), sigma)
+        _box(targets, press, state, over, (low, high), sigma)
 
 
 def _hold(targets: Targets, press: Press) -> None:
     at = _at(press, KEY_TRAVEL[press.key])
     depth = at[2] - _DEEP
     states = slice(press.first, press.last)
-    _box(targets, states, press.finger, press.key, at, (depth, depth), _AT_KEY)
+    _box(targets, press, states, at, (depth, depth), _AT_KEY)
     lever = at[0] - KEY_CENTRE[press.key, 0] + KEY_HALF_SIZE[press.key, 0]
     targets.force[states, press.finger] = _FORCE_MARGIN * holding_torque(press.key) / lever
 
@@ -108,26 +108,23 @@ def _hold(targets: Targets, press: Press) -> None:
 def _let_go(targets: Targets, press: Press) -> None:
     """Straight up before it goes anywhere, or it would drag along the key."""
     over = _at(press, angle=0.0)
-    _box(
-        targets, press.last, press.finger, press.key, over, (over[2] + _LIFTED, np.inf), _ABOVE_KEY
-    )
+    _box(targets, press, press.last, over, (over[2] + _LIFTED, np.inf), _ABOVE_KEY)
 
 
 def _box(
     targets: Targets,
+    press: Press,
     states: int | slice,
-    finger: int,
-    key: int,
     at: Array,
     height: tuple[float, float],
     sigma: Array,
 ) -> None:
     room = np.array(_TOLERANCE)
-    targets.low[states, finger] = (*(at[:2] - room), height[0])
-    targets.high[states, finger] = (*(at[:2] + room), height[1])
-    targets.sigma[states, finger] = sigma
-    if not IS_BLACK[key]:
-        targets.wall[states, finger] = _IN_FRONT_OF_BLACK
+    targets.low[states, press.finger] = (*(at[:2] - room), height[0])
+    targets.high[states, press.finger] = (*(at[:2] + room), height[1])
+    targets.sigma[states, press.finger] = sigma
+    if not IS_BLACK[press.key]:
+        targets.wall[states, press.finger] = _IN_FRONT_OF_BLACK
 
 
 def _at(press: Press, angle: float) -> Array:

@@ -18,14 +18,12 @@ from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.tracking import Tracking
 from cadenza.errors import CadenzaError
 from cadenza.model.config import Side
 from cadenza.model.hand import prefix
 from cadenza.model.scene import build_scene
 from cadenza.music.goals import Goals
 from cadenza.sim.simulation import available_cores
-from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -54,7 +52,7 @@ class TrackedPresses:
         """
         planner = ScorePlanner(ScorePlannerConfig(method="none"))
         planner.reset(task, rng)
-        goals = goals_of(planner.score, task.config)
+        goals = planner.goals
         self._pedal = goals.sustain.astype(np.float64)
         self._task, self._step = task, 0
         self._parts, self.trajectories = [], []
@@ -80,7 +78,7 @@ class TrackedPresses:
             build_scene(replace(task.scene.config, hands=side)),
             HandPart(goals.keys, goals.fingers, nominal, hand),
             np.array([press.first - 1 for press in nominal.presses if press.side == hand], np.intp),
-            Tracking._make(part[:, servos] for part in nominal.tracking),
+            nominal.tracking.of(servos),
             self.config,
             task.config.control_timestep,
             available_cores(),

@@ -23,6 +23,14 @@ class Tracking(NamedTuple):
     expected: Array
     """(T + 1, A, 2) position and speed of each servo."""
 
+    def of(self, servo_ids: NDArray[np.intp]) -> Tracking:
+        """That of some of the servos."""
+        return Tracking._make(values[:, servo_ids] for values in self)
+
+    def feedback(self, step: int, here: Array) -> Array:
+        """(A,) what positions and speeds `here` (A, 2) before a step take from its controls."""
+        return (self.gain[step] * (here - self.expected[step])).sum(axis=1)
+
 
 # How much less a control's distance from the reference weighs than the servo's own.
 _CONTROL_WEIGHT = 0.02
