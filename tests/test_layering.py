@@ -28,7 +28,7 @@ LIBRARIES: dict[str, set[str]] = {
     "model": {"numpy", "mujoco"},
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
-    "agents": {"numpy", "scipy", "threadpoolctl"},
+    "agents": {"numpy", "scipy", "threadpoolctl", "jax", "flax", "optax", "tensorboardX"},
     "report": {"numpy", "scipy", "av"},
 }
 

@@ -55,6 +55,8 @@ class PianoTask:
         state: what the simulation was like after the last step, or reset.
         key_state: (N, 88) how far the keys are down, 0..1.
         sounding: (N, 88) which keys sound.
+        reward: (N,) of the last step, 0 after reset.
+        scores: what is drawn from, as it is played.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class PianoTask:
         self.config = config or TaskConfig()
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs
-        self._scores = music.prepare(scores, self.config, self.scene.sides)
+        self.scores = music.prepare(scores, self.config, self.scene.sides)
         self._offset_joints = self._find_offset_joints()
         self.simulation = Simulation(
             self.scene,
@@ -98,6 +100,7 @@ class PianoTask:
         self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
         self._pedal = np.zeros(num_envs)
         self._env_ids = np.arange(num_envs)
+        self.reward = np.zeros(num_envs)
         self._look()
 
     # Shapes and ranges
@@ -151,13 +154,14 @@ class PianoTask:
         """Starts new episodes in `env_ids`, each with a generator of its own."""
         start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
         for row, (env, rng) in enumerate(zip(env_ids, rngs, strict=True)):
-            self.sheets.put(env, music.draw(self._scores, self.config, rng), self.config)
+            self.sheets.put(env, music.draw(self.scores, self.config, rng), self.config)
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
         self._played = np.pad(self._played, ((0, 0), (0, max(missing, 0)), (0, 0)))
         self.simulation.reset(env_ids, start)
         self._pedal[list(env_ids)] = 0.0
+        self.reward[list(env_ids)] = 0.0
         self._look()
 
     def _look(self) -> None:
@@ -187,8 +191,10 @@ class PianoTask:
         terminated = self.state.unstable
         if self.config.wrong_press_termination:
             terminated = terminated | (self.sounding > goal[:, :NUM_KEYS]).any(axis=1)
+        total = sum(terms.values(), np.zeros(self.num_envs))
+        self.reward[moving] = total[moving]
         return Transition(
-            reward=sum(terms.values(), np.zeros(self.num_envs)),
+            reward=total,
             terms=terms,
             terminated=terminated,
             truncated=(sheets.steps_done >= sheets.num_steps) > terminated,

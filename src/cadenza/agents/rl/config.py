@@ -1,0 +1,89 @@
+"""What can be chosen about learning. Imports nothing heavy: the command line shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cadenza.model.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+Preset = Literal["fast", "paper", "published"]
+Activation = Literal["relu", "gelu"]
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """DroQ (Hiraoka et al., ICLR 2022) on SAC; the defaults are the paper's."""
+
+    hidden_sizes: tuple[int, ...] = (256, 256, 256)
+    """Widths of the hidden layers, of actor and critics."""
+    activation: Activation = "relu"
+    """After every hidden layer."""
+    num_critics: int = 2
+    """Q-functions, of which the least counts."""
+    dropout: float = 0.01
+    """Share of what each linear layer of a critic puts out that is dropped."""
+    layer_norm: bool = True
+    """Normalise what each linear layer of a critic puts out, after dropout."""
+    log_std_min: float = -20.0
+    """Least logarithm of the standard deviation of actions, before they are squashed."""
+    log_std_max: float = 2.0
+    """The most."""
+    initial_temperature: float = 1.0
+    """Weight of the entropy to begin with; it is learnt."""
+    target_entropy: float | None = None
+    """What the entropy is to become; minus half the number of actions by default."""
+    actor_learning_rate: float = 3e-4
+    """Adam's, of the actor."""
+    critic_learning_rate: float = 3e-4
+    """Adam's, of the critics."""
+    temperature_learning_rate: float = 3e-4
+    """Adam's, of the logarithm of the temperature."""
+    adam_beta1: float = 0.9
+    """Adam's decay of the mean gradient."""
+    adam_beta2: float = 0.999
+    """Adam's decay of the mean squared gradient."""
+    discount: float = 0.99
+    """What a reward one control step later is worth."""
+    tau: float = 0.005
+    """Share of the critics that goes into their targets at every update."""
+    actor_update_period: int = 1
+    """Updates of the critics for one of the actor and the temperature."""
+    batch_size: int = 256
+    """Transitions an update."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How a policy for one song is trained."""
+
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    num_steps: int = 5_000_000
+    """Control steps of experience, of all environments together."""
+    num_envs: int = 1
+    """Environments that gather it side by side."""
+    seed_steps: int = 5_000
+    """Control steps with uniformly random actions before learning begins."""
+    steps_per_round: int = 1
+    """Control steps in each environment before the policy is renewed."""
+    updates_per_round: int = 1
+    """Updates in that time."""
+    parallel: bool = False
+    """Learn from earlier rounds while the next is played, with the policy of the round before."""
+    replay_capacity: int = 1_000_000
+    """Transitions that are kept to learn from."""
+    keep_zero_inputs: bool = True
+    """Observe also what is always zero for this song; without, the same is learnt sooner."""
+    residual: bool = False
+    """Correct the plan that inverse kinematics makes, instead of starting from nothing."""
+    eval_interval: int = 10_000
+    """Control steps from one evaluation to the next, in the background."""
+    checkpoint_interval: float = 120.0
+    """Time from one checkpoint to the next [s]."""
+    log_interval: int = 1_000
+    """Control steps from one row of figures to the next."""
+    seed: int = 0
+    """Of everything random."""

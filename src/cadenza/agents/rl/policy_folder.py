@@ -1,0 +1,103 @@
+"""Policies as folders that can be copied to another machine and played there."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.rl.config import Activation
+from cadenza.agents.rl.observation import Inputs
+from cadenza.agents.rl.policy import Policy
+from cadenza.agents.rl.policy_agent import PolicyAgent
+from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.tasks.config import TaskConfig
+
+_KIND = "policy"
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class LearntPolicy:
+    """A policy and all that is needed to play with it."""
+
+    weights: dict[str, NDArray[Any]]
+    activation: Activation
+    log_std_range: tuple[float, float]
+    inputs: Inputs
+    residual: bool
+    """Whether it corrects the plan of the song."""
+    task: TaskConfig
+    scene: SceneConfig
+    score: Score
+    """What it was trained to play."""
+
+    @property
+    def policy(self) -> Policy:
+        """For many environments at once."""
+        return Policy(self.weights, self.activation, self.log_std_range)
+
+    @property
+    def agent(self) -> PolicyAgent:
+        """For one that is played."""
+        return PolicyAgent(self.policy, self.inputs, self.residual)
+
+
+def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
+    """Writes `learnt` to `folder`, and with it what else there is to know `about` it."""
+    facts = {
+        "format": _FORMAT,
+        "about": about,
+        "activation": learnt.activation,
+        "log_std_range": learnt.log_std_range,
+        "inputs": learnt.inputs._asdict(),
+        "residual": learnt.residual,
+        "task": asdict(learnt.task),
+        "scene": asdict(learnt.scene),
+        "score": asdict(learnt.score),
+    }
+    write_sealed(folder, _KIND, facts, learnt.weights)
+
+
+def load_policy(folder: Path) -> LearntPolicy:
+    """Raises:
+    CadenzaError: there is no policy, or not one that this version wrote, unchanged.
+    """
+    facts, weights = read_sealed(folder, _KIND)
+    if facts.get("format") != _FORMAT:
+        raise CadenzaError(
+            f"{folder}: a policy of format {facts.get('format')}, and this version reads "
+            f"{_FORMAT}; install the version of Cadenza that wrote it"
+        )
+    try:
+        learnt = _learnt(facts, weights)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CadenzaError(f"{folder}: its facts.json lacks or adds something ({error})") from error
+    if not all(np.isfinite(array).all() for array in weights.values()):
+        raise CadenzaError(f"{folder}: holds weights that are not finite")
+    return learnt
+
+
+def _learnt(facts: dict[str, Any], weights: dict[str, NDArray[Any]]) -> LearntPolicy:
+    score, scene = facts["score"], facts["scene"]
+    low, high = facts["log_std_range"]
+    return LearntPolicy(
+        weights=weights,
+        activation=facts["activation"],
+        log_std_range=(low, high),
+        inputs=Inputs(tuple(facts["inputs"]["kept"]), facts["inputs"]["total"]),
+        residual=facts["residual"],
+        task=TaskConfig(**facts["task"]),
+        scene=SceneConfig(**scene | {"forearm_dofs": tuple(scene["forearm_dofs"])}),
+        score=Score(
+            notes=tuple(Note(**note) for note in score["notes"]),
+            pedal=tuple(PedalEvent(**event) for event in score["pedal"]),
+            title=score["title"],
+        ),
+    )

@@ -1,0 +1,165 @@
+"""A training run on disk: what it needs to go on after a kill at any moment.
+
+RUN/config.json           what was asked for, and the versions of the libraries
+RUN/checkpoints/N/        learner, environments, random generators after N control steps
+RUN/replay/N.npz          the experience gathered up to N since the file before
+RUN/metrics.jsonl         figures, a row a line
+RUN/best/, RUN/last/      the policy that played best, and that of the last checkpoint
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
+from cadenza.errors import CadenzaError
+from cadenza.files import read_arrays, write_atomically
+
+_KIND = "checkpoint"
+_KEPT = 2  # should the newest be damaged, there is the one before
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class Checkpoint(NamedTuple):
+    """Where a run has got to."""
+
+    facts: dict[str, Any]
+    """`step`, `replay` and `metrics_size` among them."""
+    arrays: Arrays
+    replay: list[Arrays]
+    """What was gathered, in order."""
+
+
+class RunFolder:
+    """The files of a run, for the one process that trains it."""
+
+    def __init__(self, path: Path) -> None:
+        path.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self._checkpoints, self._replay = path / "checkpoints", path / "replay"
+        self._metrics = path / "metrics.jsonl"
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Raises:
+        CadenzaError: another process trains this run.
+        """
+        with open(self.path / "lock", "w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise CadenzaError(f"{self.path}: another process is training this run") from error
+            yield
+
+    # Figures
+
+    def add_row(self, row: dict[str, float]) -> None:
+        """Appends a row of figures; a number that is none becomes null."""
+        plain = {name: None if value != value else value for name, value in row.items()}
+        with open(self._metrics, "a") as file:
+            file.write(json.dumps(plain) + "\n")
+
+    def rows(self) -> list[dict[str, Any]]:
+        """All rows so far."""
+        return read_rows(self.path)
+
+    # Checkpoints
+
+    def save_gathered(self, step: int, gathered: Arrays) -> str:
+        """Keeps the experience since the last checkpoint; returns the name of its file."""
+        name = f"{step:012}.npz"
+        with self._room(), write_atomically(self._replay / name) as file:
+            np.savez(file, allow_pickle=False, **gathered)
+        return name
+
+    def save(self, facts: dict[str, Any], arrays: Arrays) -> None:
+        """Keeps a checkpoint, and drops what no checkpoint needs any more.
+
+        Args:
+            facts: as JSON has them, among them `step` and under `replay` a list of dictionaries
+                with the `file` that `save_gathered` returned.
+            arrays: of the run.
+
+        Raises:
+            CadenzaError: there is no room; the checkpoint before this is still there.
+        """
+        size = self._metrics.stat().st_size if self._metrics.exists() else 0
+        with self._room():
+            folder = self._checkpoints / f"{facts['step']:012}"
+            write_sealed(folder, _KIND, facts | {"metrics_size": size}, arrays)
+        for old in self._saved()[:-_KEPT]:
+            shutil.rmtree(old)
+        needed: set[str] = set()
+        for folder in self._saved():
+            try:
+                needed |= _files(read_sealed(folder, _KIND)[0])
+            except CadenzaError:
+                return  # what a damaged one needs is not known
+        for path in self._replay.glob("*.npz"):
+            if path.name not in needed:
+                path.unlink()
+
+    def load(self) -> Checkpoint | None:
+        """The newest checkpoint that is whole, None if there never was one.
+
+        Figures that were written after it are dropped. A damaged checkpoint is named on standard
+        error.
+
+        Raises:
+            CadenzaError: there are only damaged ones.
+        """
+        saved = self._saved()
+        for folder in reversed(saved):
+            try:
+                facts, arrays = read_sealed(folder, _KIND)
+                replay = [read_arrays(self._replay / chunk["file"]) for chunk in facts["replay"]]
+            except CadenzaError as error:
+                print(f"{error}: going back to the checkpoint before it", file=sys.stderr)
+                continue
+            for later in saved[saved.index(folder) + 1 :]:
+                shutil.rmtree(later)
+            if self._metrics.exists():
+                os.truncate(self._metrics, facts["metrics_size"])
+            return Checkpoint(facts, arrays, replay)
+        if saved:
+            raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
+        self._metrics.unlink(missing_ok=True)
+        return None
+
+    def _saved(self) -> list[Path]:
+        return sorted(p for p in self._checkpoints.glob("*") if p.name.isdigit())
+
+    @contextmanager
+    def _room(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise CadenzaError(
+                f"{self.path}: no checkpoint could be written ({error.strerror}); the one before "
+                f"it still loads. Make room, then: cadenza train --resume {self.path}"
+            ) from error
+
+
+def _files(facts: dict[str, Any]) -> set[str]:
+    return {chunk["file"] for chunk in facts["replay"]}
+
+
+def read_rows(run: Path) -> list[dict[str, Any]]:
+    """The rows of figures of a run so far; half a line at its end is left out."""
+    try:
+        text = (run / "metrics.jsonl").read_text()
+    except FileNotFoundError:
+        return []
+    return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
