@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
 import tyro
 
@@ -21,6 +21,7 @@ from cadenza.agents.planning.config import (
     PredictiveSamplingConfig,
     ScorePlannerConfig,
 )
+from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -34,10 +35,12 @@ if TYPE_CHECKING:
     from cadenza.agents.planning.misses import Miss
     from cadenza.agents.planning.score_planner import ScorePlanner
     from cadenza.agents.play import Performance
+    from cadenza.agents.rl.policy_folder import LearntPolicy
+    from cadenza.agents.rl.training import Training
     from cadenza.music.score import Score
     from cadenza.tasks.piano_task import PianoTask
 
-AgentName = Literal["planner", "predictive-sampling", "ilqg", "zero", "random"]
+_AGENTS = ("planner", "predictive-sampling", "ilqg", "zero", "random", "pretrained")
 
 
 def _with_time_to_begin() -> TaskConfig:
@@ -50,7 +53,8 @@ class _Performing:
     """What all that perform a song have in common."""
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
-    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
+    """A bundled song (see "cadenza songs"), the path of a MIDI file, or the folder of a policy,
+    which holds the song that it has learnt."""
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=_with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
     planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
@@ -75,8 +79,9 @@ class Play(_WithOtherPlanners):
     Example: cadenza play OdeToJoy -o joy
     """
 
-    agent: AgentName | Literal["replay"] = "planner"
-    """Who plays. "replay" plays the actions of --plan."""
+    agent: str = "planner"
+    """Who plays: planner, predictive-sampling, ilqg, zero or random; replay, which plays the
+    actions of --plan; pretrained, the policy that comes with a song; or the folder of a policy."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; played/SONG by default. Files of an earlier run are replaced."""
     seed: int = 0
@@ -109,12 +114,37 @@ class Compare(_WithOtherPlanners):
     Example: cadenza compare OdeToJoy --agents planner predictive-sampling --seeds 0 1 2
     """
 
-    agents: tuple[AgentName, ...] = ("planner", "predictive-sampling")
-    """Who plays."""
+    agents: tuple[str, ...] = ("planner", "predictive-sampling")
+    """Who plays, named as in "cadenza play", without replay."""
     seeds: tuple[int, ...] = (0,)
     """Each agent plays once with each."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for compare.html and compare.json; played/SONG by default."""
+
+
+@dataclass(frozen=True)
+class Train:
+    """Have a policy learn a song, to be stopped at any moment and resumed.
+
+    Example: cadenza train TwinkleTwinkleLittleStar -o twinkle; cadenza train --resume twinkle
+    """
+
+    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
+    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
+    preset: Preset = "fast"
+    """Where the options below begin: what suits few cores; the table of the paper; or what the
+    published run script says."""
+    resume: Path | None = None
+    """Folder of a run that is to go on, with the options that it has."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder of the run; runs/SONG by default."""
+    num_cores: int = 2
+    """Cores to work on, of those that no other run has claimed."""
+    wandb: str | None = None
+    """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
+    training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
+        default_factory=lambda: preset("fast")
+    )
 
 
 @dataclass(frozen=True)
@@ -135,6 +165,8 @@ def play(command: Play) -> None:
     from cadenza.agents.planning.score_planner import ScorePlanner
 
     score = _score(command.song)
+    if (learnt := _learnt(command.agent, command.song)) is not None:
+        score, command = _as_learnt(learnt, score, command)
     agent = _player(command)
     if command.plan is not None:
         command = _as_planned(command.plan, command)
@@ -233,10 +265,105 @@ def _seconds_of_music(performance: Performance) -> float:
     return performance.episode.num_steps * performance.episode.dt
 
 
+def train(command: Train) -> None:
+    from cadenza.agents.rl.cores import claimed_cores
+
+    if (command.song is None) == (command.resume is None):
+        raise CadenzaError("name a song to learn, or with --resume the folder of a run")
+    if command.num_cores < 1:
+        raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
+    folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
+    with claimed_cores(command.num_cores) as cores:
+        if not cores:
+            print("all cores are claimed by other runs: sharing one", file=sys.stderr)
+        _train(command, folder)
+
+
+def _train(command: Train, folder: Path) -> None:
+    try:
+        from cadenza.agents.rl.training import Training
+    except ImportError as error:
+        raise CadenzaError(f"training needs more ({error}): pip install '.[train]'") from error
+    from cadenza.agents.rl.run_folder import RunFolder
+
+    run = RunFolder(folder)
+    if command.song is not None:
+        score = _score(command.song)
+        _check_writable(folder)
+        run.begin(command.training, score)
+    config, score = run.settings()
+    with run.locked(), closing(Training(config, score, run)) as training:
+        finished = _train_on(training, command, folder)
+    _write_curves(folder)
+    if not finished:
+        print(f"\nto go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        raise KeyboardInterrupt
+    best = str(folder / "best")
+    play(Play(best, agent=best, output=folder / "best_played"))
+
+
+def _train_on(training: Training, command: Train, folder: Path) -> bool:
+    """Trains until all is done, and then is true, or until someone asks to stop."""
+    from tqdm import tqdm
+
+    from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
+
+    shown: list[Scalars] = [TensorBoard(folder / "tensorboard", training.step)]
+    if command.wandb:
+        shown.append(WeightsAndBiases(command.wandb, folder, asdict(training.config)))
+    bar = tqdm(total=training.config.num_steps, initial=training.step, unit=" steps")
+    with bar, _asked_to_stop() as stop:
+
+        def goes_on() -> bool:
+            bar.update(training.step - bar.n)
+            while training.rows:
+                row = training.rows.popleft()
+                for scalars in shown:
+                    scalars.add(row)
+                if "eval/f1" in row:
+                    best = training.best["eval/f1"]
+                    bar.set_postfix_str(f"F1 {row['eval/f1']:.3f}, best {best:.3f}")
+            return not stop()
+
+        training.run(goes_on)
+        goes_on()
+    for scalars in shown:
+        scalars.close()
+    return training.step >= training.config.num_steps
+
+
+@contextmanager
+def _asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Yields what says whether Ctrl-C was pressed or the process told to end.
+
+    Who presses it again does not want to wait for a checkpoint.
+    """
+    import signal
+
+    asked = []
+
+    def ask(number: int, _frame: Any) -> None:
+        asked.append(number)
+        signal.signal(number, before[signal.Signals(number)])
+        print("\nstopping after a checkpoint; once more to stop at once", file=sys.stderr)
+
+    before = {n: signal.signal(n, ask) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _write_curves(folder: Path) -> None:
+    """The page of learning curves."""
+
+
 def _score(song: str) -> Score:
+    from cadenza.agents.rl.policy_folder import load_policy
     from cadenza.music.library import load_score
 
-    score = load_score(song)
+    score = load_policy(Path(song)).score if Path(song).is_dir() else load_score(song)
     for remark in score.remarks:
         print(f"{song}: {remark}", file=sys.stderr)
     return score
@@ -253,6 +380,30 @@ def _perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performanc
 
     with _progress(doing, "steps") as advance:
         return play_episode(task, agent, seed, advance)
+
+
+def _learnt(agent: str, song: str) -> LearntPolicy | None:
+    """The policy that `agent` names, None where it names another agent."""
+    from cadenza.agents.rl.policy_folder import load_policy
+    from cadenza.agents.rl.pretrained import pretrained_folder
+
+    if agent == "pretrained":
+        return load_policy(pretrained_folder(song))
+    return load_policy(Path(agent)) if Path(agent).is_dir() else None
+
+
+def _as_learnt(learnt: LearntPolicy, score: Score, command: Play) -> tuple[Score, Play]:
+    """With the options that the policy was trained with, but for those that the user changed."""
+    from cadenza.agents.rl.residual import without_fingers
+
+    def changed(options: Any, default: Any) -> dict[str, Any]:
+        values = vars(options)
+        return {name: v for name, v in values.items() if v != getattr(default, name)}
+
+    task = replace(learnt.task, **changed(command.task, _with_time_to_begin()))
+    scene = replace(learnt.scene, **changed(command.scene, SceneConfig()))
+    score = without_fingers(score) if learnt.residual else score
+    return score, replace(command, task=task, scene=scene)
 
 
 def _as_planned(plan: Path, command: Play) -> Play:
@@ -295,7 +446,7 @@ def _player(command: Play) -> Agent:
     return _agent(command.agent, command)
 
 
-def _agent(name: AgentName, command: _WithOtherPlanners) -> Agent:
+def _agent(name: str, command: _WithOtherPlanners) -> Agent:
     from cadenza.agents.agent import RandomAgent, ZeroAgent
     from cadenza.agents.planning.ilqg import ILQG
     from cadenza.agents.planning.predictive_sampling import PredictiveSampling
@@ -312,6 +463,11 @@ def _agent(name: AgentName, command: _WithOtherPlanners) -> Agent:
             return ZeroAgent()
         case "random":
             return RandomAgent()
+    if (learnt := _learnt(name, command.song)) is not None:
+        return learnt.agent
+    raise CadenzaError(
+        f"no agent {name!r}: choose from {', '.join(_AGENTS)}, or give the folder of a policy"
+    )
 
 
 def _check_writable(folder: Path) -> None:
@@ -529,16 +685,37 @@ _COMMANDS: dict[type, Callable[[Any], None]] = {
     Play: play,
     Plan: plan,
     Compare: compare,
+    Train: train,
     Songs: songs,
     Info: info,
 }
 
 
+def _named_preset(arguments: Sequence[str]) -> TrainingConfig:
+    """The preset that the arguments name, which the other options then change, and --help shows."""
+    words = [word for argument in arguments for word in argument.split("=", 1)]
+    following = dict(pairwise(words))
+    name = following.get("--preset", "fast")
+    known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
+    return preset(known, "--residual" in arguments)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
     try:
-        command = tyro.extras.subcommand_cli_from_dict(
-            {kind.__name__.lower(): kind for kind in _COMMANDS},
+        arguments = sys.argv[1:] if arguments is None else arguments
+        defaults: dict[type, Any] = {Train: Train(training=_named_preset(arguments))}
+        kinds: Any = tuple(
+            Annotated[
+                kind,
+                tyro.conf.subcommand(
+                    kind.__name__.lower(), default=defaults.get(kind, tyro.MISSING_NONPROP)
+                ),
+            ]
+            for kind in _COMMANDS
+        )
+        command = tyro.cli(
+            Union[kinds],  # noqa: UP007 - made of what there is
             prog="cadenza",
             description="Two simulated robot hands play the piano from any MIDI file.",
             args=arguments,

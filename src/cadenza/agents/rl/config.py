@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeVar
 
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
+Config = TypeVar("Config")
 Preset = Literal["fast", "paper", "published"]
 Activation = Literal["relu", "gelu"]
 
@@ -87,3 +88,62 @@ class TrainingConfig:
     """Control steps from one row of figures to the next."""
     seed: int = 0
     """Of everything random."""
+
+
+def preset(name: Preset, residual: bool = False) -> TrainingConfig:
+    """What a run begins with.
+
+    paper: the table of the paper. published: the same with what the published run script sets
+    differently, and the two reward terms of the published code. fast: for few cores. With
+    `residual` a run learns corrections to a plan, which are small.
+    """
+    match name:
+        case "paper":
+            config = TrainingConfig()
+        case "published":
+            config = TrainingConfig(
+                learner=LearnerConfig(discount=0.8, activation="gelu"),
+                task=TaskConfig(sustain_term=True, forearm_term=True),
+            )
+        case "fast":
+            config = _fast()
+    return replace(config, residual=True) if residual else config
+
+
+def _fast() -> TrainingConfig:
+    return TrainingConfig(
+        learner=LearnerConfig(
+            discount=0.84, initial_temperature=0.05, temperature_learning_rate=1e-3
+        ),
+        task=TaskConfig(initial_buffer_time=0.5),
+        num_envs=16,
+        steps_per_round=8,
+        updates_per_round=10,
+        parallel=True,
+        keep_zero_inputs=False,
+        eval_interval=20_000,
+        log_interval=10_000,
+    )
+
+
+def read_config(kind: type[Config], plain: dict[str, Any]) -> Config:
+    """A configuration without nested ones from its fields as JSON has them.
+
+    Raises:
+        TypeError: it has no such field.
+    """
+    return kind(**{n: tuple(v) if isinstance(v, list) else v for n, v in plain.items()})
+
+
+def read_training_config(plain: dict[str, Any]) -> TrainingConfig:
+    """The same for a whole run.
+
+    Raises:
+        KeyError, TypeError: something is missing, or there is no such field.
+    """
+    parts = {
+        "learner": read_config(LearnerConfig, plain["learner"]),
+        "task": read_config(TaskConfig, plain["task"]),
+        "scene": read_config(SceneConfig, plain["scene"]),
+    }
+    return TrainingConfig(**plain | parts)

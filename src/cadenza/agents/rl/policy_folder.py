@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.rl.config import Activation
+from cadenza.agents.rl.config import Activation, read_config
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_agent import PolicyAgent
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
 
 _KIND = "policy"
@@ -85,7 +85,6 @@ def load_policy(folder: Path) -> LearntPolicy:
 
 
 def _learnt(facts: dict[str, Any], weights: dict[str, NDArray[Any]]) -> LearntPolicy:
-    score, scene = facts["score"], facts["scene"]
     low, high = facts["log_std_range"]
     return LearntPolicy(
         weights=weights,
@@ -93,11 +92,7 @@ def _learnt(facts: dict[str, Any], weights: dict[str, NDArray[Any]]) -> LearntPo
         log_std_range=(low, high),
         inputs=Inputs(tuple(facts["inputs"]["kept"]), facts["inputs"]["total"]),
         residual=facts["residual"],
-        task=TaskConfig(**facts["task"]),
-        scene=SceneConfig(**scene | {"forearm_dofs": tuple(scene["forearm_dofs"])}),
-        score=Score(
-            notes=tuple(Note(**note) for note in score["notes"]),
-            pedal=tuple(PedalEvent(**event) for event in score["pedal"]),
-            title=score["title"],
-        ),
+        task=read_config(TaskConfig, facts["task"]),
+        scene=read_config(SceneConfig, facts["scene"]),
+        score=Score.from_plain(facts["score"]),
     )

@@ -16,16 +16,21 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.rl.config import TrainingConfig, read_training_config
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically
+from cadenza.music.score import Score
 
+_VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 _KIND = "checkpoint"
 _KEPT = 2  # should the newest be damaged, there is the one before
 
@@ -46,22 +51,59 @@ class RunFolder:
     """The files of a run, for the one process that trains it."""
 
     def __init__(self, path: Path) -> None:
-        path.mkdir(parents=True, exist_ok=True)
         self.path = path
         self._checkpoints, self._replay = path / "checkpoints", path / "replay"
-        self._metrics = path / "metrics.jsonl"
+        self._about, self._metrics = path / "run.json", path / "metrics.jsonl"
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Raises:
+        """While a process trains it; makes the folder.
+
+        Raises:
         CadenzaError: another process trains this run.
         """
+        self.path.mkdir(parents=True, exist_ok=True)
         with open(self.path / "lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise CadenzaError(f"{self.path}: another process is training this run") from error
             yield
+
+    # What it is
+
+    def begin(self, config: TrainingConfig, score: Score) -> None:
+        """Writes down what is asked for.
+
+        Raises:
+            CadenzaError: the folder holds a run already.
+        """
+        if self._about.exists():
+            raise CadenzaError(
+                f"{self.path}: holds a run already; go on with --resume {self.path}, or choose "
+                "another folder with --output"
+            )
+        about = {
+            "config": asdict(config),
+            "score": asdict(score),
+            "versions": {name: version(name) for name in _VERSIONS},
+        }
+        with write_atomically(self._about) as file:
+            file.write((json.dumps(about, indent=1) + "\n").encode())
+
+    def settings(self) -> tuple[TrainingConfig, Score]:
+        """What was asked for.
+
+        Raises:
+            CadenzaError: the folder holds no run.
+        """
+        try:
+            about = json.loads(self._about.read_bytes())
+            return read_training_config(about["config"]), Score.from_plain(about["score"])
+        except FileNotFoundError as error:
+            raise CadenzaError(f"{self.path}: holds no run to go on with") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise CadenzaError(f"{self._about}: damaged, or of another version") from error
 
     # Figures
 

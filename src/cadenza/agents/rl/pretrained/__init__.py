@@ -1,0 +1,23 @@
+"""The policies that come with the package, a folder for each song (docs/learning.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cadenza.errors import CadenzaError
+
+
+def pretrained_folder(song: str) -> Path:
+    """Of the policy that plays a bundled song.
+
+    Raises:
+        CadenzaError: there is none.
+    """
+    here = Path(__file__).parent
+    names = sorted(path.parent.name for path in here.glob("*/manifest.json"))
+    if song not in names:
+        raise CadenzaError(
+            f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or have one "
+            "learn it with cadenza train"
+        )
+    return here / song

@@ -1,0 +1,78 @@
+"""Figures of a run for TensorBoard and Weights & Biases, as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from cadenza.errors import CadenzaError
+
+
+class Scalars(Protocol):
+    """Takes rows of figures."""
+
+    def add(self, row: Mapping[str, float]) -> None:
+        """Shows a row; its step is `eval_step`, or else `step`."""
+
+    def close(self) -> None:
+        """Writes what is left."""
+
+
+class TensorBoard:
+    """Event files in a folder."""
+
+    def __init__(self, folder: Path, step: int) -> None:
+        """`step` is where the run goes on; what is there of later steps is hidden.
+
+        Raises:
+            CadenzaError: tensorboardX is not installed.
+        """
+        try:
+            from tensorboardX import SummaryWriter
+        except ImportError as error:
+            raise CadenzaError("training needs more: pip install 'cadenza[train]'") from error
+        self._writer = SummaryWriter(str(folder), purge_step=step or None)
+
+    def add(self, row: Mapping[str, float]) -> None:
+        for name, value in _shown(row).items():
+            self._writer.add_scalar(name, value, _step(row))
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+class WeightsAndBiases:
+    """A run on wandb.ai, or wherever its environment variables say."""
+
+    def __init__(self, project: str, run: Path, settings: Mapping[str, Any]) -> None:
+        """A run of the same folder goes on.
+
+        Raises:
+            CadenzaError: wandb is not installed.
+        """
+        try:
+            import wandb
+        except ImportError as error:
+            raise CadenzaError("--wandb needs more: pip install 'cadenza[wandb]'") from error
+        self._run = wandb.init(
+            project=project,
+            dir=str(run),
+            id=run.resolve().name,
+            resume="allow",
+            config=dict(settings),
+        )
+
+    def add(self, row: Mapping[str, float]) -> None:
+        self._run.log({**_shown(row), "control_steps": _step(row)})
+
+    def close(self) -> None:
+        self._run.finish()
+
+
+def _step(row: Mapping[str, float]) -> int:
+    return int(row.get("eval_step", row["step"]))
+
+
+def _shown(row: Mapping[str, float]) -> dict[str, float]:
+    return {n: v for n, v in row.items() if n not in ("step", "eval_step")}
