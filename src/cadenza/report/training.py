@@ -11,31 +11,42 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from cadenza.report.line_chart import (
+    Line,
+    Points,
+    count_axis,
+    in_short,
+    line_chart,
+    log_axis,
+    time_axis,
+    value_axis,
+)
 from cadenza.report.page import asset, write_page
 
-_CHARTS = {
-    "eval/note_onset_f1": ("Note onset F1", False),
-    "episodes/f1": ("F1 of training episodes", False),
-    "episodes/return": ("Return of training episodes", False),
-    "train/critic_loss": ("Critic’s loss", True),
-    "train/actor_loss": ("Actor’s loss", False),
-    "train/value": ("Value", False),
-    "train/entropy": ("Entropy", False),
-    "train/temperature": ("Temperature", True),
+_STYLES = ("page.css", "comparison.css", "training.css")
+_REWARDS = "eval/reward/"
+_TITLES = {
+    "eval/note_onset_f1": "Note onset F1",
+    "eval/return": "Return",
+    _REWARDS: "Reward: ",
+    "episodes/f1": "F1 of training episodes",
+    "episodes/return": "Return of training episodes",
+    "train/critic_loss": "Critic’s loss",
+    "train/actor_loss": "Actor’s loss",
+    "train/value": "Value",
+    "train/entropy": "Entropy",
+    "train/temperature": "Temperature",
 }
-"""Columns of the rows -> the titles of their charts, and whether the scale is logarithmic."""
-_REWARD = "eval/reward/"
-_SIZE = 1000  # of a drawing, in its own units; it is stretched to the room there is
-_DOTTED = 30  # lines of no more points than this show each
-_TICKS = 5  # spaces between ticks at most, so that the labels fit a narrow screen
-_MINUTE, _HOUR = 60, 3600  # [s]
-_TIMES = [unit * n for unit in (1, _MINUTE) for n in (1, 2, 5, 10, 20, 30)]
-_TIMES += [_HOUR * n for n in (1, 2, 3, 6, 12, 24, 48, 120, 240)]
+"""Columns -> titles of their charts; each term of the reward has one."""
+_LOGARITHMIC = ("train/critic_loss", "train/temperature")
+_COLOURS = 8  # that the style sheet has for runs
+_DRAWN = 1200  # points of all runs together in a chart, so that the page stays small
+_MOST_DRAWN = 200  # points of a line: more are not to be seen
 
 
 @dataclass(frozen=True)
@@ -44,40 +55,11 @@ class Curve:
 
     name: str
     rows: Sequence[Mapping[str, float | None]]
-    """Oldest first, each with `step`, in control steps, and `seconds` of training until then.
+    """Oldest first, each with `step` in control steps, and `seconds` of training until then.
 
-    A row of an evaluation has `eval_step`, the step its policy is of, and columns `eval/...`;
-    others have `updates`, `train/...` and `episodes/...`, where these are known.
+    That of an evaluation has `eval_step`, the step its policy is of, and columns `eval/...`; others
+    have `updates`, `train/...` and `episodes/...`. Any but `step` and `seconds` may be missing.
     """
-
-
-class _Points(NamedTuple):
-    """What a line goes through, each (n,)."""
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Axis:
-    low: float
-    high: float
-    ticks: Mapping[float, str]
-    """Value -> label."""
-    log: bool = False
-
-    def shares(self, values: ArrayLike) -> NDArray[np.float64]:
-        """How far along the axis values (n,) lie, 0..1."""
-        scale = np.log10 if self.log else np.asarray
-        low, high = scale(self.low), scale(self.high)
-        return (scale(np.asarray(values, float)) - low) / (high - low)
-
-
-class _Line(NamedTuple):
-    kind: str
-    """Its class in the style sheet."""
-    name: str
-    points: _Points
 
 
 def write_training(
@@ -90,6 +72,7 @@ def write_training(
     """Writes the page of learning curves to `path`.
 
     Args:
+        path: of the file.
         title: what was learnt.
         runs: at least one.
         settings: name -> value, nested or not. None is not shown.
@@ -97,12 +80,13 @@ def write_training(
     """
     parts = {
         "title": html.escape(title),
-        "facts": _about(runs, links),
+        "facts": _facts(runs),
+        "links": _links(links),
         "headline": _table(runs) if len(runs) > 1 else _cards(_figures(runs[0])),
-        "playing": _playing(runs),
-        "learning": _learning(runs),
+        "f1": _f1_section(runs),
+        "others": _other_section(runs),
         "settings": _settings(settings),
-        "css": asset("page.css") + asset("training.css"),
+        "css": "".join(map(asset, _STYLES)),
     }
     write_page(path, "training.html", parts)
 
@@ -110,147 +94,149 @@ def write_training(
 # What the rows tell
 
 
-def _points(run: Curve, column: str) -> _Points:
-    """A column against control steps, without the rows that do not have it."""
+def _points(run: Curve, column: str, above: float = -math.inf) -> Points:
+    """A column against control steps, without the rows that do not have it finite and `above`."""
     found = [
         (row.get("eval_step", row["step"]), row[column])
         for row in run.rows
         if row.get(column) is not None
     ]
     x, y = np.array(found, float).reshape(-1, 2).T
-    return _Points(x[np.isfinite(y)], y[np.isfinite(y)])
+    drawable = np.isfinite(y) & (y > above)
+    return Points(x[drawable], y[drawable])
 
 
 def _seconds(run: Curve, steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Wall time [s] at which training reached each of `steps` (n,).
+    """Wall time [s] at which training had done `steps` (n,).
 
-    An evaluation ends while training goes on: the time in its own row is too late.
+    An evaluation's own row is no help: it is written when training has long gone on.
     """
     known = [(0, 0), *((row["step"], row["seconds"]) for row in run.rows)]
     return np.interp(steps, *np.array(known, float).T)
 
 
-def _thinned(points: _Points, most: int) -> _Points:
-    """Means over neighbours, of `most` groups of them."""
+def _timed(run: Curve, points: Points) -> Points:
+    return Points(_seconds(run, points.x), points.y)
+
+
+def _mean(each: Sequence[Points]) -> Points:
+    """The mean of the lines that have points, over the range that all of these cover."""
+    each = [points for points in each if len(points.x)]
+    x = np.unique(np.concatenate([np.empty(0), *(points.x for points in each)]))
+    for points in each:
+        x = x[(points.x[0] <= x) & (x <= points.x[-1])]
+    return Points(x, np.mean([np.interp(x, *points) for points in each] or [x], axis=0))
+
+
+def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
+    """Means over neighbours, as few as the page has room for."""
+    most = min(_MOST_DRAWN, max(_DRAWN // len(runs), 2))
     if len(points.x) <= most:
         return points
     first = np.linspace(0, len(points.x), most, endpoint=False).astype(int)
     size = np.diff(first, append=len(points.x))
-    return _Points(*(np.add.reduceat(values, first) / size for values in points))
-
-
-def _mean(lines: Sequence[_Points]) -> _Points:
-    """The mean of lines, where all those are that have any points."""
-    lines = [line for line in lines if len(line.x)]
-    x = np.unique(np.concatenate([np.empty(0), *(line.x for line in lines)]))
-    for line in lines:
-        x = x[(line.x[0] <= x) & (x <= line.x[-1])]
-    return _Points(x, np.mean([np.interp(x, *line) for line in lines] or [x], axis=0))
+    return Points(*(np.add.reduceat(values, first) / size for values in points))
 
 
 def _last(run: Curve, column: str) -> float:
-    return next((v for row in reversed(run.rows) if (v := row.get(column)) is not None), math.nan)
+    values = (row.get(column) for row in reversed(run.rows))
+    return next((value for value in values if value is not None), math.nan)
 
 
 def _figures(run: Curve) -> dict[str, float]:
-    """Those of `_FIGURES`; NaN where one is not known yet."""
-    step, seconds, f1 = _last(run, "step"), _last(run, "seconds"), _points(run, "eval/f1")
-    best = slice(f1.y.argmax(), None) if len(f1.y) else slice(0)
-    of_best = (f1.y[best], f1.x[best], _seconds(run, f1.x[best]), f1.y[::-1])
-    best_f1, best_step, best_seconds, last_f1 = (
-        float(values[0]) if len(values) else math.nan for values in of_best
-    )
-    return {
-        "best_f1": best_f1,
-        "best_step": best_step,
-        "best_seconds": best_seconds,
-        "last_f1": last_f1,
-        "step": step,
-        "seconds": seconds,
-        "updates": _last(run, "updates"),
-        "rate": step / seconds if seconds else math.nan,
+    """Those of `_FIGURES`; NaN where one is not known."""
+    figures = {name: _last(run, name) for name in ("step", "seconds", "updates")}
+    figures["rate"] = figures["step"] / (figures["seconds"] or math.nan)
+    steps, f1 = _points(run, "eval/f1")
+    if not len(f1):
+        return figures | dict.fromkeys(
+            ("best_f1", "best_step", "best_seconds", "last_f1"), math.nan
+        )
+    best = f1.argmax()
+    return figures | {
+        "best_f1": float(f1[best]),
+        "best_step": float(steps[best]),
+        "best_seconds": float(_seconds(run, steps)[best]),
+        "last_f1": float(f1[-1]),
     }
 
 
-# Numbers in words
+# In words and figures
 
 
 def _ratio(value: float) -> str:
     return f"{value:.3f}"
 
 
-def _count(value: float) -> str:
-    size = abs(float(f"{value:.4g}"))
-    unit, name = (1e6, " M") if size >= 1e6 else (1e3, " k") if size >= 1e4 else (1, "")
-    return f"{value / unit:z,.4g}{name}".replace("-", "−")
-
-
 def _time(seconds: float) -> str:
-    if round(seconds) < 2 * _MINUTE:
+    if round(seconds) < 120:
         return f"{seconds:.0f} s"
-    hours, minutes = divmod(round(seconds / _MINUTE), 60)
+    hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 
 
 _FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "best_f1": ("Best F1", _ratio),
-    "best_step": ("at step", _count),
+    "best_step": ("at step", in_short),
     "best_seconds": ("after", _time),
     "last_f1": ("Last F1", _ratio),
-    "step": ("Control steps", _count),
+    "step": ("Control steps", in_short),
     "seconds": ("Wall time", _time),
-    "updates": ("Updates", _count),
-    "rate": ("Steps a second", _count),
+    "updates": ("Updates", in_short),
+    "rate": ("Steps a second", in_short),
 }
 """Figures of a run -> what they are called, and how they are written."""
 
 
-def _shown(name: str, value: float) -> str:
-    return "–" if math.isnan(value) else _FIGURES[name][1](value)
+def _shown(name: str, figures: Mapping[str, float]) -> str:
+    return "–" if math.isnan(figures[name]) else _FIGURES[name][1](figures[name])
 
 
-def _about(runs: Sequence[Curve], links: Mapping[str, str]) -> str:
+def _facts(runs: Sequence[Curve]) -> str:
     evaluations = sum(len(_points(run, "eval/f1").x) for run in runs)
-    whose = ("runs", str(len(runs))) if len(runs) > 1 else ("run", html.escape(runs[0].name))
-    facts = (whose, ("evaluations", str(evaluations)))
-    shown = [f"<span>{name} <b>{value}</b></span>" for name, value in facts]
-    shown += [
+    facts = {
+        "run" if len(runs) == 1 else "runs": runs[0].name if len(runs) == 1 else str(len(runs)),
+        "evaluations": str(evaluations),
+    }
+    return "".join(f"<span>{k} <b>{html.escape(v)}</b></span>" for k, v in facts.items())
+
+
+def _links(links: Mapping[str, str]) -> str:
+    return "".join(
         f'<a href="{html.escape(address)}">{html.escape(label)}</a>'
         for label, address in links.items()
-    ]
-    return "".join(shown)
+    )
 
 
 def _cards(figures: Mapping[str, float]) -> str:
     cards = []
     for name in ("best_f1", "last_f1", "step", "seconds", "updates", "rate"):
-        shown, more = _shown(name, figures[name]), ""
+        more = ""
         if name.endswith("f1") and not math.isnan(figures[name]):
             more = f'<div class="bar"><i style="width:{100 * figures[name]:.1f}%"></i></div>'
         if name == "best_f1" and more:
-            step, seconds = (_shown(part, figures[part]) for part in ("best_step", "best_seconds"))
+            step, seconds = _shown("best_step", figures), _shown("best_seconds", figures)
             more += f"<small>at step {step},<br>after {seconds}</small>"
-        cards.append(
-            f'<dl class="score"><dt>{_FIGURES[name][0]}</dt><dd>{shown}</dd>{more}</dl>'
-        )
+        title, shown = _FIGURES[name][0], _shown(name, figures)
+        cards.append(f'<dl class="score"><dt>{title}</dt><dd>{shown}</dd>{more}</dl>')
     return f'<section class="scores" aria-label="Figures">{"".join(cards)}</section>'
 
 
 def _table(runs: Sequence[Curve]) -> str:
-    """A row a run, and their means."""
-    rows = [(html.escape(run.name), _figures(run)) for run in runs]
-    known = {name: [f[name] for _, f in rows if not math.isnan(f[name])] for name in _FIGURES}
-    rows.append(("mean", {n: math.fsum(v) / len(v) if v else math.nan for n, v in known.items()}))
+    """A row a run, and the means of what is known."""
+    figures = [_figures(run) for run in runs]
+    known = {name: [f[name] for f in figures if not math.isnan(f[name])] for name in _FIGURES}
+    means = {name: math.fsum(v) / len(v) if v else math.nan for name, v in known.items()}
     head = "".join(f'<th scope="col">{title}</th>' for title, _ in _FIGURES.values())
-    body = (
-        f'<tr><th scope="row">{title}</th>'
-        + "".join(f"<td>{_shown(name, figures[name])}</td>" for name in _FIGURES)
+    rows = (
+        f'<tr><th scope="row">{html.escape(name)}</th>'
+        + "".join(f"<td>{_shown(figure, of_run)}</td>" for figure in _FIGURES)
         + "</tr>"
-        for title, figures in rows
+        for name, of_run in zip([*(r.name for r in runs), "mean"], [*figures, means], strict=True)
     )
     return (
         '<section class="card" aria-label="Figures"><div class="scroll figures" tabindex="0">'
-        f"<table><thead><tr><td></td>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        f"<table><thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
         "</div></section>"
     )
 
@@ -262,9 +248,12 @@ def _settings(settings: Mapping[str, Any]) -> str:
         for name, value in _flat(settings)
         if value is not None
     )
-    table = f'<div class="scroll"><table>{rows}</table></div>'
-    opened = f"<details><summary><h2>Settings</h2></summary>{table}</details>"
-    return f'<section class="card">{opened}</section>' if rows else ""
+    if not rows:
+        return ""
+    return (
+        '<details class="card"><summary>Settings</summary>'
+        f'<div class="scroll"><table>{rows}</table></div></details>'
+    )
 
 
 def _flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -278,34 +267,90 @@ def _flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 # Charts
 
 
-def _playing(runs: Sequence[Curve]) -> str:
+def _f1_section(runs: Sequence[Curve]) -> str:
     """F1 with precision and recall, against control steps and against wall time."""
-    several = len(runs) > 1
     columns = {
-        name: [_points(run, f"eval/{name}") for run in runs] for name in ("f1", "precision", "recall")
+        n: [_points(run, f"eval/{n}") for run in runs] for n in ("f1", "precision", "recall")
     }
     if not any(len(points.x) for points in columns["f1"]):
-        return '<p class="none">No evaluation yet.</p>'
-    ratio = _Axis(0, 1, {tick / 5: f"{tick / 5:g}" for tick in range(6)})
-
-    def chart(title: str, unit: str, axis: _Axis, timed: bool) -> str:
-        on = {
-            name: [
-                _Points(_seconds(run, points.x), points.y) if timed else points
-                for run, points in zip(runs, each, strict=True)
-            ]
-            for name, each in columns.items()
-        }
-        best = max(
-            (_Points(p.x[[i]], p.y[[i]]) for p in on["f1"] if len(p.y) for i in [p.y.argmax()]),
-            key=lambda points: points.y[0],
+        return _section("How well it plays", "<p>No evaluation yet.</p>")
+    timed = {name: list(map(_timed, runs, each)) for name, each in columns.items()}
+    y = value_axis(np.array([0.0, 1.0]))
+    charts = (
+        line_chart(f"F1 by {along}", along, x, y, _f1_lines(runs, drawn))
+        for along, x, drawn in (
+            ("control steps", count_axis(_end(runs, "step")), columns),
+            ("wall time", time_axis(_end(runs, "seconds")), timed),
         )
-        most = _most_points(runs)
-        lines = [
-            _Line(name, name, _thinned(_mean(on[name]), most)) for name in ("precision", "recall")
-        ]
-        lines += _lines(runs, [_thinned(points, most) for points in on["f1"]])
-        marks = [_Line("best", f"best: {best.y[0]:.3f}", best)]
-        return _chart(title, unit, axis, ratio, lines, marks)
+    )
+    of_all = "mean " if len(runs) > 1 else ""
+    lighter = [(name, of_all + name) for name in ("precision", "recall")]
+    legend = _legend([*_marks(runs), *lighter, ("best", "best")])
+    return _section("How well it plays", f'{legend}<div class="large">{"".join(charts)}</div>')
 
-    ...
+
+def _f1_lines(runs: Sequence[Curve], columns: Mapping[str, Sequence[Points]]) -> list[Line]:
+    lighter = [
+        Line(name, name, _thinned(_mean(columns[name]), runs)) for name in ("precision", "recall")
+    ]
+    x, y = (np.concatenate(values) for values in zip(*columns["f1"], strict=True))
+    best = Points(x[[y.argmax()]], y[[y.argmax()]])
+    return [*lighter, *_lines(runs, columns["f1"]), Line("best", "best", best)]
+
+
+def _other_section(runs: Sequence[Curve]) -> str:
+    """A small chart of each other column that has values, against control steps."""
+    x = count_axis(_end(runs, "step"))
+    charts = ""
+    for column, title in _titles(runs):
+        log = column in _LOGARITHMIC
+        lines = _lines(runs, [_points(run, column, 0 if log else -math.inf) for run in runs])
+        values = np.concatenate([line.points.y for line in lines])
+        if len(values):
+            y = log_axis(values) if log else value_axis(values)
+            charts += line_chart(title, "control steps", x, y, lines)
+    legend = _legend(_marks(runs)) if len(runs) > 1 else ""
+    content = f'{legend}<div class="small">{charts}</div>'
+    return _section("What it earns and learns", content) if charts else ""
+
+
+def _titles(runs: Sequence[Curve]) -> Iterator[tuple[str, str]]:
+    """Columns, and titles of their charts."""
+    columns = sorted({name for run in runs for row in run.rows for name in row})
+    for column, title in _TITLES.items():
+        if column == _REWARDS:
+            terms = [name.removeprefix(_REWARDS) for name in columns if name.startswith(_REWARDS)]
+            yield from ((_REWARDS + term, title + term.replace("_", " ")) for term in terms)
+        else:
+            yield column, title
+
+
+def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
+    """A line a run, and their mean if several have any points."""
+    lines = [
+        Line(kind, name, _thinned(points, runs))
+        for (kind, name), points in zip(_marks(runs), each, strict=False)
+    ]
+    if sum(len(points.x) > 0 for points in each) > 1:
+        lines.append(Line("mean", "mean", _thinned(_mean(each), runs)))
+    return lines
+
+
+def _marks(runs: Sequence[Curve]) -> list[tuple[str, str]]:
+    """Class in the style sheet and name of the line of each run, and of their mean."""
+    marks = [(f"run{i % _COLOURS}", run.name) for i, run in enumerate(runs)]
+    return marks + [("mean", "mean")] * (len(runs) > 1)
+
+
+def _legend(marks: Sequence[tuple[str, str]]) -> str:
+    shown = (f'<span><i class="{kind}"></i>{html.escape(name)}</span>' for kind, name in marks)
+    return f'<p class="legend">{"".join(shown)}</p>'
+
+
+def _section(title: str, content: str) -> str:
+    return f'<section class="card"><h2>{title}</h2>{content}</section>'
+
+
+def _end(runs: Sequence[Curve], column: str) -> float:
+    """Where the longest of the runs ended, 1 where there is nothing yet."""
+    return max((row[column] or 0 for run in runs for row in run.rows[-1:]), default=0) or 1
