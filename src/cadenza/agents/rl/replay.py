@@ -37,7 +37,8 @@ class Replay:
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
         """`capacity` is the number of frames of all environments together."""
         self._observer = observer
-        length = max(-(-capacity // num_envs), 3)
+        # With four, one that was acted on outlives the end of its episode and the next beginning.
+        length = max(-(-capacity // num_envs), 4)
         self._shape = (num_envs, length)
         self._frames: dict[str, NDArray[Any]] = {
             "rest": np.zeros((*self._shape, observer.rest_size), np.float32),
@@ -78,7 +79,13 @@ class Replay:
         self._size += num_envs
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
-        """Transitions drawn uniformly with replacement, arrays (*shape, ...)."""
+        """Transitions drawn uniformly with replacement, arrays (*shape, ...).
+
+        Raises:
+            ValueError: there is none.
+        """
+        if not self._size:
+            raise ValueError("nothing was done yet that could be learnt from")
         env, column = self._draw(rng, int(np.prod(shape)))
         return Batch(*(part.reshape(*shape, *part.shape[1:]) for part in self._batch(env, column)))
 
