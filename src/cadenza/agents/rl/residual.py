@@ -12,6 +12,7 @@ from cadenza.agents.planning.nominal import nominal_plan
 from cadenza.agents.rl.observation import Floats
 from cadenza.errors import CadenzaError
 from cadenza.model.servos import servos_of
+from cadenza.music.fingering import find_fingering
 from cadenza.music.score import UNKNOWN_FINGER, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.music import goals_of
@@ -34,12 +35,17 @@ class PlanFollower:
     """Turns corrections in [-1, 1] into actions, of a plan for the only score of a task."""
 
     def __init__(self, task: PianoTask, score: Score) -> None:
-        """`score` has the fingers that are to play it.
+        """`score` has the fingers that are to play it; where it names none they are found.
 
         Raises:
-            CadenzaError: the task changes the score or the start at random.
+            CadenzaError: the task changes the score or the start at random, or has no hands.
         """
         check_one_score(task.config)
+        if not task.scene.sides:
+            raise CadenzaError("a residual policy corrects a plan for hands, and here are none")
+        if not score.has_fingering:  # the task does not reward fingers
+            sides = task.scene.sides
+            score, _ = find_fingering(score, "both" if len(sides) == 2 else sides[0])
         goals = goals_of(score, task.config)
         dt = task.config.control_timestep
         start = np.zeros(len(task.scene.hand_joint_names))
