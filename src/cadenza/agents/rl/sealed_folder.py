@@ -52,8 +52,8 @@ def write_sealed(
     except BaseException:
         shutil.rmtree(new, ignore_errors=True)
         raise
-    shutil.rmtree(old, ignore_errors=True)
-    if folder.exists():
+    if folder.exists():  # else the old one may be all that there is
+        shutil.rmtree(old, ignore_errors=True)
         os.rename(folder, old)
     os.rename(new, folder)
     shutil.rmtree(old, ignore_errors=True)
@@ -66,21 +66,27 @@ def read_sealed(folder: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDAr
         CadenzaError: the folder is not there, of another kind, or was changed or damaged.
     """
     if not folder.exists() and _beside(folder, "old").exists():
-        os.rename(_beside(folder, "old"), folder)  # stopped between two renames
+        folder = _beside(folder, "old")  # whoever writes is between two renames, or stopped there
     manifest = _manifest(folder)
     if manifest.get("kind") != kind:
         raise CadenzaError(f"{folder}: is no {kind} that Cadenza wrote")
     try:
         digests = manifest["sha256"]
         contents = {name: (folder / name).read_bytes() for name in ("facts.json", "arrays.npz")}
+        changed = [n for n, c in contents.items() if digests[n] != hashlib.sha256(c).hexdigest()]
     except (OSError, KeyError, TypeError) as error:
         raise CadenzaError(f"{folder}: the {kind} is not whole; take another copy") from error
-    for name, content in contents.items():
-        if digests.get(name) != hashlib.sha256(content).hexdigest():
-            raise CadenzaError(f"{folder / name}: damaged or changed; take another copy")
-    with np.load(io.BytesIO(contents["arrays.npz"]), allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    return json.loads(contents["facts.json"]), arrays
+    if changed:
+        raise CadenzaError(f"{folder / changed[0]}: damaged or changed; take another copy")
+    try:
+        return json.loads(contents["facts.json"]), _arrays(contents["arrays.npz"])
+    except Exception as error:  # not what `write_sealed` writes, though sealed: see `read_arrays`
+        raise CadenzaError(f"{folder}: is no {kind} that Cadenza wrote") from error
+
+
+def _arrays(content: bytes) -> dict[str, NDArray[Any]]:
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
