@@ -1,8 +1,8 @@
 """A training run on disk: what it needs to go on after a kill at any moment.
 
-RUN/config.json           what was asked for, and the versions of the libraries
+RUN/run.json              what was asked for, and the versions of the libraries
 RUN/checkpoints/N/        learner, environments, random generators after N control steps
-RUN/replay/N.npz          the experience gathered up to N since the file before
+RUN/replay/N.I.npz        the experience gathered up to N since the file before
 RUN/metrics.jsonl         figures, a row a line
 RUN/best/, RUN/last/      the policy that played best, and that of the last checkpoint
 """
@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -110,8 +111,10 @@ class RunFolder:
     def add_row(self, row: dict[str, float]) -> None:
         """Appends a row of figures; a number that is none becomes null."""
         plain = {name: None if value != value else value for name, value in row.items()}
-        with open(self._metrics, "a") as file:
+        with self._room(), open(self._metrics, "a") as file:
             file.write(json.dumps(plain) + "\n")
+            file.flush()
+            os.fsync(file.fileno())  # a checkpoint counts on all rows before it
 
     def rows(self) -> list[dict[str, Any]]:
         """All rows so far."""
@@ -121,7 +124,9 @@ class RunFolder:
 
     def save_gathered(self, step: int, gathered: Arrays) -> str:
         """Keeps the experience since the last checkpoint; returns the name of its file."""
-        name = f"{step:012}.npz"
+        names = (f"{step:012}.{number}.npz" for number in count())
+        # That of a checkpoint at the same step is still needed.
+        name = next(name for name in names if not (self._replay / name).exists())
         with self._room(), write_atomically(self._replay / name) as file:
             np.savez(file, allow_pickle=False, **gathered)
         return name
@@ -162,6 +167,7 @@ class RunFolder:
         Raises:
             CadenzaError: there are only damaged ones.
         """
+        self._drop_unfinished()
         saved = self._saved()
         for folder in reversed(saved):
             try:
@@ -180,6 +186,13 @@ class RunFolder:
         self._metrics.unlink(missing_ok=True)
         return None
 
+    def _drop_unfinished(self) -> None:
+        """Drops what was being written when the process was killed."""
+        for folder in self._checkpoints.glob(".*"):
+            shutil.rmtree(folder)
+        for path in self._replay.glob(".*"):
+            path.unlink()
+
     def _saved(self) -> list[Path]:
         return sorted(p for p in self._checkpoints.glob("*") if p.name.isdigit())
 
@@ -189,8 +202,8 @@ class RunFolder:
             yield
         except OSError as error:
             raise CadenzaError(
-                f"{self.path}: no checkpoint could be written ({error.strerror}); the one before "
-                f"it still loads. Make room, then: cadenza train --resume {self.path}"
+                f"{self.path}: could not be written ({error.strerror}); the last checkpoint "
+                f"still loads. Make room, then: cadenza train --resume {self.path}"
             ) from error
 
 
