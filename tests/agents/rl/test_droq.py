@@ -1,0 +1,340 @@
+"""One update after the other against a plain reference, and what learning must come to."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from rl_examples import random_batches
+from scipy.stats import norm
+
+from cadenza.agents.rl.config import LearnerConfig
+from cadenza.agents.rl.droq import Learner, LearnerState, from_arrays, to_arrays, weights_of
+from cadenza.agents.rl.observation import Inputs
+from cadenza.agents.rl.policy import Policy
+from cadenza.agents.rl.replay import Batch
+
+INPUTS, ACTIONS, BATCH = 10, 3, 8
+ALL = Inputs(tuple(range(INPUTS)), INPUTS)
+CONFIG = LearnerConfig(
+    hidden_sizes=(16,), dropout=0.2, batch_size=BATCH, actor_learning_rate=3e-3,
+    critic_learning_rate=3e-3, temperature_learning_rate=3e-3, tau=0.05, actor_update_period=2,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def learner() -> Learner:
+    """With dropout and layer normalisation; it is compiled once."""
+    return Learner(CONFIG, ALL, ACTIONS)
+
+
+def batches(number: int, seed: int = 0) -> Batch:
+    return random_batches(np.random.default_rng(seed), (number, BATCH), INPUTS, ACTIONS)
+
+
+def numbers(state: LearnerState) -> dict[str, np.ndarray]:
+    """A copy: an update uses its state up."""
+    return {name: array.copy() for name, array in to_arrays(state).items()}
+
+
+def part(batch: Batch, i: int) -> Batch:
+    return Batch(*(values[i : i + 1] for values in batch))
+
+
+# The reference: SAC (Haarnoja et al. 2018, second version) in numpy, as one would write it down,
+# with gradients by differences
+
+
+def flat(params: Any) -> np.ndarray:
+    return np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(params)]).astype(np.float64)
+
+
+def unflat(vector: np.ndarray, like: Any) -> Any:
+    leaves, structure = jax.tree.flatten(like)
+    pieces = np.split(vector, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    return structure.unflatten(
+        [p.reshape(leaf.shape) for p, leaf in zip(pieces, leaves, strict=True)]
+    )
+
+
+def linear(layer: Any, x: np.ndarray) -> np.ndarray:
+    return x @ layer["kernel"] + layer["bias"]
+
+
+def perceptron(params: Any, x: np.ndarray) -> np.ndarray:
+    for i in range(len(params["HiddenLayers_0"])):
+        x = np.maximum(linear(params["HiddenLayers_0"][f"hidden_{i}"], x), 0)
+    return x
+
+
+def value(critic: Any, observation: np.ndarray, action: np.ndarray) -> np.ndarray:
+    x = np.concatenate([observation, action], axis=1)
+    return linear(critic["value"], perceptron(critic, x))[:, 0]
+
+
+def act(actor: Any, observation: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Actions and the logarithms of their densities."""
+    x = perceptron(actor, observation)
+    std = np.exp(np.clip(linear(actor["log_std"], x), -20, 2))
+    action = np.tanh(linear(actor["mean"], x) + std * noise)
+    return action, np.log(norm.pdf(noise) / std / (1 - action**2)).sum(axis=1)
+
+
+class Adam:
+    """Minimises a function of a vector (Kingma & Ba 2015, algorithm 1)."""
+
+    def __init__(self, start: Any, rate: float) -> None:
+        self.like, self.x, self.rate = start, flat(start), rate
+        self.mean, self.square, self.steps = 0.0 * self.x, 0.0 * self.x, 0
+
+    @property
+    def params(self) -> Any:
+        return unflat(self.x, self.like)
+
+    def step(self, loss: Callable[[Any], float]) -> None:
+        steps = 1e-6 * np.eye(len(self.x))
+        up, down = (
+            np.array([loss(unflat(self.x + sign * step, self.like)) for step in steps])
+            for sign in (1, -1)
+        )
+        gradient = (up - down) / 2e-6
+        self.steps += 1
+        self.mean = 0.9 * self.mean + 0.1 * gradient
+        self.square = 0.999 * self.square + 0.001 * gradient**2
+        mean, square = self.mean / (1 - 0.9**self.steps), self.square / (1 - 0.999**self.steps)
+        self.x = self.x - self.rate * mean / (np.sqrt(square) + 1e-8)
+
+
+class Reference:
+    """Begins where a `LearnerState` is."""
+
+    def __init__(self, state: LearnerState, config: LearnerConfig, noise: np.ndarray) -> None:
+        self.config, self.noise, self.updates = config, noise, 0
+        self.actor = Adam(state.actor, config.actor_learning_rate)
+        self.critics = [Adam(critic, config.critic_learning_rate) for critic in state.critics]
+        self.targets = [flat(target) for target in state.targets]
+        self.log_temperature = Adam(state.log_temperature, config.temperature_learning_rate)
+
+    def update(self, batch: Batch) -> dict[str, Any]:
+        config, temperature = self.config, np.exp(self.log_temperature.x[0])
+        action, log_prob = act(self.actor.params, batch.next_observation, self.noise)
+        least = np.min(
+            [
+                value(unflat(target, critic.like), batch.next_observation, action)
+                for target, critic in zip(self.targets, self.critics, strict=True)
+            ],
+            axis=0,
+        )
+        target = batch.reward + config.discount * batch.discount * (least - temperature * log_prob)
+
+        def loss(critic: Any) -> float:
+            return ((value(critic, batch.observation, batch.action) - target) ** 2).mean()
+
+        values = [value(c.params, batch.observation, batch.action) for c in self.critics]
+        figures = {
+            "critic_loss": np.mean([loss(critic.params) for critic in self.critics]),
+            "value": np.mean(values),
+        }
+        for i, critic in enumerate(self.critics):
+            critic.step(lambda params: loss(params) / len(self.critics))
+            self.targets[i] += config.tau * (critic.x - self.targets[i])
+        if self.updates % config.actor_update_period == 0:
+            figures |= self._update_actor(batch, temperature)
+        self.updates += 1
+        return figures | {"temperature": np.exp(self.log_temperature.x[0])}
+
+    def _update_actor(self, batch: Batch, temperature: float) -> dict[str, Any]:
+        def loss(actor: Any) -> float:
+            action, log_prob = act(actor, batch.observation, self.noise)
+            values = [value(c.params, batch.observation, action) for c in self.critics]
+            return (temperature * log_prob - np.mean(values, axis=0)).mean()
+
+        entropy = -act(self.actor.params, batch.observation, self.noise)[1].mean()
+        figures = {"actor_loss": loss(self.actor.params), "entropy": entropy}
+        self.actor.step(loss)
+        self.log_temperature.step(lambda x: float(np.exp(x) * (entropy + ACTIONS / 2)))
+        return figures
+
+
+@pytest.fixture
+def noise(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """What both the learner and the reference take for random: how keys are split is free."""
+    noise = np.random.default_rng(5).standard_normal((BATCH, ACTIONS)).astype(np.float32)
+    monkeypatch.setattr(jax.random, "normal", lambda *_, **__: jnp.asarray(noise))
+    return noise
+
+
+def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
+    config = replace(CONFIG, dropout=0.0, layer_norm=False, initial_temperature=0.3, discount=0.9)
+    learner = Learner(config, ALL, ACTIONS)
+    state, batch = learner.initial_state(0), batches(4)
+    reference = Reference(state, config, noise)
+    state, figures = learner.update(state, batch)
+    for i in range(4):
+        expected = reference.update(Batch(*(values[i] for values in batch)))
+        assert ("actor_loss" in expected) == np.isfinite(figures["actor_loss"][i])
+        for name, number in expected.items():
+            assert_allclose(figures[name][i], number, rtol=1e-4, atol=1e-5, err_msg=name)
+    # Adam's steps are this long; of a gradient near zero they keep few digits.
+    tolerance = {"atol": 0.05 * config.actor_learning_rate, "rtol": 0}
+    assert_allclose(flat(state.actor), reference.actor.x, **tolerance)
+    assert_allclose(flat(state.log_temperature), reference.log_temperature.x, **tolerance)
+    for i, critic in enumerate(reference.critics):
+        assert_allclose(flat(state.critics[i]), critic.x, **tolerance)
+        assert_allclose(flat(state.targets[i]), reference.targets[i], **tolerance)
+
+
+# What holds for every learner
+
+
+def test_targets_begin_as_the_critics_and_follow_them(learner: Learner) -> None:
+    state = learner.initial_state(0)
+    targets = jax.tree.map(np.array, state.targets)
+    for a, b in zip(jax.tree.leaves(targets), jax.tree.leaves(state.critics), strict=True):
+        assert_array_equal(a, b)
+    first, second = (jax.tree.leaves(critic) for critic in targets)
+    assert any((a != b).any() for a, b in zip(first, second, strict=True))
+    batch = batches(3)
+    for i in range(3):
+        state, _ = learner.update(state, part(batch, i))
+        targets = jax.tree.map(
+            lambda target, critic: 0.95 * target + 0.05 * np.asarray(critic), targets, state.critics
+        )
+    for a, b in zip(jax.tree.leaves(state.targets), jax.tree.leaves(targets), strict=True):
+        assert_allclose(a, b, atol=1e-6)
+
+
+def test_the_actor_and_the_temperature_rest_in_between(learner: Learner) -> None:
+    """At an `actor_update_period` of 2."""
+    state, changed = learner.initial_state(0), []
+    for i in range(4):
+        before = numbers(state)
+        state, _ = learner.update(state, part(batches(4), i))
+        parts = {name: name[1:].partition("[")[0] for name in before}
+        changed.append(
+            {parts[n] for n, array in numbers(state).items() if (before[n] != array).any()}
+        )
+    always = {"key", "updates", "critics", "targets", "critic_optimiser"}
+    actor = {"actor", "log_temperature", "actor_optimiser", "temperature_optimiser"}
+    assert changed == [always | actor, always] * 2
+
+
+def test_many_updates_at_once_are_those_one_by_one(learner: Learner) -> None:
+    batch = batches(6)
+    together, figures = learner.update(learner.initial_state(1), batch)
+    single, each = learner.initial_state(1), []
+    for i in range(6):
+        single, shown = learner.update(single, part(batch, i))
+        each.append(shown)
+    ours, theirs = numbers(together), numbers(single)
+    assert int(together.updates) == 6
+    for name in ours:
+        assert_allclose(ours[name], theirs[name], rtol=1e-4, atol=1e-5, err_msg=name)
+    for name, values in figures.items():
+        expected = np.concatenate([shown[name] for shown in each])
+        assert_allclose(values, expected, rtol=1e-4, atol=1e-5, err_msg=name)
+
+
+def test_the_same_seed_gives_the_same_bits(learner: Learner) -> None:
+    ends = []
+    for seed in (3, 3, 4):
+        state = learner.initial_state(seed)
+        for i in range(2):
+            state, _ = learner.update(state, batches(6, seed=i))
+        ends.append(numbers(state))
+    for name, array in ends[0].items():
+        assert_array_equal(array, ends[1][name])
+    weights = [name for name in ends[0] if name.startswith(".actor[")]
+    assert all((ends[0][name] != ends[2][name]).any() for name in weights)
+
+
+def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: Learner) -> None:
+    state, _ = learner.update(learner.initial_state(0), batches(6))
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **to_arrays(state))
+    state, _ = learner.update(state, batches(6, seed=1))
+    file.seek(0)
+    with np.load(file) as kept:
+        again = from_arrays(dict(kept), learner.initial_state(9))
+    again, _ = learner.update(again, batches(6, seed=1))
+    for name, array in numbers(state).items():
+        assert_array_equal(array, numbers(again)[name])
+
+
+def test_a_policy_is_not_changed_by_the_updates_after_it(learner: Learner) -> None:
+    """An update uses up the memory of the state before it, which a policy may still look at."""
+    state = learner.initial_state(0)
+    weights = weights_of(state.actor)
+    before = {name: array.copy() for name, array in weights.items()}
+    for seed in range(3):
+        state, _ = learner.update(state, batches(6, seed))
+    for name, array in weights.items():
+        assert_array_equal(array, before[name])
+        assert (weights_of(state.actor)[name] != before[name]).any()
+
+
+def test_target_entropy_is_minus_half_the_number_of_actions_by_default() -> None:
+    assert Learner(LearnerConfig(), ALL, 39).target_entropy == -19.5
+    assert Learner(LearnerConfig(target_entropy=-3.0), ALL, 39).target_entropy == -3.0
+
+
+def test_learns_to_do_what_is_rewarded(learner: Learner) -> None:
+    """Episodes of one step; the reward falls with the square of the distance from a target."""
+    rng = np.random.default_rng(0)
+    state = learner.initial_state(0)
+    for _ in range(300):
+        batch = random_batches(rng, (6, BATCH), INPUTS, ACTIONS)
+        action = rng.uniform(-1, 1, (6, BATCH, ACTIONS)).astype(np.float32)
+        target = np.array([0.6, -0.5, 0.0]) * np.sign(batch.observation[..., :1])
+        reward = 10 - 10 * ((action - target) ** 2).sum(axis=-1)
+        batch = batch._replace(
+            action=action, reward=reward.astype(np.float32), discount=np.zeros_like(batch.discount)
+        )
+        state, _ = learner.update(state, batch)
+    observation = rng.standard_normal((200, INPUTS)).astype(np.float32)
+    best = Policy(weights_of(state.actor), "relu", (-20, 2)).best(observation)
+    clear = np.abs(observation[:, 0]) > 0.5
+    target = np.array([0.6, -0.5, 0.0]) * np.sign(observation[:, :1])
+    assert np.abs(best - target)[clear].mean() < 0.2
+
+
+# Inputs that are always zero
+
+
+def test_inputs_that_are_always_zero_can_be_left_out() -> None:
+    """Nothing changes, with dropout either: its masks do not look at the inputs.
+
+    The first layer of the critics has more inputs that count, the actions, after those.
+    """
+    kept = (0, 2, 3, 7)
+    some = Learner(CONFIG, Inputs(kept, INPUTS), ACTIONS)
+    whole = Learner(CONFIG, ALL, ACTIONS)
+    batch = batches(6)
+    zero = np.setdiff1d(np.arange(INPUTS), kept)
+    for observation in (batch.observation, batch.next_observation):
+        observation[..., zero] = 0
+    less = batch._replace(
+        observation=batch.observation[..., kept], next_observation=batch.next_observation[..., kept]
+    )
+    state, fewer = whole.initial_state(0), some.initial_state(0)
+    unused = np.asarray(state.actor["HiddenLayers_0"]["hidden_0"]["kernel"])[zero].copy()
+    for _ in range(3):
+        state, figures = whole.update(state, batch)
+        fewer, figures_fewer = some.update(fewer, less)
+        for name, values in figures.items():
+            assert_allclose(values, figures_fewer[name], rtol=2e-4, atol=1e-5, err_msg=name)
+    ours, theirs = weights_of(state.actor), weights_of(fewer.actor)
+    assert_array_equal(ours["hidden_0/kernel"][zero], unused)
+    ours["hidden_0/kernel"] = ours["hidden_0/kernel"][list(kept)]
+    for name, array in ours.items():
+        assert_allclose(array, theirs[name], atol=1e-4, err_msg=name)
+    shown = np.asarray(batch.observation[0])
+    best = Policy(weights_of(state.actor), "relu", (-20, 2)).best(shown)
+    assert_allclose(Policy(theirs, "relu", (-20, 2)).best(shown[:, kept]), best, atol=1e-4)
