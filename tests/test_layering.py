@@ -29,7 +29,7 @@ LIBRARIES: dict[str, set[str]] = {
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
     "agents": {"numpy", "scipy", "threadpoolctl", "jax", "flax", "optax", "tensorboardX"},
-    "report": {"numpy", "scipy", "av"},
+    "report": {"numpy", "scipy", "av", "tensorboardX", "wandb"},
 }
 
 

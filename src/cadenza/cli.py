@@ -294,12 +294,14 @@ def _train(command: Train, folder: Path) -> None:
     config, score = run.settings()
     with run.locked(), closing(Training(config, score, run)) as training:
         finished = _train_on(training, command, folder)
-    _write_curves(folder)
+    if finished:
+        best = str(folder / "best")
+        play(Play(best, agent=best, output=folder / "best_played"))
+    _write_curves(folder, score.title, config)
+    print(f"Learning curves in {folder / 'report.html'}")
     if not finished:
-        print(f"\nto go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        print(f"to go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         raise KeyboardInterrupt
-    best = str(folder / "best")
-    play(Play(best, agent=best, output=folder / "best_played"))
 
 
 def _train_on(training: Training, command: Train, folder: Path) -> bool:
@@ -311,7 +313,9 @@ def _train_on(training: Training, command: Train, folder: Path) -> bool:
     shown: list[Scalars] = [TensorBoard(folder / "tensorboard", training.step)]
     if command.wandb:
         shown.append(WeightsAndBiases(command.wandb, folder, asdict(training.config)))
-    bar = tqdm(total=training.config.num_steps, initial=training.step, unit=" steps")
+    often = 0.1 if sys.stderr.isatty() else 30.0  # seconds; a log file wants fewer lines
+    steps, done = training.config.num_steps, training.step
+    bar = tqdm(total=steps, initial=done, unit=" steps", mininterval=often)
     with bar, _asked_to_stop() as stop:
 
         def goes_on() -> bool:
@@ -355,8 +359,15 @@ def _asked_to_stop() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _write_curves(folder: Path) -> None:
+def _write_curves(folder: Path, song: str, config: TrainingConfig) -> None:
     """The page of learning curves."""
+    from cadenza.agents.rl.run_folder import read_rows
+    from cadenza.report.training import Curve, write_training
+
+    played = folder / "best_played" / "report.html"
+    links = {"the best policy plays": "best_played/report.html"} if played.exists() else {}
+    curve = Curve(folder.name, read_rows(folder))
+    write_training(folder / "report.html", song, [curve], _plain(asdict(config)), links)
 
 
 def _score(song: str) -> Score:

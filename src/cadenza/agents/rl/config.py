@@ -51,6 +51,9 @@ class LearnerConfig:
     """Share of the critics that goes into their targets at every update."""
     actor_update_period: int = 1
     """Updates of the critics for one of the actor and the temperature."""
+    actor_average: float = 1.0
+    """Share of the actor that goes into the one that is evaluated and kept at every update of it;
+    with 1 that is the latest."""
     batch_size: int = 256
     """Transitions an update."""
 

@@ -30,6 +30,8 @@ class LearnerState(NamedTuple):
     key: jax.Array
     updates: jax.Array
     actor: Params
+    averaged_actor: Params
+    """What is evaluated and kept."""
     critics: tuple[Params, ...]
     targets: tuple[Params, ...]
     log_temperature: jax.Array
@@ -94,6 +96,7 @@ class Learner:
             key=jax.random.key_data(key),
             updates=jnp.zeros((), jnp.int32),
             actor=actor,
+            averaged_actor=jax.tree.map(jnp.copy, actor),
             critics=critics,
             targets=jax.tree.map(jnp.copy, critics),
             log_temperature=log_temperature,
@@ -172,8 +175,11 @@ class Learner:
         cooler, temperature_optimiser = self._adam(config.temperature_learning_rate).update(
             too_much, state.temperature_optimiser
         )
+        actor = optax.apply_updates(state.actor, change)
+        averaged = optax.incremental_update(actor, state.averaged_actor, config.actor_average)
         state = state._replace(
-            actor=optax.apply_updates(state.actor, change),
+            actor=actor,
+            averaged_actor=averaged,
             log_temperature=optax.apply_updates(state.log_temperature, cooler),
             actor_optimiser=actor_optimiser,
             temperature_optimiser=temperature_optimiser,

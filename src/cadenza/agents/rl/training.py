@@ -18,6 +18,7 @@ from cadenza.agents.rl.collector import Collector, Finished
 from cadenza.agents.rl.config import TrainingConfig
 from cadenza.agents.rl.droq import Learner, from_arrays, to_arrays, weights_of
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
+from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_folder import LearntPolicy, save_policy
 from cadenza.agents.rl.replay import Replay
 from cadenza.agents.rl.residual import PlanFollower, without_fingers
@@ -68,7 +69,7 @@ class Training:
         self._collector = Collector(self._task, self._scores, observer, self._replay, follower, rng)
         self._learner = Learner(config.learner, inputs, actions)
         self._state = self._learner.initial_state(config.seed)
-        self._policy = self._learnt().policy
+        self._policy = self._latest_policy()
         self._background = ThreadPoolExecutor(1)
         self._learning = ThreadPoolExecutor(1)
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
@@ -126,11 +127,11 @@ class Training:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
             learning.result()
-            self._policy = self._learnt().policy
+            self._policy = self._latest_policy()
         else:
             self._collect(random=False)
             self._learn(self._batches())
-            self._policy = self._learnt().policy
+            self._policy = self._latest_policy()
 
     def _collect(self, random: bool) -> None:
         config = self.config
@@ -148,10 +149,15 @@ class Training:
         self._state, figures = self._learner.update(self._state, batches)
         self._figures.append({name: np.asarray(values) for name, values in figures.items()})
 
+    def _latest_policy(self) -> Policy:
+        learner = self.config.learner
+        log_std_range = (learner.log_std_min, learner.log_std_max)
+        return Policy(weights_of(self._state.actor), learner.activation, log_std_range)
+
     def _learnt(self) -> LearntPolicy:
         config, learner = self.config, self.config.learner
         return LearntPolicy(
-            weights=weights_of(self._state.actor),
+            weights=weights_of(self._state.averaged_actor),
             activation=learner.activation,
             log_std_range=(learner.log_std_min, learner.log_std_max),
             inputs=self._inputs,
@@ -235,7 +241,7 @@ class Training:
         self._sample_rng.bit_generator.state = facts["sample_rng"]
         self._chunks = facts["replay"]
         self._state = from_arrays(parts["learner"], self._state)
-        self._policy = self._learnt().policy
+        self._policy = self._latest_policy()
         self._scores.restore(parts["scores"])
         for gathered in checkpoint.replay:
             self._replay.restore(gathered)
