@@ -222,7 +222,8 @@ def test_the_actor_and_the_temperature_rest_in_between(learner: Learner) -> None
             {parts[n] for n, array in numbers(state).items() if (before[n] != array).any()}
         )
     always = {"key", "updates", "critics", "targets", "critic_optimiser"}
-    actor = {"actor", "log_temperature", "actor_optimiser", "temperature_optimiser"}
+    actor = {"actor", "averaged_actor", "actor_optimiser"}
+    actor |= {"log_temperature", "temperature_optimiser"}
     assert changed == [always | actor, always] * 2
 
 
