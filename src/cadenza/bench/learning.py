@@ -48,7 +48,7 @@ UPDATES_PER_CALL = 16  # where there are several
 PLAYED = 1_000  # control steps of random play
 TRANSITIONS = 100_000  # that are sampled from: more than fit in a cache
 SEED_STEPS = 500  # control steps before training learns
-NEVER = 10**12  # steps
+NEVER = 10**12  # control steps
 
 Sample = Callable[[], Batch]
 our_dropout = partial(Dropout, DROPOUT)
@@ -195,31 +195,30 @@ def training(config: TrainingConfig, score: Score, folder: Path, rounds: int) ->
 class PlainLoop:
     """Training around our environment as a plain program does it: one thing after the other."""
 
-    def __init__(self, score: Score, capacity: int) -> None:
+    def __init__(self, score: Score) -> None:
         self._task, self._rng = PianoTask([score]), np.random.default_rng(0)
         actions = self._task.action_size
         size = self._task.observation_size + actions + 1
         self._learner = PlainLearner(size, actions)
         self._state = self._learner.initial_state(0)
-        self._buffer = PlainBuffer(size, actions, capacity)
+        self._buffer = PlainBuffer(size, actions, TRANSITIONS)
         self._begin()
 
     def _begin(self) -> None:
         self._task.reset([self._rng], [0])
-        self._observation = self._observe(np.zeros(self._task.action_size), 0.0)
+        self._observation = self._observe(np.zeros(self._task.action_size), np.zeros(1))
 
-    def _observe(self, ctrl: Any, reward: float) -> Floats:
-        parts = (self._task.observation()[0], ctrl, [reward])
+    def _observe(self, ctrl: Any, reward: Any) -> Floats:
+        parts = (self._task.observation()[0], ctrl, reward)
         return np.concatenate(parts, dtype=np.float32, casting="same_kind")
 
     def _step(self, action: Floats) -> None:
         ctrl = self._task.scale_action(action[None])
         result = self._task.step(ctrl)
-        reward = float(result.reward[0])
-        after = self._observe(ctrl[0], reward)
-        discount = np.float32(not result.terminated[0])
-        self._buffer.insert(Batch(self._observation, action, np.float32(reward), discount, after))
-        self._observation = after
+        reward, goes_on = result.reward.astype(np.float32), ~result.terminated
+        before, self._observation = self._observation, self._observe(ctrl[0], reward)
+        discount = goes_on.astype(np.float32)
+        self._buffer.insert(Batch(before, action, reward[0], discount[0], self._observation))
         if result.terminated[0] or result.truncated[0]:
             self._begin()
 
@@ -246,7 +245,7 @@ class PlainLoop:
 
 
 def whole_updates(had: Experience, number: int) -> dict[str, Contestant]:
-    """An update with what it takes to draw its batch."""
+    """An update and drawing its batch."""
     rng = np.random.default_rng(0)
     relu, gelu = LearnerConfig(), LearnerConfig(activation="gelu")
 
@@ -266,12 +265,12 @@ def whole_updates(had: Experience, number: int) -> dict[str, Contestant]:
         "plain, GELU": plain(nn.gelu),
         "ours, all inputs": ours(False, relu, 1),
         "ours, all inputs, GELU": ours(False, gelu, 1),
-        "ours": ours(True, relu, 1),
-        "ours, GELU": ours(True, gelu, 1),
+        "ours, zeros left out": ours(True, relu, 1),
+        "ours, zeros left out, GELU": ours(True, gelu, 1),
         f"ours, all inputs, {several} a call": ours(False, relu, several),
-        f"ours, {several} a call": ours(True, relu, several),
+        f"ours, zeros left out, {several} a call": ours(True, relu, several),
         f"ours, all inputs, {several} a call, of {doubled}": ours(False, relu, several, doubled),
-        f"ours, {several} a call, of {doubled}": ours(True, relu, several, doubled),
+        f"ours, zeros left out, {several} a call, of {doubled}": ours(True, relu, several, doubled),
     }
 
 
@@ -299,7 +298,7 @@ def ingredients(had: Experience, number: int) -> dict[str, Contestant]:
         "zeros left out": fewer(),
         "all three": fewer(dropout=our_dropout, stacked=False),
         "ours, all inputs": ours(had.inputs, batch),
-        "ours": ours(had.short_inputs, short),
+        "ours, zeros left out": ours(had.short_inputs, short),
     }
 
 
@@ -309,23 +308,23 @@ def sampling(had: Experience, number: int) -> dict[str, Contestant]:
     return {
         "plain": samples(lambda: had.plain.sample(rng, BATCH), number),
         "ours, all inputs": samples(lambda: had.complete.sample(rng, (BATCH,)), number),
-        "ours": samples(lambda: had.short.sample(rng, (BATCH,)), number),
+        "ours, zeros left out": samples(lambda: had.short.sample(rng, (BATCH,)), number),
     }
 
 
 def whole_training(
-    score: Score, song: str, folder: Path, venv: Path | None, number: int, capacity: int
+    score: Score, song: str, folder: Path, venv: Path | None, number: int
 ) -> dict[str, Contestant]:
     """One environment, an update a control step."""
-    loop = PlainLoop(score, capacity)
+    loop = PlainLoop(score)
     loop.play(SEED_STEPS)
     loop.learn(1)  # compiles
-    paper = TrainingConfig(replay_capacity=capacity)
+    paper = TrainingConfig(replay_capacity=TRANSITIONS)
     fewer = replace(paper, keep_zero_inputs=False)
     entered: dict[str, Contestant] = {
         "plain": lambda: loop.learn(number),
         "ours, all inputs": training(paper, score, folder / "complete", number),
-        "ours": training(fewer, score, folder / "short", number),
+        "ours, zeros left out": training(fewer, score, folder / "short", number),
         "our environment alone": lambda: loop.play(number),
     }
     if venv:
@@ -369,10 +368,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("song", nargs="?", default=SONG, help="what is learnt")
+    parser.add_argument(
+        "song",
+        nargs="?",
+        default=SONG,
+        help="what is learnt; with --published one of the published system",
+    )
     parser.add_argument("--published", type=Path, help="venv made by tools/published_setup.sh")
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--updates", type=int, default=64, help="of each in a round")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--updates", type=int, default=32, help="of each in a round")
     options = parser.parse_args()
     rounds, number = options.rounds, options.updates
     try:
@@ -387,11 +391,7 @@ def main() -> None:
     print_updates("what brings it: an update", medians(ingredients(had, number), rounds))
     print_replay(had, medians(sampling(had, number), rounds))
     with tempfile.TemporaryDirectory() as folder:
-        # As many as there are going to be, and the first steps: nothing is overwritten.
-        capacity = 2 * SEED_STEPS + 2 * rounds * number
-        entered = whole_training(
-            score, options.song, Path(folder), options.published, number, capacity
-        )
+        entered = whole_training(score, options.song, Path(folder), options.published, number)
         print_training(medians(entered, rounds))
 
 

@@ -231,7 +231,7 @@ class PlainLearner:
 
     def _draw(self, actor: Params, observation: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Actions (..., A) and the logarithms (...) of their probability densities."""
-        mean, log_std = self._actor.apply({"params": actor}, observation)
+        mean, log_std = self._apply(self._actor, actor, observation)
         std = jnp.exp(log_std)
         before = mean + std * jax.random.normal(key, mean.shape)
         # log(1 - tanh(u)^2), in a form that loses no digits
@@ -240,7 +240,10 @@ class PlainLearner:
         return jnp.tanh(before), log_prob.sum(axis=-1)
 
     def _values(self, critics: Params, observation: Any, action: Any, drop: jax.Array) -> jax.Array:
-        return self._critics.apply({"params": critics}, observation, action, rngs={"dropout": drop})
+        return self._apply(self._critics, critics, observation, action, rngs={"dropout": drop})
+
+    def _apply(self, network: nn.Module, params: Params, *inputs: Any, **options: Any) -> Any:
+        return network.apply({"params": params}, *inputs, **options)
 
 
 class PlainBuffer:
