@@ -77,8 +77,11 @@ def load_policy(folder: Path) -> LearntPolicy:
         )
     try:
         learnt = _learnt(facts, weights)
-    except (KeyError, TypeError, ValueError) as error:
-        raise CadenzaError(f"{folder}: its facts.json lacks or adds something ({error})") from error
+        learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))  # layers that fit
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise CadenzaError(
+            f"{folder}: not a policy as this version writes it ({error!r}); take another copy"
+        ) from error
     if not all(np.isfinite(array).all() for array in weights.values()):
         raise CadenzaError(f"{folder}: holds weights that are not finite")
     return learnt

@@ -103,7 +103,7 @@ class RunFolder:
             return read_training_config(about["config"]), Score.from_plain(about["score"])
         except FileNotFoundError as error:
             raise CadenzaError(f"{self.path}: holds no run to go on with") from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise CadenzaError(f"{self._about}: damaged, or of another version") from error
 
     # Figures
