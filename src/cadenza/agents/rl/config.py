@@ -79,8 +79,8 @@ class TrainingConfig:
     """Learn from earlier rounds while the next is played, with the policy of the round before."""
     replay_capacity: int = 1_000_000
     """Transitions that are kept to learn from."""
-    keep_zero_inputs: bool = True
-    """Observe also what is always zero for this song; without, the same is learnt sooner."""
+    keep_zero_inputs: bool = False
+    """Observe also what is always zero for this song, which changes nothing and takes longer."""
     residual: bool = False
     """Correct the plan that inverse kinematics makes, instead of starting from nothing."""
     eval_interval: int = 10_000
@@ -109,23 +109,28 @@ def preset(name: Preset, residual: bool = False) -> TrainingConfig:
                 task=TaskConfig(sustain_term=True, forearm_term=True),
             )
         case "fast":
-            config = _fast()
-    return replace(config, residual=True) if residual else config
+            config = _fast(residual)
+    return replace(config, residual=residual)
 
 
-def _fast() -> TrainingConfig:
+def _fast(residual: bool) -> TrainingConfig:
+    """Little entropy to begin with: a temperature of 1 takes ten thousands of updates to cool."""
     return TrainingConfig(
         learner=LearnerConfig(
-            discount=0.84, initial_temperature=0.05, temperature_learning_rate=1e-3
+            actor_learning_rate=1e-3,
+            critic_learning_rate=1e-3,
+            temperature_learning_rate=1e-3,
+            initial_temperature=0.01 if residual else 0.05,
+            discount=0.84,
+            actor_average=0.01,
         ),
         task=TaskConfig(initial_buffer_time=0.5),
+        num_steps=500_000,
         num_envs=16,
+        seed_steps=2_000 if residual else 5_000,
         steps_per_round=8,
         updates_per_round=10,
         parallel=True,
-        keep_zero_inputs=False,
-        eval_interval=20_000,
-        log_interval=10_000,
     )
 
 

@@ -20,7 +20,7 @@ class Dropout(nn.Module):
     """Sets a share `rate` of its inputs to zero and scales the others up.
 
     As `flax.linen.Dropout`, but random by the finaliser of MurmurHash3 (A. Appleby) on the number
-    of the entry, keyed anew each time: generating better bits took a third of an update.
+    of the entry, keyed anew each time: generating better bits took a sixth of an update.
     """
 
     rate: float
