@@ -142,6 +142,8 @@ class Train:
     """Cores to work on, of those that no other run has claimed."""
     wandb: str | None = None
     """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
+    video: bool = True
+    """Write a video of the best policy too, where this machine can draw."""
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
         default_factory=lambda: preset("fast")
     )
@@ -270,6 +272,8 @@ def train(command: Train) -> None:
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("name a song to learn, or with --resume the folder of a run")
+    if command.resume is not None and command.training != preset("fast"):
+        raise CadenzaError(f"{command.resume}: goes on with its own options; leave out all others")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
@@ -296,7 +300,7 @@ def _train(command: Train, folder: Path) -> None:
         finished = _train_on(training, command, folder)
     if finished:
         best = str(folder / "best")
-        play(Play(best, agent=best, output=folder / "best_played"))
+        play(Play(best, agent=best, output=folder / "best_played", video=command.video))
     _write_curves(folder, score.title, config)
     print(f"Learning curves in {folder / 'report.html'}")
     if not finished:

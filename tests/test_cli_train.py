@@ -1,0 +1,148 @@
+"""`cadenza train` as a person meets it, and what it leaves to play with."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
+SMALL = ["--hidden-sizes", "16", "16", "--batch-size", "8", "--num-envs", "2", "--no-video"]
+SHORT = ["--num-steps", "200", "--seed-steps", "64", "--eval-interval", "100"]
+SHORT += ["--log-interval", "50"]
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert stop.value.code == 2
+    *before, line = capsys.readouterr().err.splitlines()
+    assert all("cores are claimed" in other for other in before), before
+    return line
+
+
+@pytest.fixture(scope="module")
+def tune(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("songs") / "tune.mid"
+    write_midi(TUNE, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(tune: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "tune"
+    main(["train", str(tune), "-o", str(folder), *SMALL, *SHORT])
+    return folder
+
+
+def rows(folder: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+
+
+def test_a_run_leaves_what_the_readme_names(run: Path) -> None:
+    for name in ("run.json", "metrics.jsonl", "report.html", "best", "last", "best_played"):
+        assert (run / name).exists(), name
+    assert list((run / "tensorboard").glob("events.out.tfevents.*"))
+    evaluated = [row for row in rows(run) if "eval/f1" in row]
+    assert [row["eval_step"] for row in evaluated] == [112, 208]
+    assert "best_played/report.html" in (run / "report.html").read_text()
+
+
+def test_tensorboard_has_the_figures(run: Path) -> None:
+    from tensorboardX.proto.event_pb2 import Event  # of the library that wrote them
+    from tensorboardX.record_writer import masked_crc32c
+
+    (path,) = (run / "tensorboard").glob("events.*")
+    data, seen = path.read_bytes(), {}
+    while data:  # a record: length, its checksum, content, its checksum
+        size = int.from_bytes(data[:8], "little")
+        content, data = data[12 : 12 + size], data[16 + size :]
+        assert masked_crc32c(content) is not None
+        event = Event.FromString(content)
+        for value in event.summary.value:
+            seen[event.step, value.tag] = value.simple_value
+    for row in rows(run):
+        if "eval/f1" in row:
+            assert seen[row["eval_step"], "eval/f1"] == pytest.approx(row["eval/f1"])
+
+
+def test_the_policy_plays_as_it_was_evaluated(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    best = max(row["eval/f1"] for row in rows(run) if "eval/f1" in row)
+    folder = str(run / "best")
+    main(["play", folder, "--agent", folder, "--no-video", "-o", str(tmp_path)])
+    capsys.readouterr()
+    assert json.loads((tmp_path / "metrics.json").read_text())["f1"] == best
+
+
+def test_compare_takes_policies(run: Path, tmp_path: Path) -> None:
+    folder = str(run / "best")
+    main(["compare", folder, "--agents", "zero", folder, "-o", str(tmp_path)])
+    assert len(json.loads((tmp_path / "compare.json").read_text())["runs"]) == 2
+
+
+def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = {}
+    for name in ("paper", "published", "fast"):
+        with pytest.raises(SystemExit):
+            main(["train", "--preset", name, "--help"])
+        shown[name] = " ".join(capsys.readouterr().out.split())
+    assert "--discount FLOAT" in shown["paper"]
+    for name, discount in (("paper", "0.99"), ("published", "0.8"), ("fast", "0.84")):
+        assert f"(default: {discount})" in shown[name], name
+
+
+def test_a_finished_run_stays_finished(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = rows(run)
+    main(["train", "--resume", str(run), "--no-video"])
+    assert "Learning curves in" in capsys.readouterr().out
+    assert rows(run) == before
+
+
+def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    code = "from cadenza.cli import main; main()"
+    command = [sys.executable, "-c", code, "train", str(tune), "-o", str(folder), *SMALL]
+    process = subprocess.Popen(
+        [*command, "--log-interval", "50"],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "JAX_PLATFORMS": "cpu"},
+    )
+    metrics, waited = folder / "metrics.jsonl", time.monotonic()
+    while not (metrics.exists() and metrics.read_text()):
+        assert time.monotonic() - waited < 120
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130, said
+    assert f"cadenza train --resume {folder}" in said
+    assert "Traceback" not in said
+    assert list((folder / "checkpoints").iterdir())
+    assert (folder / "report.html").exists()
+
+
+def test_what_makes_no_sense_is_said_in_a_line(
+    run: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "name a song" in refused(capsys, "train")
+    assert "name a song" in refused(capsys, "train", tune, "--resume", run)
+    assert "holds a run already" in refused(capsys, "train", tune, "-o", run)
+    assert "no run" in refused(capsys, "train", "--resume", tmp_path / "none")
+    options = ("--resume", run, "--batch-size", 9)
+    assert "its own options" in refused(capsys, "train", *options)
+    assert "num_cores 0" in refused(capsys, "train", tune, "--num-cores", 0)
+    assert "no agent 'nobody'" in refused(capsys, "play", tune, "--agent", "nobody")
+    assert "no pretrained policy" in refused(capsys, "play", tune, "--agent", "pretrained")
