@@ -50,7 +50,11 @@ class LearntPolicy:
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
-    """Writes `learnt` to `folder`, and with it what else there is to know `about` it."""
+    """Writes `learnt` to `folder`, and with it what else there is to know `about` it.
+
+    Raises:
+        CadenzaError: there is no room; what the folder held is still there.
+    """
     facts = {
         "format": _FORMAT,
         "about": about,
@@ -62,7 +66,12 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "scene": asdict(learnt.scene),
         "score": asdict(learnt.score),
     }
-    write_sealed(folder, _KIND, facts, learnt.weights)
+    try:
+        write_sealed(folder, _KIND, facts, learnt.weights)
+    except OSError as error:
+        raise CadenzaError(
+            f"{folder}: could not be written ({error.strerror}); make room there"
+        ) from error
 
 
 def load_policy(folder: Path) -> LearntPolicy:
