@@ -80,10 +80,13 @@ class Learner:
         self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
     def initial_state(self, seed: int) -> LearnerState:
+        """Weights are drawn; targets and average begin equal to them."""
+        return self._draw_state(jax.random.key(seed))
+
+    @partial(jax.jit, static_argnums=0)  # one programme compiles sooner than many small ones
+    def _draw_state(self, key: jax.Array) -> LearnerState:
         config = self._config
-        key, actor_key, *critic_keys = jax.random.split(
-            jax.random.key(seed), 2 + config.num_critics
-        )
+        key, actor_key, *critic_keys = jax.random.split(key, 2 + config.num_critics)
         observation = jnp.zeros((1, self._num_inputs))
         action = jnp.zeros((1, self._action_size))
         actor = self._actor.init(actor_key, observation)["params"]
