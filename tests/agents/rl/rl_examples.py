@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import flax.linen as nn
+import jax
 import numpy as np
 
 from cadenza.agents.rl.config import LearnerConfig
@@ -41,3 +43,12 @@ def random_batches(
         discount=(rng.random(shape) < 0.75).astype(np.float32),
         next_observation=normal(inputs),
     )
+
+
+def random_params(
+    network: nn.Module, rng: np.random.Generator, *inputs: Any, size: float = 0.4
+) -> Any:
+    """Weights, biases and scales of a network, none of them as they begin."""
+    keys = {"params": jax.random.key(0), "dropout": jax.random.key(0)}
+    shapes = jax.eval_shape(network.init, keys, *inputs)["params"]
+    return jax.tree.map(lambda x: rng.normal(0, size, x.shape).astype(np.float32), shapes)

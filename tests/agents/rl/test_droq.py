@@ -24,9 +24,16 @@ from cadenza.agents.rl.replay import Batch
 INPUTS, ACTIONS, BATCH = 10, 3, 8
 ALL = Inputs(tuple(range(INPUTS)), INPUTS)
 CONFIG = LearnerConfig(
-    hidden_sizes=(16,), dropout=0.2, batch_size=BATCH, actor_learning_rate=3e-3,
-    critic_learning_rate=3e-3, temperature_learning_rate=3e-3, tau=0.05, actor_update_period=2,
-)  # fmt: skip
+    hidden_sizes=(16,),
+    dropout=0.2,
+    batch_size=BATCH,
+    actor_learning_rate=3e-3,
+    critic_learning_rate=3e-3,
+    temperature_learning_rate=3e-3,
+    tau=0.05,
+    actor_update_period=2,
+    actor_average=0.2,
+)
 
 
 @pytest.fixture(scope="module")
@@ -195,20 +202,19 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 
 
 def test_targets_begin_as_the_critics_and_follow_them(learner: Learner) -> None:
-    state = learner.initial_state(0)
-    targets = jax.tree.map(np.array, state.targets)
-    for a, b in zip(jax.tree.leaves(targets), jax.tree.leaves(state.critics), strict=True):
-        assert_array_equal(a, b)
-    first, second = (jax.tree.leaves(critic) for critic in targets)
-    assert any((a != b).any() for a, b in zip(first, second, strict=True))
-    batch = batches(3)
-    for i in range(3):
+    """By a share `tau` at every update; and so does the averaged actor follow the actor."""
+    state, batch = learner.initial_state(0), batches(4)
+    targets, averaged = flat(state.targets), flat(state.averaged_actor)
+    assert_array_equal(targets, flat(state.critics))
+    assert_array_equal(averaged, flat(state.actor))
+    assert (flat(state.critics[0]) != flat(state.critics[1])).any()
+    for i in range(4):
         state, _ = learner.update(state, part(batch, i))
-        targets = jax.tree.map(
-            lambda target, critic: 0.95 * target + 0.05 * np.asarray(critic), targets, state.critics
-        )
-    for a, b in zip(jax.tree.leaves(state.targets), jax.tree.leaves(targets), strict=True):
-        assert_allclose(a, b, atol=1e-6)
+        targets += 0.05 * (flat(state.critics) - targets)
+        assert_allclose(flat(state.targets), targets, atol=1e-6)
+        if i % 2 == 0:
+            averaged += 0.2 * (flat(state.actor) - averaged)
+        assert_allclose(flat(state.averaged_actor), averaged, atol=1e-6)
 
 
 def test_the_actor_and_the_temperature_rest_in_between(learner: Learner) -> None:
