@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cadenza.agents.rl.policy_folder import LearntPolicy
     from cadenza.agents.rl.training import Training
     from cadenza.music.score import Score
+    from cadenza.report.training import Curve
     from cadenza.tasks.piano_task import PianoTask
 
 _AGENTS = ("planner", "predictive-sampling", "ilqg", "zero", "random", "pretrained")
@@ -147,6 +148,19 @@ class Train:
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
         default_factory=lambda: preset("fast")
     )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Draw the learning curves of several runs together.
+
+    Example: cadenza curves runs/joy_0 runs/joy_1 -o curves.html
+    """
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Folders of runs, finished or not."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("curves.html")
+    """The page."""
 
 
 @dataclass(frozen=True)
@@ -364,14 +378,34 @@ def _asked_to_stop() -> Iterator[Callable[[], bool]]:
 
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig) -> None:
-    """The page of learning curves."""
-    from cadenza.agents.rl.run_folder import read_rows
-    from cadenza.report.training import Curve, write_training
+    """The page of a run."""
+    from cadenza.report.training import write_training
 
-    played = folder / "best_played" / "report.html"
-    links = {"the best policy plays": "best_played/report.html"} if played.exists() else {}
-    curve = Curve(folder.name, read_rows(folder))
-    write_training(folder / "report.html", song, [curve], _plain(asdict(config)), links)
+    pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
+    links = {label: page for label, page in pages.items() if (folder / page).exists()}
+    settings = _plain(asdict(config))
+    write_training(folder / "report.html", song, [_curve(folder)], settings, links)
+
+
+def curves(command: Curves) -> None:
+    from cadenza.report.training import write_training
+
+    if not command.runs:
+        raise CadenzaError("no curves to draw: name at least one folder of a run")
+    _check_writable(command.output.parent)
+    drawn = [_curve(folder) for folder in command.runs]
+    write_training(command.output, "Learning curves", drawn, {})
+    print(f"Open {command.output}")
+
+
+def _curve(run: Path) -> Curve:
+    from cadenza.agents.rl.run_folder import read_rows
+    from cadenza.report.training import Curve
+
+    rows = read_rows(run)
+    if not rows:
+        raise CadenzaError(f"{run}: holds no figures of a run; name the folder of one")
+    return Curve(run.name, rows)
 
 
 def _score(song: str) -> Score:
@@ -701,6 +735,7 @@ _COMMANDS: dict[type, Callable[[Any], None]] = {
     Plan: plan,
     Compare: compare,
     Train: train,
+    Curves: curves,
     Songs: songs,
     Info: info,
 }

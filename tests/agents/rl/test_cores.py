@@ -1,0 +1,62 @@
+"""Runs side by side keep to cores of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cadenza.agents.rl.cores import claimed_cores
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"), reason="this system does not keep processes to cores"
+)
+CLAIM = """
+import os, sys
+from cadenza.agents.rl.cores import claimed_cores
+with claimed_cores(int(sys.argv[1])) as cores:
+    print(sorted(cores), sorted(os.sched_getaffinity(0)), flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def claims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of this test alone."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+
+def claim(number: int) -> tuple[subprocess.Popen[str], list[int], list[int]]:
+    command = [sys.executable, "-c", CLAIM, str(number)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    claimed, kept_to = process.stdout.readline().strip().split("] [")
+    return process, eval(claimed + "]"), eval("[" + kept_to)
+
+
+def test_no_two_runs_claim_the_same_core() -> None:
+    cores = sorted(os.sched_getaffinity(0))
+    runs = [claim(1) for _ in cores]
+    assert sorted(core for _, mine, _ in runs for core in mine) == cores
+    assert all(mine == kept_to for _, mine, kept_to in runs)
+    one_more, mine, kept_to = claim(1)
+    assert (mine, len(kept_to)) == ([], 1)  # none is left: it shares one
+    for process, _, _ in [*runs, (one_more, [], [])]:
+        process.kill()
+        process.wait()
+
+
+def test_a_killed_run_gives_its_cores_back() -> None:
+    process, mine, _ = claim(10_000)
+    assert mine == sorted(os.sched_getaffinity(0))
+    process.kill()
+    process.wait()
+    before = os.sched_getaffinity(0)
+    with claimed_cores(1) as cores:
+        assert len(cores) == 1
+        assert os.sched_getaffinity(0) == cores
+    assert os.sched_getaffinity(0) == before
