@@ -58,6 +58,17 @@ def test_dropout_of_one_entry_says_nothing_about_another(apart: int) -> None:
     assert abs(both.mean() - 0.25) < 5 * np.sqrt(0.25 * 0.75 / len(both))
 
 
+@pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
+def test_dropout_scatters_what_it_drops(rate: float) -> None:
+    """Rows, columns and blocks lose numbers that vary as those of independent coins do."""
+    fell = np.array([dropped(rate, np.ones((256, 256), np.float32), s) == 0 for s in range(8)])
+    blocks = fell.reshape(8, 16, 16, 16, 16).transpose(0, 1, 3, 2, 4).reshape(8, 256, 256)
+    for parts in (fell, fell.transpose(0, 2, 1), blocks):
+        lost = parts.sum(axis=2).ravel()
+        dispersion = lost.var() / (256 * rate * (1 - rate))
+        assert abs(dispersion - 1) < 6 * np.sqrt(2 / len(lost))
+
+
 def test_dropout_of_the_same_entry_is_fair_over_keys() -> None:
     fell = np.array([dropped(0.5, np.ones(32, np.float32), seed) == 0 for seed in range(400)])
     assert np.abs(fell.mean(axis=0) - 0.5).max() < 5 * np.sqrt(0.25 / 400)
