@@ -315,14 +315,13 @@ def test_learns_to_do_what_is_rewarded(learner: Learner) -> None:
 # Inputs that are always zero
 
 
-def test_inputs_that_are_always_zero_can_be_left_out() -> None:
+def test_inputs_that_are_always_zero_can_be_left_out(learner: Learner) -> None:
     """Nothing changes, with dropout either: its masks do not look at the inputs.
 
     The first layer of the critics has more inputs that count, the actions, after those.
     """
     kept = (0, 2, 3, 7)
     some = Learner(CONFIG, Inputs(kept, INPUTS), ACTIONS)
-    whole = Learner(CONFIG, ALL, ACTIONS)
     batch = batches(6)
     zero = np.setdiff1d(np.arange(INPUTS), kept)
     for observation in (batch.observation, batch.next_observation):
@@ -330,10 +329,10 @@ def test_inputs_that_are_always_zero_can_be_left_out() -> None:
     less = batch._replace(
         observation=batch.observation[..., kept], next_observation=batch.next_observation[..., kept]
     )
-    state, fewer = whole.initial_state(0), some.initial_state(0)
+    state, fewer = learner.initial_state(0), some.initial_state(0)
     unused = np.asarray(state.actor["HiddenLayers_0"]["hidden_0"]["kernel"])[zero].copy()
     for _ in range(3):
-        state, figures = whole.update(state, batch)
+        state, figures = learner.update(state, batch)
         fewer, figures_fewer = some.update(fewer, less)
         for name, values in figures.items():
             assert_allclose(values, figures_fewer[name], rtol=2e-4, atol=1e-5, err_msg=name)
