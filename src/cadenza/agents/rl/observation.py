@@ -111,8 +111,9 @@ def inputs_of(task: PianoTask, scores: Scores | None, with_plan: bool) -> Inputs
 class Observer:
     """Puts observations together.
 
-    An observation is that of the task, then the previous action in actuator units and the reward
-    that it got (0 at first), as published, and with a plan its next action.
+    An observation is that of the task, then as published the previous action in actuator units and
+    the reward that it got, and with a plan its next action. At first both are 0, where the
+    published wrapper shows the least action.
 
     Attributes:
         inputs: which entries of it are there.
