@@ -12,9 +12,11 @@ import pytest
 from cadenza.agents.rl.config import (
     LearnerConfig,
     TrainingConfig,
+    check,
     preset,
     read_training_config,
 )
+from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -90,3 +92,38 @@ def test_naming_the_options_does_not_load_what_learning_needs() -> None:
     program = "import sys, cadenza.agents.rl.config; print({'jax', 'mujoco'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("name", ["paper", "published", "fast"])
+def test_the_presets_make_sense(name: str) -> None:
+    check(preset(name))
+    check(preset(name, residual=True))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({name: 0} for name in ("eval_interval", "log_interval", "steps_per_round")),
+        *({name: 0} for name in ("updates_per_round", "num_envs", "num_steps")),
+        *({name: -1} for name in ("seed", "seed_steps", "checkpoint_interval")),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int]) -> None:
+    (name,) = options
+    with pytest.raises(CadenzaError, match=name):
+        check(TrainingConfig(**options))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({name: 0} for name in ("batch_size", "num_critics", "actor_update_period")),
+        *({name: 0.0} for name in ("initial_temperature", "actor_learning_rate")),
+        *({"hidden_sizes": sizes} for sizes in ((), (256, 0))),
+        *({"dropout": 1.0}, {"discount": float("nan")}),
+    ],
+)
+def test_options_of_the_learner_too(options: dict[str, object]) -> None:
+    (name,) = options
+    with pytest.raises(CadenzaError, match=name):
+        check(TrainingConfig(learner=LearnerConfig(**options)))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
+from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -41,6 +43,8 @@ class LearnerConfig:
     """Adam's, of the critics."""
     temperature_learning_rate: float = 3e-4
     """Adam's, of the logarithm of the temperature."""
+    final_learning_rates: float = 1.0
+    """Share of all three that is left at the end of a run; they fall evenly."""
     adam_beta1: float = 0.9
     """Adam's decay of the mean gradient."""
     adam_beta2: float = 0.999
@@ -92,6 +96,12 @@ class TrainingConfig:
     seed: int = 0
     """Of everything random."""
 
+    @property
+    def num_updates(self) -> int:
+        """Updates that a whole run makes."""
+        rounds = (self.num_steps - self.seed_steps) / (self.steps_per_round * self.num_envs)
+        return max(math.ceil(rounds * self.updates_per_round), 1)
+
 
 def preset(name: Preset, residual: bool = False) -> TrainingConfig:
     """What a run begins with.
@@ -121,6 +131,7 @@ def _fast(residual: bool) -> TrainingConfig:
             critic_learning_rate=1e-3,
             temperature_learning_rate=1e-3,
             initial_temperature=0.01 if residual else 0.05,
+            final_learning_rates=0.1,
             discount=0.84,
             actor_average=0.01,
         ),
@@ -132,6 +143,50 @@ def _fast(residual: bool) -> TrainingConfig:
         updates_per_round=10,
         parallel=True,
     )
+
+
+_AT_LEAST: dict[str, float] = {
+    "num_steps": 1,
+    "num_envs": 1,
+    "seed_steps": 0,
+    "steps_per_round": 1,
+    "updates_per_round": 1,
+    "replay_capacity": 1,
+    "eval_interval": 1,
+    "checkpoint_interval": 0,
+    "log_interval": 1,
+    "seed": 0,
+    "num_critics": 1,
+    "actor_update_period": 1,
+    "batch_size": 1,
+}
+_SHARES = ("discount", "tau", "actor_average", "final_learning_rates")
+_BELOW_ONE = ("dropout", "adam_beta1", "adam_beta2")
+_ABOVE_ZERO = (
+    "initial_temperature",
+    "actor_learning_rate",
+    "critic_learning_rate",
+    "temperature_learning_rate",
+)
+
+
+def check(config: TrainingConfig) -> None:
+    """Raises: CadenzaError: an option makes no sense."""
+    values = vars(config) | vars(config.learner)
+    for name, least in _AT_LEAST.items():
+        if not values[name] >= least:
+            raise CadenzaError(f"{name} {values[name]}: choose {least:g} or more")
+    for name in _SHARES:
+        if not 0 <= values[name] <= 1:
+            raise CadenzaError(f"{name} {values[name]}: choose 0 to 1")
+    for name in _ABOVE_ZERO:
+        if not 0 < values[name] < math.inf:
+            raise CadenzaError(f"{name} {values[name]}: choose more than 0")
+    if not values["hidden_sizes"] or min(values["hidden_sizes"]) < 1:
+        raise CadenzaError(f"hidden_sizes {values['hidden_sizes']}: choose a width a layer")
+    for name in _BELOW_ONE:
+        if not 0 <= values[name] < 1:
+            raise CadenzaError(f"{name} {values[name]}: choose 0 or more, below 1")
 
 
 def read_config(kind: type[Config], plain: dict[str, Any]) -> Config:

@@ -20,6 +20,7 @@ from cadenza.agents.rl.config import LearnerConfig
 from cadenza.agents.rl.networks import Actor, Critic
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.replay import Batch
+from cadenza.errors import CadenzaError
 
 Params = Any  # nested dictionaries of arrays
 
@@ -57,8 +58,18 @@ def to_arrays(state: LearnerState) -> dict[str, NDArray[Any]]:
 
 
 def from_arrays(arrays: dict[str, NDArray[Any]], like: LearnerState) -> LearnerState:
-    """The state that was kept; `like` is one of the same shapes."""
+    """The state that was kept; `like` is one of the same shapes.
+
+    Raises:
+        CadenzaError: it is not that of such a learner.
+    """
     leaves, structure = jax.tree_util.tree_flatten_with_path(like)
+    shapes = {jax.tree_util.keystr(path): leaf.shape for path, leaf in leaves}
+    if shapes != {name: array.shape for name, array in arrays.items()}:
+        raise CadenzaError(
+            "the checkpoint is of a learner that this version of Cadenza does not have; go on with "
+            "the version that run.json names"
+        )
     return jax.tree.unflatten(
         structure, [jnp.asarray(arrays[jax.tree_util.keystr(path)]) for path, _ in leaves]
     )
@@ -67,11 +78,18 @@ def from_arrays(arrays: dict[str, NDArray[Any]], like: LearnerState) -> LearnerS
 class Learner:
     """Improves a `LearnerState` by batches of transitions."""
 
-    def __init__(self, config: LearnerConfig, inputs: Inputs, action_size: int) -> None:
-        """`inputs` are those of the actor; the critics get the actions besides."""
+    def __init__(
+        self, config: LearnerConfig, inputs: Inputs, action_size: int, num_updates: int = 1
+    ) -> None:
+        """Args:
+        config: what can be chosen.
+        inputs: those of the actor; the critics get the actions besides.
+        action_size: A.
+        num_updates: over which the learning rates fall, where they do.
+        """
         actions = tuple(range(inputs.total, inputs.total + action_size))
         self._config = config
-        self._action_size = action_size
+        self._action_size, self._num_updates = action_size, num_updates
         self._num_inputs = len(inputs.kept)
         self._actor = Actor(config, inputs, action_size)
         self._critic = Critic(config, Inputs(inputs.kept + actions, inputs.total + action_size))
@@ -119,7 +137,10 @@ class Learner:
         return self._update_all(state, batches)
 
     def _adam(self, learning_rate: float) -> optax.GradientTransformation:
-        return optax.adam(learning_rate, self._config.adam_beta1, self._config.adam_beta2)
+        config = self._config
+        last = learning_rate * config.final_learning_rates
+        falling = optax.linear_schedule(learning_rate, last, self._num_updates)
+        return optax.adam(falling, config.adam_beta1, config.adam_beta2)
 
     def _update(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, dict[str, Any]]:
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.agents.play import play
 from cadenza.agents.rl.collector import Collector, Finished
-from cadenza.agents.rl.config import TrainingConfig
+from cadenza.agents.rl.config import TrainingConfig, check
 from cadenza.agents.rl.droq import Learner, from_arrays, to_arrays, weights_of
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
@@ -52,6 +52,7 @@ class Training:
             CadenzaError: the song cannot be played, an option makes no sense, or the checkpoints
                 are damaged.
         """
+        check(config)
         self.config, self._folder = config, folder
         self.step, self.best, self.rows = 0, Row(), deque[Row]()
         self._score = without_fingers(score) if config.residual else score
@@ -67,7 +68,7 @@ class Training:
         self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
         self._collector = Collector(self._task, self._scores, observer, self._replay, follower, rng)
-        self._learner = Learner(config.learner, inputs, actions)
+        self._learner = Learner(config.learner, inputs, actions, config.num_updates)
         self._state = self._learner.initial_state(config.seed)
         self._policy = self._latest_policy()
         self._background = ThreadPoolExecutor(1)
@@ -78,10 +79,11 @@ class Training:
         self._chunks: list[dict[str, Any]] = []
         self._seconds = 0.0
         checkpoint = folder.load()
-        if checkpoint is None:
-            self._collector.begin()
-        else:
-            self._restore(checkpoint)
+        with threadpool_limits(1):
+            if checkpoint is None:
+                self._collector.begin()
+            else:
+                self._restore(checkpoint)
 
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
@@ -100,29 +102,31 @@ class Training:
         Raises:
             CadenzaError: there is no room for a checkpoint.
         """
-        began = time.perf_counter() - self._seconds
+        first, began = self.step, time.perf_counter() - self._seconds
         saved = time.perf_counter()
         with threadpool_limits(1):  # the other cores learn
             while self.step < self.config.num_steps and goes_on():
                 before = self.step
                 self._round()
                 self._seconds = time.perf_counter() - began
-                if self._passed(before, self.config.eval_interval):
+                finished = self.step >= self.config.num_steps
+                if finished or self._passed(before, self.config.eval_interval):
                     self._evaluate()
                 if self._passed(before, self.config.log_interval):
                     self._log()
                 if time.perf_counter() - saved > self.config.checkpoint_interval:
                     self._save()
                     saved = time.perf_counter()
-            self._save()
+            if self.step > first:
+                self._save()
 
     def _passed(self, before: int, interval: int) -> bool:
         return before // interval != self.step // interval
 
     def _round(self) -> None:
         config = self.config
-        if self.step < config.seed_steps:
-            self._collect(random=True)
+        if self.step < config.seed_steps or not len(self._replay):
+            self._collect(random=self.step < config.seed_steps)
         elif config.parallel:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
