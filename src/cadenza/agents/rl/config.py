@@ -125,10 +125,11 @@ def preset(name: Preset, residual: bool = False) -> TrainingConfig:
 
 def _fast(residual: bool) -> TrainingConfig:
     """Little entropy to begin with: a temperature of 1 takes ten thousands of updates to cool."""
+    rate = 3e-4 if residual else 1e-3  # what is nearly right is soon spoilt
     return TrainingConfig(
         learner=LearnerConfig(
-            actor_learning_rate=1e-3,
-            critic_learning_rate=1e-3,
+            actor_learning_rate=rate,
+            critic_learning_rate=rate,
             temperature_learning_rate=1e-3,
             initial_temperature=0.01 if residual else 0.05,
             final_learning_rates=0.1,
