@@ -23,6 +23,13 @@ def command_lines() -> list[str]:
     return [line for line in lines if line.startswith("cadenza ")]
 
 
+def shortened(arguments: list[str]) -> list[str]:
+    """What to add, so that a command does not take long: the video has tests of its own."""
+    added = ["--no-video"] if arguments[0] in ("play", "train") else []
+    learns = arguments[0] == "train" and "--resume" not in arguments
+    return [*added, *(["--num-steps", "600", "--seed-steps", "300"] if learns else [])]
+
+
 def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = blocks("python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 10
@@ -41,8 +48,8 @@ def test_the_commands_run_one_after_another(
             with pytest.raises(SystemExit) as stop:
                 main(arguments)
             assert stop.value.code == 0
-        else:  # the video takes longest and has tests of its own
-            main([*arguments, *(["--no-video"] if arguments[0] == "play" else [])])
+        else:
+            main([*arguments, *shortened(arguments)])
         assert capsys.readouterr().out, line
 
 
