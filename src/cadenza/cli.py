@@ -451,7 +451,12 @@ def _as_learnt(learnt: LearntPolicy, score: Score, command: Play) -> tuple[Score
 
     task = replace(learnt.task, **changed(command.task, _with_time_to_begin()))
     scene = replace(learnt.scene, **changed(command.scene, SceneConfig()))
-    score = without_fingers(score) if learnt.residual else score
+    if learnt.plan is not None:
+        score, known = without_fingers(score), without_fingers(learnt.score)
+        if (score.notes, score.pedal) != (known.notes, known.pedal):
+            raise CadenzaError(
+                f"{command.agent}: corrects the plan of {known.title!r} and plays nothing else"
+            )
     return score, replace(command, task=task, scene=scene)
 
 

@@ -15,7 +15,7 @@ from cadenza.agents.rl.collector import Collector, Finished
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.replay import Batch, Replay
-from cadenza.agents.rl.residual import PlanFollower
+from cadenza.agents.rl.residual import PlanFollower, plan_of
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -65,7 +65,7 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = Scores(self.task)
         self.scores.add_all(self.task)
-        follower = PlanFollower(self.task, self.task.scores[0]) if residual else None
+        follower = PlanFollower(self.task, plan_of(self.task)) if residual else None
         plan = follower.actions if follower else None
         inputs = inputs_of(self.task, None, residual)
         self.observer = Observer(self.task, self.scores, inputs, plan)

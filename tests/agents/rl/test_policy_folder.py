@@ -16,6 +16,7 @@ from rl_examples import melody
 from cadenza.agents.play import Performance, play
 from cadenza.agents.rl.observation import Scores, inputs_of
 from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy, save_policy
+from cadenza.agents.rl.residual import plan_of
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
@@ -54,7 +55,8 @@ def some_policy(residual: bool = False, **task: Any) -> LearntPolicy:
     actions = shown.action_size
     weights = layer("hidden_0", len(inputs.kept), 16) | layer("hidden_1", 16, 16)
     weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
-    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, residual, config, scene, SONG)
+    plan = plan_of(shown) if residual else None
+    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, plan, config, scene, SONG)
 
 
 def played(learnt: LearntPolicy) -> Performance:
@@ -66,7 +68,10 @@ def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, residual: bool) -
     learnt = some_policy(residual)
     save_policy(tmp_path / "policy", learnt, {"step": 3})
     again = load_policy(tmp_path / "policy")
-    assert replace(again, weights={}) == replace(learnt, weights={})
+    assert replace(again, weights={}, plan=None) == replace(learnt, weights={}, plan=None)
+    assert (again.plan is None) == (learnt.plan is None) == (not residual)
+    for name, array in (learnt.plan._asdict() if learnt.plan else {}).items():
+        assert_array_equal(getattr(again.plan, name), array)
     assert [note.start.hex() for note in again.score.notes] == [n.start.hex() for n in SONG.notes]
     assert again.weights.keys() == learnt.weights.keys()
     for name, array in learnt.weights.items():
@@ -87,6 +92,12 @@ def test_plays_by_what_it_is_shown() -> None:
     assert (
         played(learnt).episode.arrays["action"][0] != played(other).episode.arrays["action"][0]
     ).any()
+
+
+def test_corrections_are_of_the_song_that_was_learnt() -> None:
+    other = replace(some_policy(residual=True), score=melody(60, 64, 67, 72, 76))
+    with pytest.raises(CadenzaError, match="plays what it has learnt only"):
+        played(other)
 
 
 def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
@@ -161,7 +172,7 @@ def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     learnt = some_policy()
     learnt.weights["mean/bias"][3] = np.nan
     save_policy(tmp_path / "policy", learnt, {})
-    assert_refused(tmp_path / "policy", "weights that are not finite")
+    assert_refused(tmp_path / "policy", "numbers that are not finite")
 
 
 def test_a_task_that_shows_something_else_is_refused() -> None:

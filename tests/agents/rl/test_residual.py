@@ -12,7 +12,7 @@ from rl_examples import melody
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.play import Performance, play
-from cadenza.agents.rl.residual import PlanFollower, without_fingers
+from cadenza.agents.rl.residual import PlanFollower, plan_of, without_fingers
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.music.fingering import find_fingering
@@ -31,7 +31,7 @@ class Following:
         self.correction = correction
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self.task, self.follower = task, PlanFollower(task, task.sheets.songs[0])
+        self.task, self.follower = task, PlanFollower(task, plan_of(task))
 
     def act(self) -> Any:
         correction = np.full((1, self.task.action_size), self.correction, np.float32)
@@ -59,7 +59,7 @@ def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, An
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
-    follower = PlanFollower(task, task.sheets.songs[0])
+    follower = PlanFollower(task, plan_of(task))
     plain, moved = (
         follower.ctrl(task, np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
     )
@@ -77,7 +77,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.scale_action(PlanFollower(task, task.scores[0]).actions)
+    plan = task.scale_action(PlanFollower(task, plan_of(task)).actions)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.action_high - task.action_low
@@ -88,10 +88,10 @@ def test_a_plan_is_for_one_score_and_for_hands() -> None:
     for option in ({"random_stretch": 0.1}, {"random_hand_position": 0.1}):
         task = PianoTask([SONG], TaskConfig(**option))  # type: ignore[arg-type]
         with pytest.raises(CadenzaError, match=f"leave out {next(iter(option))}"):
-            PlanFollower(task, task.scores[0])
+            plan_of(task)
     task = PianoTask([SONG], scene=SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="here are none"):
-        PlanFollower(task, task.scores[0])
+        plan_of(task)
 
 
 def test_the_fingers_of_a_file_are_forgotten() -> None:

@@ -7,31 +7,39 @@ import numpy as np
 from cadenza.agents.agent import Array
 from cadenza.agents.rl.observation import Inputs, Observer, Scores
 from cadenza.agents.rl.policy import Policy
-from cadenza.agents.rl.residual import PlanFollower
+from cadenza.agents.rl.residual import Plan, PlanFollower
+from cadenza.errors import CadenzaError
 from cadenza.tasks.piano_task import PianoTask
 
 
 class PolicyAgent:
     """Does what the policy finds best."""
 
-    def __init__(self, policy: Policy, inputs: Inputs, residual: bool) -> None:
+    def __init__(self, policy: Policy, inputs: Inputs, plan: Plan | None) -> None:
         """Args:
         policy: what was learnt.
         inputs: what it observes.
-        residual: whether it corrects the plan of the song.
+        plan: what it corrects, if it does.
         """
-        self._policy, self._inputs, self._residual = policy, inputs, residual
+        self._policy, self._inputs, self._plan = policy, inputs, plan
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
         """Raises:
-        CadenzaError: the task shows other things than the policy has learnt to observe.
+        CadenzaError: the task shows other things than the policy has learnt to observe, or the
+            policy corrects a plan for another one.
         """
-        self._task = task
-        self._follower = PlanFollower(task, task.sheets.songs[0]) if self._residual else None
+        self._task, plan = task, self._plan
+        size = (int(task.sheets.num_steps[0]), task.action_size - 1)
+        if plan is not None and plan.ctrl.shape != size:
+            raise CadenzaError(
+                f"the policy corrects a plan of {len(plan.ctrl)} steps and {plan.ctrl.shape[1]} "
+                f"servos, and here are {size[0]} and {size[1]}: it plays what it has learnt only"
+            )
+        self._follower = None if plan is None else PlanFollower(task, plan)
         sheets, scores = task.sheets, Scores(task)
         scores.add(*sheets.part(0, 0, int(sheets.num_steps[0])))
-        plan = self._follower.actions if self._follower else None
-        self._observer = Observer(task, scores, self._inputs, plan)
+        ahead = self._follower.actions if self._follower else None
+        self._observer = Observer(task, scores, self._inputs, ahead)
         self._action = np.zeros((1, task.action_size), np.float32)
 
     def act(self) -> Array:

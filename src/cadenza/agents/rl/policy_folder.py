@@ -13,6 +13,7 @@ from cadenza.agents.rl.config import Activation, read_config
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_agent import PolicyAgent
+from cadenza.agents.rl.residual import Plan
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
@@ -21,6 +22,7 @@ from cadenza.tasks.config import TaskConfig
 
 _KIND = "policy"
 _FORMAT = 1
+_PLAN = "plan/"  # what names of its arrays begin with
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,8 @@ class LearntPolicy:
     activation: Activation
     log_std_range: tuple[float, float]
     inputs: Inputs
-    residual: bool
-    """Whether it corrects the plan of the song."""
+    plan: Plan | None
+    """What it corrects, if it does."""
     task: TaskConfig
     scene: SceneConfig
     score: Score
@@ -46,7 +48,7 @@ class LearntPolicy:
     @property
     def agent(self) -> PolicyAgent:
         """For one that is played."""
-        return PolicyAgent(self.policy, self.inputs, self.residual)
+        return PolicyAgent(self.policy, self.inputs, self.plan)
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
@@ -61,13 +63,13 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "activation": learnt.activation,
         "log_std_range": learnt.log_std_range,
         "inputs": learnt.inputs._asdict(),
-        "residual": learnt.residual,
+        "residual": learnt.plan is not None,
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
         "score": asdict(learnt.score),
     }
     try:
-        write_sealed(folder, _KIND, facts, learnt.weights)
+        write_sealed(folder, _KIND, facts, learnt.weights | _plan_arrays(learnt.plan))
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -78,32 +80,37 @@ def load_policy(folder: Path) -> LearntPolicy:
     """Raises:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
-    facts, weights = read_sealed(folder, _KIND)
+    facts, arrays = read_sealed(folder, _KIND)
     if facts.get("format") != _FORMAT:
         raise CadenzaError(
             f"{folder}: a policy of format {facts.get('format')}, and this version reads "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
     try:
-        learnt = _learnt(facts, weights)
+        learnt = _learnt(facts, arrays)
         learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))  # layers that fit
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise CadenzaError(
             f"{folder}: not a policy as this version writes it ({error!r}); take another copy"
         ) from error
-    if not all(np.isfinite(array).all() for array in weights.values()):
-        raise CadenzaError(f"{folder}: holds weights that are not finite")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise CadenzaError(f"{folder}: holds numbers that are not finite")
     return learnt
 
 
-def _learnt(facts: dict[str, Any], weights: dict[str, NDArray[Any]]) -> LearntPolicy:
+def _plan_arrays(plan: Plan | None) -> dict[str, NDArray[Any]]:
+    return {} if plan is None else {_PLAN + name: a for name, a in plan._asdict().items()}
+
+
+def _learnt(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LearntPolicy:
+    plan = {n.removeprefix(_PLAN): a for n, a in arrays.items() if n.startswith(_PLAN)}
     low, high = facts["log_std_range"]
     return LearntPolicy(
-        weights=weights,
+        weights={n: a for n, a in arrays.items() if not n.startswith(_PLAN)},
         activation=facts["activation"],
         log_std_range=(low, high),
         inputs=Inputs(tuple(facts["inputs"]["kept"]), facts["inputs"]["total"]),
-        residual=facts["residual"],
+        plan=Plan(**plan) if facts["residual"] else None,
         task=read_config(TaskConfig, facts["task"]),
         scene=read_config(SceneConfig, facts["scene"]),
         score=Score.from_plain(facts["score"]),

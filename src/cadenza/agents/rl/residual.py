@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,51 +32,70 @@ def without_fingers(score: Score) -> Score:
     return replace(score, notes=tuple(notes))
 
 
+class Plan(NamedTuple):
+    """How the hands are to play T steps with A servos, and how far that may be corrected."""
+
+    ctrl: Floats
+    """(T, A) [m, rad]"""
+    gain: Floats
+    """(T, A, 2) what a deviation of position and speed takes from it."""
+    expected: Floats
+    """(T + 1, A, 2) position and speed of each servo."""
+    pedal: Floats
+    """(T,)"""
+    reach: Floats
+    """(A,) of corrections [m, rad]."""
+
+
+def plan_of(task: PianoTask) -> Plan:
+    """The plan for the only score of a task.
+
+    Raises:
+        CadenzaError: the task changes the score or the start at random, or has no hands.
+    """
+    check_one_score(task.config)
+    if not task.scene.sides:
+        raise CadenzaError("a residual policy corrects a plan for hands, and here are none")
+    (score,) = task.scores
+    if not score.has_fingering:  # the task does not reward fingers
+        sides = task.scene.sides
+        score, _ = find_fingering(score, "both" if len(sides) == 2 else sides[0])
+    goals = goals_of(score, task.config)
+    start = np.zeros(len(task.scene.hand_joint_names))
+    dt = task.config.control_timestep
+    with threadpool_limits(1):  # see ScorePlanner
+        nominal = nominal_plan(task.scene, goals.keys, goals.fingers, start, dt)
+    reach = [_REACH.get(name, _FINGER_REACH) for name in servos_of(task.scene).names]
+    arrays = (*nominal.tracking, goals.sustain, np.array(reach))
+    return Plan._make(array.astype(np.float32) for array in arrays)
+
+
 class PlanFollower:
-    """Turns corrections in [-1, 1] into actions, of a plan for the only score of a task."""
+    """Turns corrections in [-1, 1] into actions."""
 
-    def __init__(self, task: PianoTask, score: Score) -> None:
-        """`score` has the fingers that are to play it; where it names none they are found.
-
-        Raises:
-            CadenzaError: the task changes the score or the start at random, or has no hands.
-        """
-        check_one_score(task.config)
-        if not task.scene.sides:
-            raise CadenzaError("a residual policy corrects a plan for hands, and here are none")
-        if not score.has_fingering:  # the task does not reward fingers
-            sides = task.scene.sides
-            score, _ = find_fingering(score, "both" if len(sides) == 2 else sides[0])
-        goals = goals_of(score, task.config)
-        dt = task.config.control_timestep
-        start = np.zeros(len(task.scene.hand_joint_names))
-        with threadpool_limits(1):  # see ScorePlanner
-            nominal = nominal_plan(task.scene, goals.keys, goals.fingers, start, dt)
-        self._tracking = nominal.tracking
-        servos = servos_of(task.scene)
-        self._to_posture = np.linalg.pinv(servos.joints)
-        self._reach = np.array([_REACH.get(name, _FINGER_REACH) for name in servos.names])
-        self._pedal = goals.sustain.astype(np.float64)
+    def __init__(self, task: PianoTask, plan: Plan) -> None:
+        self._plan = plan
+        self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
         self._low, self._high = task.action_low, task.action_high
 
     @property
     def actions(self) -> Floats:
-        """(T, A) of the plan, in [-1, 1]."""
-        action = np.concatenate([self._tracking.ctrl, self._pedal[:, None]], axis=1)
+        """(T, A + 1) of the plan with the pedal, in [-1, 1]."""
+        action = np.concatenate([self._plan.ctrl, self._plan.pedal[:, None]], axis=1)
         centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
         return ((action - centre) / scale).astype(np.float32)
 
     def ctrl(self, task: PianoTask, correction: Floats) -> Array:
-        """(N, A) actions in actuator units from corrections (N, A) in [-1, 1].
+        """(N, A + 1) actions in actuator units from corrections (N, A + 1) in [-1, 1].
 
         The pedal is the score's whatever the correction.
         """
-        row, state, tracking = task.sheets.row, task.state, self._tracking
+        row, state, plan = task.sheets.row, task.state, self._plan
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         here = np.stack([position, speed], axis=-1)
-        feedback = (tracking.gain[row] * (here - tracking.expected[row])).sum(axis=-1)
-        hands = tracking.ctrl[row] - feedback + self._reach * correction[:, :-1]
-        both = np.concatenate([hands, self._pedal[row, None]], axis=1)
+        feedback = (plan.gain[row] * (here - plan.expected[row])).sum(axis=-1)
+        hands = plan.ctrl[row] - feedback + plan.reach * correction[:, :-1]
+        both = np.concatenate([hands, plan.pedal[row, None]], axis=1)
         return np.clip(both, self._low, self._high)
 
 

@@ -21,7 +21,7 @@ from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_folder import LearntPolicy, save_policy
 from cadenza.agents.rl.replay import Replay
-from cadenza.agents.rl.residual import PlanFollower, without_fingers
+from cadenza.agents.rl.residual import PlanFollower, plan_of, without_fingers
 from cadenza.agents.rl.run_folder import Checkpoint, RunFolder
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
@@ -59,10 +59,11 @@ class Training:
         self._task = self._new_task(config.num_envs)
         self._scores = Scores(self._task)
         self._scores.add_all(self._task)
-        follower = PlanFollower(self._task, self._task.scores[0]) if config.residual else None
-        plan = follower.actions if follower else None
-        inputs = inputs_of(self._task, self._known_scores(), plan is not None)
-        observer = Observer(self._task, self._scores, inputs, plan)
+        self._plan = plan_of(self._task) if config.residual else None
+        follower = None if self._plan is None else PlanFollower(self._task, self._plan)
+        inputs = inputs_of(self._task, self._known_scores(), follower is not None)
+        ahead = follower.actions if follower else None
+        observer = Observer(self._task, self._scores, inputs, ahead)
         actions = self._task.action_size
         self._inputs = inputs
         self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
@@ -165,7 +166,7 @@ class Training:
             activation=learner.activation,
             log_std_range=(learner.log_std_min, learner.log_std_max),
             inputs=self._inputs,
-            residual=config.residual,
+            plan=self._plan,
             task=config.task,
             scene=config.scene,
             score=self._score,
