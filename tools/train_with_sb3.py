@@ -96,11 +96,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=4000)
     steps = parser.parse_args().steps
     train("gym.make", Monitor(gym.make(SONG)), steps, {})
-    vector = gym.make_vec(
-        SONG,
-        num_envs=8,
-        vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
-    )
+    vector = gym.make_vec(SONG, num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)
     train("gym.make_vec", VecMonitor(OfGymnasium(vector)), steps, {"gradient_steps": 8})
 
 
