@@ -319,7 +319,7 @@ def whole_training(
     loop = PlainLoop(score)
     loop.play(SEED_STEPS)
     loop.learn(1)  # compiles
-    paper = TrainingConfig(replay_capacity=TRANSITIONS)
+    paper = TrainingConfig(replay_capacity=TRANSITIONS, keep_zero_inputs=True)
     fewer = replace(paper, keep_zero_inputs=False)
     entered: dict[str, Contestant] = {
         "plain": lambda: loop.learn(number),
