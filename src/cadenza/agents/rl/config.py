@@ -100,7 +100,7 @@ class TrainingConfig:
     def num_updates(self) -> int:
         """Updates that a whole run makes."""
         rounds = (self.num_steps - self.seed_steps) / (self.steps_per_round * self.num_envs)
-        return min(max(math.ceil(rounds * self.updates_per_round), 1), 2**31 - 1)
+        return max(math.ceil(rounds * self.updates_per_round), 1)
 
 
 def preset(name: Preset, residual: bool = False) -> TrainingConfig:

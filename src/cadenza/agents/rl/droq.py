@@ -137,10 +137,11 @@ class Learner:
         return self._update_all(state, batches)
 
     def _adam(self, learning_rate: float) -> optax.GradientTransformation:
-        config = self._config
-        last = learning_rate * config.final_learning_rates
-        falling = optax.linear_schedule(learning_rate, last, self._num_updates)
-        return optax.adam(falling, config.adam_beta1, config.adam_beta2)
+        config, rate = self._config, learning_rate
+        if config.final_learning_rates < 1:
+            last = learning_rate * config.final_learning_rates
+            rate = optax.linear_schedule(learning_rate, last, self._num_updates)
+        return optax.adam(rate, config.adam_beta1, config.adam_beta2)
 
     def _update(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, dict[str, Any]]:
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
