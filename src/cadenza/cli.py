@@ -443,7 +443,6 @@ def _learnt(agent: str, song: str) -> LearntPolicy | None:
 
 def _as_learnt(learnt: LearntPolicy, score: Score, command: Play) -> tuple[Score, Play]:
     """With the options that the policy was trained with, but for those that the user changed."""
-    from cadenza.agents.rl.residual import without_fingers
 
     def changed(options: Any, default: Any) -> dict[str, Any]:
         values = vars(options)
@@ -452,7 +451,7 @@ def _as_learnt(learnt: LearntPolicy, score: Score, command: Play) -> tuple[Score
     task = replace(learnt.task, **changed(command.task, _with_time_to_begin()))
     scene = replace(learnt.scene, **changed(command.scene, SceneConfig()))
     if learnt.plan is not None:
-        score, known = without_fingers(score), without_fingers(learnt.score)
+        score, known = score.without_fingers(), learnt.score.without_fingers()
         if (score.notes, score.pedal) != (known.notes, known.pedal):
             raise CadenzaError(
                 f"{command.agent}: corrects the plan of {known.title!r} and plays nothing else"

@@ -109,6 +109,11 @@ class Score:
         """Whether any note says which finger plays it."""
         return any(note.finger != UNKNOWN_FINGER for note in self.notes)
 
+    def without_fingers(self) -> Score:
+        """The same notes, for which fingers are to be found."""
+        notes = tuple(replace(note, finger=UNKNOWN_FINGER) for note in self.notes)
+        return replace(self, notes=notes)
+
     def stretched(self, factor: float) -> Score:
         """All times multiplied by `factor` (2 is half as fast).
 

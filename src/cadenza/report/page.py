@@ -50,8 +50,8 @@ def write_report(
         misses: of each note that was lost `time` [s], `note`, `finger` 0..9 or -1, `what` became of
             it, and the `reason`; without any, the page has no such table.
     """
-    figures = sorted(_flat(metrics), key=lambda item: item[0] != "f1")
-    facts = _facts(episode, dict(_flat(settings)))
+    figures = sorted(flat(metrics), key=lambda item: item[0] != "f1")
+    facts = _facts(episode, dict(flat(settings)))
     parts = {
         "title": html.escape(episode.song or "Untitled"),
         "facts": "".join(
@@ -59,7 +59,7 @@ def write_report(
         ),
         "cards": "".join(_card(name, value) for name, value in figures),
         "misses": _misses(misses),
-        "settings": _table(dict(_flat(settings))),
+        "settings": _table(dict(flat(settings))),
         "roll_label": html.escape(_in_words(episode)),
         "data": _json(
             _recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}
@@ -189,10 +189,11 @@ def _spoken(name: str) -> str:
     return re.sub(r"\bf1\b", "F1", words[:1].upper() + words[1:], flags=re.IGNORECASE)
 
 
-def _flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of nested mappings, with the names that lead to each, joined by dots."""
     for name, value in mapping.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 

@@ -26,7 +26,7 @@ from cadenza.report.line_chart import (
     time_axis,
     value_axis,
 )
-from cadenza.report.page import asset, write_page
+from cadenza.report.page import asset, flat, write_page
 
 _STYLES = ("page.css", "comparison.css", "training.css")
 _REWARDS = "eval/reward/"
@@ -245,7 +245,7 @@ def _settings(settings: Mapping[str, Any]) -> str:
     """A section to unfold, nothing if there are none."""
     rows = "".join(
         f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>'
-        for name, value in _flat(settings)
+        for name, value in flat(settings)
         if value is not None
     )
     if not rows:
@@ -254,14 +254,6 @@ def _settings(settings: Mapping[str, Any]) -> str:
         '<details class="card"><summary>Settings</summary>'
         f'<div class="scroll"><table>{rows}</table></div></details>'
     )
-
-
-def _flat(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in mapping.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 # Charts

@@ -12,7 +12,7 @@ from rl_examples import melody
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.play import Performance, play
-from cadenza.agents.rl.residual import PlanFollower, plan_of, without_fingers
+from cadenza.agents.rl.residual import PlanFollower, plan_of
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.music.fingering import find_fingering
@@ -97,4 +97,4 @@ def test_a_plan_is_for_one_score_and_for_hands() -> None:
 def test_the_fingers_of_a_file_are_forgotten() -> None:
     fingered, _ = find_fingering(SONG)
     assert fingered.has_fingering
-    assert without_fingers(fingered) == SONG
+    assert fingered.without_fingers() == SONG

@@ -15,7 +15,7 @@ from cadenza.errors import CadenzaError
 from cadenza.model.scene import build_scene
 from cadenza.music.fingering import Dropped, find_fingering
 from cadenza.music.goals import Goals
-from cadenza.music.score import UNKNOWN_FINGER, Score
+from cadenza.music.score import Score
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
@@ -76,8 +76,7 @@ class ScorePlanner:
     def _fingered(self, task: PianoTask) -> tuple[Score, tuple[Dropped, ...]]:
         score, sides = task.sheets.songs[0], task.scene.sides
         if self.config.fingering == "found":
-            notes = (replace(note, finger=UNKNOWN_FINGER) for note in score.notes)
-            score = replace(score, notes=tuple(notes))
+            score = score.without_fingers()
         return find_fingering(score, "both" if len(sides) == 2 else sides[0])
 
     def act(self) -> Array:

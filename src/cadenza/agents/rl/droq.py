@@ -234,7 +234,7 @@ class Learner:
         self, critics: tuple[Params, ...], observation: Any, action: Any, key: jax.Array
     ) -> jax.Array:
         """(C, B) what each critic says, with dropout as in all of learning."""
-        # One after the other: products of stacked matrices are slower on a CPU.
+        # One after the other: products of stacked matrices take a little longer on a CPU.
         drops = jax.random.split(key, len(critics))
         return jnp.stack(
             [

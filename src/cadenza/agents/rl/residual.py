@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,6 @@ from cadenza.agents.rl.observation import Floats
 from cadenza.errors import CadenzaError
 from cadenza.model.servos import servos_of
 from cadenza.music.fingering import find_fingering
-from cadenza.music.score import UNKNOWN_FINGER, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
@@ -24,12 +22,6 @@ Array = NDArray[np.float64]
 # How far a correction may go, about three times what the planner's own search draws [m, rad].
 _REACH = {"forearm_tx": 0.03, "forearm_ty": 0.015, "WRJ2": 0.1, "WRJ1": 0.1}
 _FINGER_REACH = 0.25
-
-
-def without_fingers(score: Score) -> Score:
-    """The score for which fingers that suit these hands are to be found."""
-    notes = (replace(note, finger=UNKNOWN_FINGER) for note in score.notes)
-    return replace(score, notes=tuple(notes))
 
 
 class Plan(NamedTuple):

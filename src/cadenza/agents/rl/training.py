@@ -21,7 +21,7 @@ from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_folder import LearntPolicy, save_policy
 from cadenza.agents.rl.replay import Replay
-from cadenza.agents.rl.residual import PlanFollower, plan_of, without_fingers
+from cadenza.agents.rl.residual import PlanFollower, plan_of
 from cadenza.agents.rl.run_folder import Checkpoint, RunFolder
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
@@ -55,7 +55,7 @@ class Training:
         check(config)
         self.config, self._folder = config, folder
         self.step, self.best, self.rows = 0, Row(), deque[Row]()
-        self._score = without_fingers(score) if config.residual else score
+        self._score = score.without_fingers() if config.residual else score
         self._task = self._new_task(config.num_envs)
         self._scores = Scores(self._task)
         self._scores.add_all(self._task)
