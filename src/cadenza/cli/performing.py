@@ -1,0 +1,172 @@
+"""What the commands that perform a song share: options, score, task, agents, scores."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+)
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+if TYPE_CHECKING:
+    from cadenza.agents.agent import Agent
+    from cadenza.agents.planning.misses import Miss
+    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.play import Performance
+    from cadenza.agents.rl.policy_folder import LearntPolicy
+    from cadenza.music.score import Score
+    from cadenza.tasks.piano_task import PianoTask
+
+_AGENTS = ("planner", "predictive-sampling", "ilqg", "zero", "random", "pretrained")
+
+
+def with_time_to_begin() -> TaskConfig:
+    """From where they start, the hands cannot sound a note at time 0."""
+    return TaskConfig(initial_buffer_time=0.5)
+
+
+@dataclass(frozen=True)
+class Performing:
+    """What all that perform a song have in common."""
+
+    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
+    """A bundled song (see "cadenza songs"), the path of a MIDI file, or the folder of a policy,
+    which holds the song that it has learnt."""
+    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
+    scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
+    planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
+
+    @property
+    def default_folder(self) -> Path:
+        return Path("played") / Path(self.song).stem
+
+
+@dataclass(frozen=True)
+class WithOtherPlanners(Performing):
+    """The paper's planners have options of their own."""
+
+    predictive_sampling: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
+    ilqg: ILQGConfig = field(default_factory=ILQGConfig)
+
+
+def score_of(song: str) -> Score:
+    """What SONG names, with remarks on it for whoever gave it."""
+    from cadenza.agents.rl.policy_folder import load_policy
+    from cadenza.music.library import load_score
+
+    score = load_policy(Path(song)).score if Path(song).is_dir() else load_score(song)
+    for remark in score.remarks:
+        print(f"{song}: {remark}", file=sys.stderr)
+    return score
+
+
+def build_task(score: Score, command: Performing) -> PianoTask:
+    """The score in the scene of the command."""
+    from cadenza.tasks.piano_task import PianoTask
+
+    return PianoTask([score], command.task, command.scene)
+
+
+def agent_named(name: str, command: WithOtherPlanners) -> Agent:
+    """With the options of the command."""
+    from cadenza.agents.agent import RandomAgent, ZeroAgent
+    from cadenza.agents.planning.ilqg import ILQG
+    from cadenza.agents.planning.predictive_sampling import PredictiveSampling
+    from cadenza.agents.planning.score_planner import ScorePlanner
+
+    match name:
+        case "planner":
+            return ScorePlanner(command.planner)
+        case "predictive-sampling":
+            return PredictiveSampling(command.predictive_sampling)
+        case "ilqg":
+            return ILQG(command.ilqg)
+        case "zero":
+            return ZeroAgent()
+        case "random":
+            return RandomAgent()
+    if (learnt := learnt_policy(name, command.song)) is not None:
+        return learnt.agent
+    raise CadenzaError(
+        f"no agent {name!r}: choose from {', '.join(_AGENTS)}, or give the folder of a policy"
+    )
+
+
+def learnt_policy(agent: str, song: str) -> LearntPolicy | None:
+    """The policy that `agent` names, None where it names another agent."""
+    from cadenza.agents.rl.policy_folder import load_policy
+    from cadenza.agents.rl.pretrained import pretrained_folder
+
+    if agent == "pretrained":
+        return load_policy(pretrained_folder(song))
+    return load_policy(Path(agent)) if Path(agent).is_dir() else None
+
+
+def perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performance:
+    """Plays one episode; `doing` stands at the progress bar."""
+    from cadenza.agents.play import play as play_episode
+
+    with progress(doing, "steps") as advance:
+        return play_episode(task, agent, seed, advance)
+
+
+@contextmanager
+def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar that appears after a second; yields what to call with steps done and in all."""
+    from tqdm import tqdm
+
+    with tqdm(desc=doing, unit=f" {unit}", delay=1.0, leave=False) as bar:
+
+        def advance(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield advance
+
+
+def print_scores(performance: Performance) -> None:
+    """How well it was played, and how long that took."""
+    metrics = performance.metrics
+    print(
+        f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
+        f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
+    )
+    print(
+        f"{metrics['steps']} steps, return {metrics['return']:.1f}, "
+        f"planned in {metrics['planning_seconds']:.1f} s and "
+        f"simulated in {metrics['playing_seconds']:.1f} s for "
+        f"{seconds_of_music(performance):.1f} s of music"
+    )
+    if metrics["unstable"]:
+        print("the simulation became unstable and the episode ended early", file=sys.stderr)
+
+
+def seconds_of_music(performance: Performance) -> float:
+    """What was played of it, where an episode ended early."""
+    return performance.episode.num_steps * performance.episode.dt
+
+
+def print_what_was_lost(
+    agent: ScorePlanner, performance: Performance, misses: Sequence[Miss]
+) -> None:
+    """How many notes, and why."""
+    from collections import Counter
+
+    from cadenza.agents.planning.misses import in_a_line
+
+    print(in_a_line(misses, performance.episode))
+    reasons = Counter(reason for _, reason in agent.dropped)
+    for reason, count in reasons.most_common():
+        print(f"{count} of them have no finger: {reason}")

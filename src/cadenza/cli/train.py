@@ -1,0 +1,190 @@
+"""`cadenza train`, where a policy learns a song, and `cadenza curves`, which draws how it did."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from cadenza.agents.rl.config import Preset, TrainingConfig, preset
+from cadenza.cli.performing import score_of
+from cadenza.cli.play import Play, play
+from cadenza.cli.results import check_writable, plain
+from cadenza.errors import CadenzaError
+
+if TYPE_CHECKING:
+    from cadenza.agents.rl.training import Training
+    from cadenza.report.training import Curve
+
+
+@dataclass(frozen=True)
+class Train:
+    """Have a policy learn a song, to be stopped at any moment and resumed.
+
+    Example: cadenza train TwinkleTwinkleLittleStar -o twinkle; cadenza train --resume twinkle
+    """
+
+    song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
+    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
+    preset: Preset = "fast"
+    """Where the options below begin: what suits few cores; the table of the paper; or what the
+    published run script says."""
+    resume: Path | None = None
+    """Folder of a run that is to go on, with the options that it has."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder of the run; runs/SONG by default."""
+    num_cores: int = 2
+    """Cores to work on, of those that no other run has claimed."""
+    wandb: str | None = None
+    """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
+    video: bool = True
+    """Write a video of the best policy too, where this machine can draw."""
+    training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
+        default_factory=lambda: preset("fast")
+    )
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Draw the learning curves of several runs together.
+
+    Example: cadenza curves runs/joy_0 runs/joy_1 -o curves.html
+    """
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
+    """Folders of runs, finished or not."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("curves.html")
+    """The page."""
+
+
+def train(command: Train) -> None:
+    from cadenza.agents.rl.cores import claimed_cores
+
+    if (command.song is None) == (command.resume is None):
+        raise CadenzaError("name a song to learn, or with --resume the folder of a run")
+    if command.resume is not None and command.training != preset("fast"):
+        raise CadenzaError(f"{command.resume}: goes on with its own options; leave out all others")
+    if command.num_cores < 1:
+        raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
+    folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
+    with claimed_cores(command.num_cores) as cores:
+        if not cores:
+            print("all cores are claimed by other runs: sharing one", file=sys.stderr)
+        _train(command, folder)
+
+
+def _train(command: Train, folder: Path) -> None:
+    try:
+        from cadenza.agents.rl.training import Training
+    except ImportError as error:
+        raise CadenzaError(f"training needs more ({error}): pip install '.[train]'") from error
+    from cadenza.agents.rl.run_folder import RunFolder
+
+    run = RunFolder(folder)
+    if command.song is not None:
+        score = score_of(command.song)
+        check_writable(folder)
+        run.begin(command.training, score)
+    config, score = run.settings()
+    with run.locked(), closing(Training(config, score, run)) as training:
+        finished = _train_on(training, command, folder)
+    if finished:
+        best = str(folder / "best")
+        play(Play(best, agent=best, output=folder / "best_played", video=command.video))
+    _write_curves(folder, score.title, config)
+    print(f"Learning curves in {folder / 'report.html'}")
+    if not finished:
+        print(f"to go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        raise KeyboardInterrupt
+
+
+def _train_on(training: Training, command: Train, folder: Path) -> bool:
+    """Trains until all is done, and then is true, or until someone asks to stop."""
+    from tqdm import tqdm
+
+    from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
+
+    shown: list[Scalars] = [TensorBoard(folder / "tensorboard", training.step)]
+    if command.wandb:
+        shown.append(WeightsAndBiases(command.wandb, folder, asdict(training.config)))
+    often = 0.1 if sys.stderr.isatty() else 30.0  # seconds; a log file wants fewer lines
+    steps, done = training.config.num_steps, training.step
+    bar = tqdm(total=steps, initial=done, unit=" steps", mininterval=often)
+    with bar, _asked_to_stop() as stop:
+
+        def goes_on() -> bool:
+            bar.update(training.step - bar.n)
+            while training.rows:
+                row = training.rows.popleft()
+                for scalars in shown:
+                    scalars.add(row)
+                if "eval/f1" in row:
+                    best = training.best["eval/f1"]
+                    bar.set_postfix_str(f"F1 {row['eval/f1']:.3f}, best {best:.3f}")
+            return not stop()
+
+        training.run(goes_on)
+        goes_on()
+    for scalars in shown:
+        scalars.close()
+    return training.step >= training.config.num_steps
+
+
+@contextmanager
+def _asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """Yields what says whether Ctrl-C was pressed or the process told to end.
+
+    Who presses it again does not want to wait for a checkpoint.
+    """
+    import signal
+
+    asked = []
+
+    def ask(number: int, _frame: Any) -> None:
+        asked.append(number)
+        signal.signal(number, before[signal.Signals(number)])
+        print("\nstopping after a checkpoint; once more to stop at once", file=sys.stderr)
+
+    before = {n: signal.signal(n, ask) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _write_curves(folder: Path, song: str, config: TrainingConfig) -> None:
+    """The page of a run."""
+    from cadenza.report.training import write_training
+
+    pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
+    links = {label: page for label, page in pages.items() if (folder / page).exists()}
+    settings = plain(asdict(config))
+    write_training(folder / "report.html", song, [_curve(folder)], settings, links)
+
+
+def curves(command: Curves) -> None:
+    from cadenza.report.training import write_training
+
+    if not command.runs:
+        raise CadenzaError("no curves to draw: name at least one folder of a run")
+    check_writable(command.output.parent)
+    drawn = [_curve(folder) for folder in command.runs]
+    write_training(command.output, "Learning curves", drawn, {})
+    print(f"Open {command.output}")
+
+
+def _curve(run: Path) -> Curve:
+    from cadenza.agents.rl.run_folder import read_rows
+    from cadenza.report.training import Curve
+
+    rows = read_rows(run)
+    if not rows:
+        raise CadenzaError(f"{run}: holds no figures of a run; name the folder of one")
+    return Curve(run.name, rows)
