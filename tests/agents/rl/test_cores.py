@@ -43,9 +43,10 @@ def test_no_two_runs_claim_the_same_core() -> None:
     runs = [claim(1) for _ in cores]
     assert sorted(core for _, mine, _ in runs for core in mine) == cores
     assert all(mine == kept_to for _, mine, kept_to in runs)
-    one_more, mine, kept_to = claim(1)
-    assert (mine, len(kept_to)) == ([], 1)  # none is left: it shares one
-    for process, _, _ in [*runs, (one_more, [], [])]:
+    more = [claim(2) for _ in range(2 * len(cores))]  # none is left: they share them evenly
+    assert not any(mine for _, mine, _ in more)
+    assert sorted(core for _, _, kept_to in more for core in kept_to) == sorted(cores * 2)
+    for process, _, _ in [*runs, *more]:
         process.kill()
         process.wait()
 
