@@ -22,6 +22,7 @@ STANDS_ON: dict[str, set[str]] = {
     "agents": {"tasks"},
     "report": {"music"},
     "bench": {"music", "model", "sim", "tasks", "agents", "report"},
+    "cli": {"music", "model", "sim", "tasks", "agents", "report"},
 }
 LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "mido", "mir_eval"},

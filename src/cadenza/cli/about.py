@@ -79,10 +79,10 @@ def _about_fingering(score: Score) -> str:
 
 def _installation_facts() -> dict[str, Any]:
     import platform
+    from importlib.metadata import version
 
     import mujoco
 
-    from cadenza import __version__
     from cadenza.model.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.simulation import available_cores
@@ -93,7 +93,7 @@ def _installation_facts() -> dict[str, Any]:
     except CadenzaError as error:
         drawing = f"no; {error}"
     return {
-        "cadenza": __version__,
+        "cadenza": version("cadenza"),
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
