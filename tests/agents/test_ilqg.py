@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_discrete_are
@@ -49,6 +49,7 @@ def waking() -> Scene:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.floats(0.01, 10))
+@example(1762, 12, 6.0)  # once left a rounding beside a limit, and stuck there
 def test_box_qp_agrees_with_scipy(seed: int, size: int, width: float) -> None:
     rng = np.random.default_rng(seed)
     a, b = rng.standard_normal((size + 5, size)), rng.standard_normal(size + 5)

@@ -78,9 +78,10 @@ def _search(hessian: Array, slope: Array, x: Array, step: Array, low: Array, hig
     """The longest step along the projected `step` that decreases the cost enough (Armijo)."""
     size = 1.0
     while size > 1e-12:
-        change = np.clip(x + size * step, low, high) - x
+        end = np.clip(x + size * step, low, high)
+        change = end - x
         if slope @ change + change @ hessian @ change / 2 <= _ARMIJO * (slope @ change):
-            return x + change
+            return end  # not x + change, which may miss a limit by a rounding
         size *= _SHRINK
     return x
 
