@@ -11,6 +11,7 @@ import pytest
 from cadenza.agents.planning.misses import Miss, in_a_line, misses_of
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press, presses_of
+from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.model.piano import KEY_CENTRE, KEY_TRAVEL
 from cadenza.music.fingering import Dropped
@@ -63,7 +64,8 @@ class Concert:
         }
         self.episode = Episode("A concert", DT, arrays, FOREARMS)
         nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
-        return misses_of(self.episode, SCORE, self.dropped, nominal)
+        goals: Any = None  # the episode has them
+        return misses_of(self.episode, SongPlan(SCORE, self.dropped, goals, nominal))
 
     def cut(self, last: int, then: Press | None = None) -> None:
         self.presses[0] = self.presses[0]._replace(last=last)

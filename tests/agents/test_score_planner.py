@@ -105,7 +105,8 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     agent = ScorePlanner()
     task.reset([np.random.default_rng(0)], [0])
     agent.reset(task, np.random.default_rng(0))
-    assert len(agent.dropped) == sum(note.finger < 0 for note in agent.score.notes) > 9
+    plan = agent.plan
+    assert len(plan.dropped) == sum(note.finger < 0 for note in plan.score.notes) > 9
 
 
 def test_fingers_of_the_score_are_taken_on_request() -> None:
@@ -116,7 +117,7 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
     task.reset([np.random.default_rng(0)], [0])
     agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
     agent.reset(task, np.random.default_rng(0))
-    assert [press.finger for press in agent.nominal.presses] == [2, 1]
+    assert [press.finger for press in agent.plan.nominal.presses] == [2, 1]
 
 
 @pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])

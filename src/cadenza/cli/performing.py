@@ -15,6 +15,7 @@ from cadenza.agents.planning.config import (
     ILQGConfig,
     PredictiveSamplingConfig,
     ScorePlannerConfig,
+    TrackedPressesConfig,
 )
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
@@ -23,13 +24,21 @@ from cadenza.tasks.config import TaskConfig
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
     from cadenza.agents.planning.misses import Miss
-    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.planning.song_plan import SongPlan
     from cadenza.agents.play import Performance
     from cadenza.agents.rl.policy_folder import LearntPolicy
     from cadenza.music.score import Score
     from cadenza.tasks.piano_task import PianoTask
 
-_AGENTS = ("planner", "predictive-sampling", "ilqg", "zero", "random", "pretrained")
+_AGENTS = (
+    "planner",
+    "predictive-sampling",
+    "ilqg",
+    "tracked-presses",
+    "zero",
+    "random",
+    "pretrained",
+)
 
 
 def with_time_to_begin() -> TaskConfig:
@@ -55,10 +64,11 @@ class Performing:
 
 @dataclass(frozen=True)
 class WithOtherPlanners(Performing):
-    """The paper's planners have options of their own."""
+    """The planners to compare with have options of their own."""
 
     predictive_sampling: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
     ilqg: ILQGConfig = field(default_factory=ILQGConfig)
+    tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
 
 
 def score_of(song: str) -> Score:
@@ -85,6 +95,7 @@ def agent_named(name: str, command: WithOtherPlanners) -> Agent:
     from cadenza.agents.planning.ilqg import ILQG
     from cadenza.agents.planning.predictive_sampling import PredictiveSampling
     from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.planning.tracked_presses import TrackedPresses
 
     match name:
         case "planner":
@@ -93,6 +104,8 @@ def agent_named(name: str, command: WithOtherPlanners) -> Agent:
             return PredictiveSampling(command.predictive_sampling)
         case "ilqg":
             return ILQG(command.ilqg)
+        case "tracked-presses":
+            return TrackedPresses(command.tracked_presses)
         case "zero":
             return ZeroAgent()
         case "random":
@@ -158,15 +171,13 @@ def seconds_of_music(performance: Performance) -> float:
     return performance.episode.num_steps * performance.episode.dt
 
 
-def print_what_was_lost(
-    agent: ScorePlanner, performance: Performance, misses: Sequence[Miss]
-) -> None:
+def print_what_was_lost(plan: SongPlan, performance: Performance, misses: Sequence[Miss]) -> None:
     """How many notes, and why."""
     from collections import Counter
 
     from cadenza.agents.planning.misses import in_a_line
 
     print(in_a_line(misses, performance.episode))
-    reasons = Counter(reason for _, reason in agent.dropped)
+    reasons = Counter(reason for _, reason in plan.dropped)
     for reason, count in reasons.most_common():
         print(f"{count} of them have no finger: {reason}")

@@ -60,14 +60,14 @@ def plan(command: Plan) -> None:
             "there is no whole plan to keep; try another seed"
         )
     # The notes are the same in the same order; times and pitches are again those of the file.
-    notes = zip(score.notes, agent.score.notes, strict=True)
+    notes = zip(score.notes, agent.plan.score.notes, strict=True)
     fingered = replace(score, notes=tuple(replace(n, finger=m.finger) for n, m in notes))
     options = options_of(command.task, command.scene, command.seed)
     save_plan(path, performance.episode, performance.metrics, options, fingered)
     write_fingering(fingered, path.with_suffix(SUFFIX))
     print_scores(performance)
-    misses = misses_of(performance.episode, agent.score, agent.dropped, agent.nominal)
-    print_what_was_lost(agent, performance, misses)
+    misses = misses_of(performance.episode, agent.plan)
+    print_what_was_lost(agent.plan, performance, misses)
     print(f"\nFingers in {path.with_suffix(SUFFIX)}; to see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 

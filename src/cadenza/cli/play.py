@@ -47,8 +47,9 @@ class Play(WithOtherPlanners):
     """
 
     agent: str = "planner"
-    """Who plays: planner, predictive-sampling, ilqg, zero or random; replay, which plays the
-    actions of --plan; pretrained, the policy that comes with a song; or the folder of a policy."""
+    """Who plays: planner, predictive-sampling, ilqg, tracked-presses, zero or random; replay, which
+    plays the actions of --plan; pretrained, the policy that comes with a song; or the folder of a
+    policy."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; played/SONG by default. Files of an earlier run are replaced."""
     seed: int = 0
@@ -63,6 +64,7 @@ class Play(WithOtherPlanners):
 def play(command: Play) -> None:
     from cadenza.agents.planning.misses import misses_of
     from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.planning.tracked_presses import TrackedPresses
 
     score = score_of(command.song)
     if (learnt := learnt_policy(command.agent, command.song)) is not None:
@@ -76,12 +78,12 @@ def play(command: Play) -> None:
     with closing(task):
         performance = perform(task, agent, command.seed, "playing")
     misses = None
-    if isinstance(agent, ScorePlanner):
-        misses = misses_of(performance.episode, agent.score, agent.dropped, agent.nominal)
+    if isinstance(agent, ScorePlanner | TrackedPresses):
+        misses = misses_of(performance.episode, agent.plan)
     _write_results(folder, command, performance, task, misses)
     print_scores(performance)
-    if isinstance(agent, ScorePlanner) and misses is not None:
-        print_what_was_lost(agent, performance, misses)
+    if isinstance(agent, ScorePlanner | TrackedPresses) and misses is not None:
+        print_what_was_lost(agent.plan, performance, misses)
     print(f"\nOpen {folder / 'report.html'}")
 
 
@@ -131,7 +133,7 @@ def _write_results(
     task: PianoTask,
     misses: Sequence[Miss] | None,
 ) -> None:
-    """`misses` of the planner; it has to know the plan to say why."""
+    """`misses` of those that follow a plan; it has to be known to say why."""
     from cadenza.music.midi import write_midi
     from cadenza.music.performance import performed_score
     from cadenza.report.page import write_report

@@ -44,7 +44,7 @@ from cadenza.music.keyboard import IS_BLACK, KEY_Y
 from cadenza.music.score import NUM_KEYS, UNKNOWN_FINGER, Note, Score
 
 Array = NDArray[np.float64]
-Hands = Literal["both", "right", "left"]
+Side = Literal["right", "left"]
 
 # Printed by tools/measure_reach.py: the right hand's fingers, thumb to little, on white keys [m].
 REST = np.array([-0.0521, -0.0193, 0.0029, 0.0251, 0.0473])
@@ -86,8 +86,7 @@ _ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2, 0.0])
 _WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1, 0.0])
 _CLOSE = 100.0  # [1 / m^2]
 
-
-_WHOSE = {"both": "both hands", "right": "the right hand", "left": "the left hand"}
+BOTH: tuple[Side, ...] = ("right", "left")
 
 
 class Dropped(NamedTuple):
@@ -114,8 +113,8 @@ class Solution:
     cost: float
 
 
-def find_fingering(score: Score, hands: Hands = "both") -> tuple[Score, tuple[Dropped, ...]]:
-    """`score` with a finger on every note that `hands` can play, -1 on those dropped.
+def find_fingering(score: Score, sides: Sequence[Side] = BOTH) -> tuple[Score, tuple[Dropped, ...]]:
+    """`score` with a finger on every note that the hands can play, -1 on those dropped.
 
     Fingers that the score gives are kept, and the others found to go with them. Where given
     fingers contradict each other or these hands, the others take no account of them.
@@ -125,19 +124,19 @@ def find_fingering(score: Score, hands: Hands = "both") -> tuple[Score, tuple[Dr
     """
     if all(note.finger != UNKNOWN_FINGER for note in score.notes):
         return score, ()
-    found = solve(score, hands)
+    found = solve(score, sides)
     return found.score, found.dropped
 
 
-def solve(score: Score, hands: Hands = "both") -> Solution:
+def solve(score: Score, sides: Sequence[Side] = BOTH) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    sides = [_STANDS if hands in ("both", side) else _ELSEWHERE for side in ("right", "left")]
-    moments = [_beginning(sides)]
+    places = [_STANDS if side in sides else _ELSEWHERE for side in BOTH]
+    moments = [_beginning(places)]
     reasons: dict[int, str] = {}
     fingers: dict[int, int] = {}
     unheeded: list[int] = []
     for time, begin in _onsets(score):
-        moment, left_out = _next_moment(moments[-1], time, begin, sides)
+        moment, left_out = _next_moment(moments[-1], time, begin, places)
         moments.append(moment)
         for press, reason in left_out:
             if press.finger == UNKNOWN_FINGER:
@@ -152,9 +151,10 @@ def solve(score: Score, hands: Hands = "both") -> Solution:
         else note
         for i, note in enumerate(score.notes)
     )
+    whose = "both hands" if len(sides) == 2 else f"the {sides[0]} hand"
     return Solution(
         score=replace(score, notes=notes),
-        dropped=tuple(Dropped(notes[i], f"{reasons[i]} {_WHOSE[hands]}") for i in sorted(reasons)),
+        dropped=tuple(Dropped(notes[i], f"{reasons[i]} {whose}") for i in sorted(reasons)),
         unheeded=tuple(notes[i] for i in sorted(unheeded)),
         cost=float(moments[-1].cost.min()),
     )
@@ -337,33 +337,33 @@ class _Moment:
     right_before: NDArray[np.uint8]
 
 
-def _beginning(sides: Sequence[Array]) -> _Moment:
+def _beginning(places: Sequence[Array]) -> _Moment:
     nothing = np.zeros((1, 1), np.uint8)
     hands = [
         _states(np.zeros(0), np.zeros((0, 6)), np.array([_HOME]) if s is _STANDS else s)
-        for s in sides
+        for s in places
     ]
     return _Moment(-1.0, (), (hands[0], hands[1]), np.zeros((1, 1)), nothing, nothing)
 
 
 def _next_moment(
-    before: _Moment, time: float, begin: Sequence[_Press], sides: Sequence[Array]
+    before: _Moment, time: float, begin: Sequence[_Press], places: Sequence[Array]
 ) -> tuple[_Moment, list[tuple[_Press, str]]]:
     """The moment `time` with as many of the notes that `begin` as can be played."""
     struck = {press.key for press in begin}
     held = [p for p in before.presses if p.end > time + LETTING_GO and p.key not in struck]
-    most = 5 * sum(side is _STANDS for side in sides)
+    most = 5 * sum(side is _STANDS for side in places)
     if len(held) + len(begin) <= most:
-        moment = _moment(before, time, [*held, *begin], sides)
+        moment = _moment(before, time, [*held, *begin], places)
         if moment.cost.min() < _NEVER:
             return moment, []
-    moment = _moment(before, time, held, sides)
+    moment = _moment(before, time, held, places)
     left_out = []
     for press in _outer_first(begin, held):
         if len(moment.presses) == most:
             left_out.append((press, f"more than {most} notes at once for"))
             continue
-        tried = _moment(before, time, [*moment.presses, press], sides)
+        tried = _moment(before, time, [*moment.presses, press], places)
         if tried.cost.min() < _NEVER:
             moment = tried
         else:
@@ -379,12 +379,12 @@ def _reason(moment: _Moment) -> str:
 
 
 def _moment(
-    before: _Moment, time: float, presses: Sequence[_Press], sides: Sequence[Array]
+    before: _Moment, time: float, presses: Sequence[_Press], places: Sequence[Array]
 ) -> _Moment:
     presses = tuple(sorted(presses, key=lambda press: press.key))
     seconds = max(time - before.time, LETTING_GO)
     hands, transitions = [], []
-    for side, stands in enumerate(sides):
+    for side, stands in enumerate(places):
         sign, order = (1.0, 1) if side == 0 else (-1.0, -1)
         earlier, now = before.presses[::order], presses[::order]
         y = sign * KEY_Y[[press.key for press in now]]

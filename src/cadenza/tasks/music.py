@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.model.config import Side
-from cadenza.music.fingering import Hands, find_fingering
+from cadenza.music.fingering import find_fingering
 from cadenza.music.goals import Goals, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -52,8 +52,7 @@ def prepare(
     _check(config)
     scores = [_arranged(score, config) for score in scores]
     if config.fingering == "auto" and sides:
-        hands: Hands = "both" if len(sides) == 2 else sides[0]
-        scores = [find_fingering(score, hands)[0] for score in scores]
+        scores = [find_fingering(score, sides)[0] for score in scores]
     return tuple(scores)
 
 

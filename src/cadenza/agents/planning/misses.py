@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press
+from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.model.piano import KEY_CENTRE, KEY_HALF_SIZE
 from cadenza.music.fingering import Dropped
@@ -84,16 +85,9 @@ class _Note(NamedTuple):
     last: int
 
 
-def misses_of(
-    episode: Episode, score: Score, dropped: Sequence[Dropped], nominal: Nominal
-) -> list[Miss]:
-    """What was lost of an episode, by time.
-
-    Args:
-        episode: as it was played.
-        score, dropped, nominal: of the `ScorePlanner` that played it.
-    """
-    inquiry = _Inquiry(episode, score, dropped, nominal)
+def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
+    """What was lost of an episode, by time, where whoever played it followed `plan`."""
+    inquiry = _Inquiry(episode, plan.score, plan.dropped, plan.nominal)
     runs = zip(*(array.tolist() for array in key_runs(episode["goal_keys"])), strict=True)
     notes = sorted((_Note(key, first, last) for first, last, key in runs), key=lambda n: n[1])
     return [miss for note in notes if (miss := inquiry.into(note))]

@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Array
-from cadenza.agents.planning.config import ScorePlannerConfig, TrackedPressesConfig
-from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.refinement import HandPart
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
 from cadenza.model.config import Side
 from cadenza.model.hand import prefix
 from cadenza.model.scene import build_scene
-from cadenza.music.goals import Goals
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.piano_task import PianoTask
 
@@ -30,12 +28,15 @@ from cadenza.tasks.piano_task import PianoTask
 class TrackedPresses:
     """Plans everything when an episode begins; then only feedback is left.
 
-    Like `ScorePlanner`, it plans with the scene that the task's configuration describes. What is
-    fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is random.
+    What is fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is
+    random.
 
     Attributes:
-        trajectories: what each hand is to do, after `reset`.
+        plan: before it is optimised, after `reset`.
+        trajectories: what each hand is to do.
     """
+
+    plan: SongPlan
 
     def __init__(self, config: TrackedPressesConfig | None = None) -> None:
         """Raises:
@@ -50,17 +51,15 @@ class TrackedPresses:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        planner = ScorePlanner(ScorePlannerConfig(method="none"))
-        planner.reset(task, rng)
-        goals = planner.goals
-        self._pedal = goals.sustain.astype(np.float64)
+        self.plan = plan_song(task, task.sheets.songs[0].without_fingers())
+        self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._task, self._step = task, 0
         self._parts, self.trajectories = [], []
         for side in task.scene.sides:
             servos = _of_side(task.scene.actuator_names, side)
             joints = _of_side(task.scene.hand_joint_names, side)
             with threadpool_limits(1):  # small matrices, and the same bits everywhere
-                optimisation = self._optimisation(task, goals, planner.nominal, side, servos)
+                optimisation = self._optimisation(task, side, servos)
                 start = task.state.hand_qpos[0, joints]
                 self.trajectories.append(optimisation.optimise(start))
             self._parts.append((servos, joints))
@@ -68,12 +67,11 @@ class TrackedPresses:
     def _optimisation(
         self,
         task: PianoTask,
-        goals: Goals,
-        nominal: Nominal,
         side: Side,
         servos: NDArray[np.intp],
     ) -> PressOptimisation:
         hand = int(side == "left")
+        goals, nominal = self.plan.goals, self.plan.nominal
         return PressOptimisation(
             build_scene(replace(task.scene.config, hands=side)),
             HandPart(goals.keys, goals.fingers, nominal, hand),

@@ -6,15 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from cadenza.agents.planning.nominal import nominal_plan
+from cadenza.agents.planning.song_plan import plan_song
 from cadenza.agents.rl.observation import Floats
 from cadenza.errors import CadenzaError
 from cadenza.model.servos import servos_of
-from cadenza.music.fingering import find_fingering
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 
 Array = NDArray[np.float64]
@@ -46,19 +43,10 @@ def plan_of(task: PianoTask) -> Plan:
         CadenzaError: the task changes the score or the start at random, or has no hands.
     """
     check_one_score(task.config)
-    if not task.scene.sides:
-        raise CadenzaError("a residual policy corrects a plan for hands, and here are none")
     (score,) = task.scores
-    if not score.has_fingering:  # the task does not reward fingers
-        sides = task.scene.sides
-        score, _ = find_fingering(score, "both" if len(sides) == 2 else sides[0])
-    goals = goals_of(score, task.config)
-    start = np.zeros(len(task.scene.hand_joint_names))
-    dt = task.config.control_timestep
-    with threadpool_limits(1):  # see ScorePlanner
-        nominal = nominal_plan(task.scene, goals.keys, goals.fingers, start, dt)
+    plan = plan_song(task, score)
     reach = [_REACH.get(name, _FINGER_REACH) for name in servos_of(task.scene).names]
-    arrays = (*nominal.tracking, goals.sustain, np.array(reach))
+    arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
     return Plan._make(array.astype(np.float32) for array in arrays)
 
 
