@@ -133,6 +133,40 @@ def test_a_piano_without_hands_is_refused() -> None:
         ScorePlanner().reset(task, np.random.default_rng(0))
 
 
+def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
+    task = PianoTask([melody(60, 72, 61, length=0.2)], BUFFER, SceneConfig(hands="right"))
+    agent = ScorePlanner()
+    task.reset([np.random.default_rng(0)], [0])
+    agent.reset(task, np.random.default_rng(0))
+    while agent._step < 8:
+        task.step(agent.act()[None])
+    ((hand, *_),) = agent._hands
+    rows = np.arange(8, 15)
+    middle = hand._clip(hand._tracking.ctrl[rows])
+    plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
+    costs, mistakes = hand._try(hand._batch, plans, rows)
+    most = float(np.median(costs))
+    bounded, mistakes_then = hand._try(hand._batch, plans, rows, most)
+    np.testing.assert_array_equal(bounded, np.where(costs < most, costs, np.inf))
+    np.testing.assert_array_equal(mistakes_then[costs < most], mistakes[costs < most])
+
+
+def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated = []
+    step = refinement.Simulation.step
+
+    def counted(self: refinement.Simulation, ctrl: np.ndarray, env_ids: list[int] | None = None):
+        simulated.append(len(env_ids or ()))
+        step(self, ctrl, env_ids)
+
+    monkeypatch.setattr(refinement.Simulation, "step", counted)
+    leaps = melody(*[40, 90] * 10, length=0.1)
+    config = ScorePlannerConfig(num_candidates=8, iterations=5)
+    steps = perform(leaps, config, hands="right").metrics["steps"]
+    full_search = 5 * 8 * 7  # for 0.35 s each
+    assert 0.4 < sum(simulated) / steps / full_search < 0.6
+
+
 # Presses
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.nominal import Nominal
-from cadenza.agents.planning.sampling import UPDATES, Around
+from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.model.scene import Scene
 from cadenza.model.servos import servos_of
 from cadenza.sim.simulation import Simulation, State
@@ -40,6 +40,9 @@ _IDLE_ASTRAY = 200.0
 _FURTHEST = 0.03  # [m] further away does not count more
 _ALONG_KEY = 0.55  # distances along the key count less
 _AT_THE_END = 1.5  # of the horizon they count more
+# Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
+# planning within three times the music on two cores where every step fails.
+_SUSTAINED = 0.55
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
 
 
@@ -112,6 +115,8 @@ class HandRefinement:
         self._single = Simulation(scene, 1, dt)
         self._batch = Simulation(scene, self._candidates, dt, num_threads)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
+        full = self._iterations * self._candidates * self._horizon
+        self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self._step = 0
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
@@ -124,6 +129,7 @@ class HandRefinement:
         """
         if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
             self._twin.place(hand_qpos, hand_qvel, key_qpos)
+        self._savings += self._earned
         ctrl = self._plan()
         self._twin.step(ctrl[None])
         self._step += 1
@@ -139,7 +145,7 @@ class HandRefinement:
         best = self._clip(nominal + self._correction)
         cost, mistakes = self._try(self._single, best[None], rows)
         if mistakes[0]:
-            best = self._search(self._clip(nominal), best, cost[0], rows)
+            best = self._search(self._clip(nominal), best, float(cost[0]), rows)
         self._correction[:-1] = _KEPT * (best - nominal)[1:]
         self._correction[-1] = 0.0
         return best[0]
@@ -151,19 +157,25 @@ class HandRefinement:
         return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
-        """A cheaper plan than `best` if there is one; stops when a plan makes no mistakes."""
+        """A cheaper plan than `best` if one is found before the savings are used up.
+
+        Stops when a plan makes no mistakes.
+        """
         assert self._update is not None
         around = Around(best, np.broadcast_to(self._sigma_at(rows), best.shape))
         for iteration in range(self._iterations):
+            if self._savings <= 0:
+                break
             candidates = self._draw(around)
-            candidates[0] = nominal if iteration == 0 else self._clip(around.mean)
-            candidates[1 : 1 + _LIFTED_STEPS] = self._clip(around.mean + self._lifts)
-            costs, mistakes = self._try(self._batch, candidates, rows)
+            candidates[:_LIFTED_STEPS] = self._clip(around.mean + self._lifts)
+            if iteration == 0:
+                candidates[_LIFTED_STEPS] = nominal
+            costs, mistakes = self._try(self._batch, candidates, rows, self._most(cost))
             around = self._update(candidates, costs, around)
-            cheapest = int(np.argmin(costs))
-            if costs[cheapest] < cost:
-                best, cost = candidates[cheapest], costs[cheapest]
-                if not mistakes[cheapest]:
+            first = int(np.argmin(costs))
+            if costs[first] < cost:
+                best, cost = candidates[first], float(costs[first])
+                if not mistakes[first]:
                     return best
         mean = self._clip(around.mean)
         if not (mean == best).all() and self._try(self._single, mean[None], rows)[0][0] < cost:
@@ -188,39 +200,53 @@ class HandRefinement:
     def _clip(self, ctrl: Array) -> Array:
         return np.clip(ctrl, self._servos.low, self._servos.high)
 
+    def _most(self, cost: float) -> float:
+        """What a candidate may cost, where a plan of `cost` is known, to be of use."""
+        return cost if self._update is cheapest else np.inf  # the others weigh all candidates
+
     def _try(
-        self, simulation: Simulation, ctrl: Array, rows: NDArray[np.intp]
+        self, simulation: Simulation, ctrl: Array, rows: NDArray[np.intp], most: float = np.inf
     ) -> tuple[Array, NDArray[np.intp]]:
-        """Cost (N,) of plans (N, H, A) from here on, and how often a key was wrong in each."""
+        """Cost (N,) of plans (N, H, A) from here on, and how often a key was wrong in each.
+
+        A plan that reaches `most` before its end is given up there, at infinite cost.
+        """
         simulation.copy_from(self._twin, 0)
-        inside = min(
-            len(rows), len(self._tracking.ctrl) - self._step
-        )  # past the end nothing matters
-        states = simulation.rollout(ctrl[:, :inside])
-        cost, wrong = _cost(states, self._part, rows[:inside])
-        return np.where(states.unstable.any(axis=1), np.inf, cost), wrong
+        inside = min(len(rows), len(self._tracking.ctrl) - self._step)  # then nothing matters
+        cost, mistakes = np.zeros(len(ctrl)), np.zeros(len(ctrl), np.intp)
+        going = np.arange(len(ctrl))
+        for k, row in enumerate(rows[:inside]):
+            simulation.step(ctrl[:, k], going.tolist())
+            self._savings -= len(going)
+            state = State._make(values[going] for values in simulation.state)
+            more, wrong = _cost(state, self._part, row, last=k == inside - 1)
+            cost[going] += np.where(state.unstable, np.inf, more)
+            mistakes[going] += wrong
+            given_up = cost[going] >= most
+            cost[going[given_up]] = np.inf
+            going = going[~given_up]
+        return cost, mistakes
 
 
-def _cost(states: State, part: HandPart, rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp]]:
-    """Cost (N,) and mistakes (N,) of states (N, H, ...) after the steps `rows`.
+def _cost(state: State, part: HandPart, row: int, last: bool) -> tuple[Array, NDArray[np.intp]]:
+    """Cost (N,) and mistakes (N,) of states (N, ...) after step `row`.
 
     A key that the plan lets go early is no mistake to search for, though it costs.
     """
-    depth = reward.key_state(states.key_qpos)
-    sounding = reward.key_activation(states.key_qpos)
-    mine, wrong = part.mine[rows], part.wrong[rows]
+    depth = reward.key_state(state.key_qpos)
+    sounding = reward.key_activation(state.key_qpos)
+    mine, wrong = part.mine[row], part.wrong[row]
     missing, sounds_wrong = mine & ~sounding, wrong & sounding
-    mistakes = ((missing & part.planned[rows]) | sounds_wrong).sum(axis=(1, 2))
+    mistakes = ((missing & part.planned[row]) | sounds_wrong).sum(axis=1)
     lacking = np.where(mine, (1.0 - depth) ** 2, 0.0)
     lacking += np.where(wrong, np.maximum(depth - _NO_HARM, 0.0) ** 2, 0.0)
-    tips = states.fingertip_xpos[:, :, part.fingers]
-    offset = (tips - part.fingertips[rows + 1]) * (_ALONG_KEY, 1.0, 1.0)
+    tips = state.fingertip_xpos[:, part.fingers]
+    offset = (tips - part.fingertips[row + 1]) * (_ALONG_KEY, 1.0, 1.0)
     astray = np.minimum((offset**2).sum(axis=-1), _FURTHEST**2)
-    astray *= np.where(part.playing[rows + 1], _ASTRAY, _IDLE_ASTRAY)
-    astray[:, -1] *= _AT_THE_END
-    cost = _WRONG * (missing | sounds_wrong).sum(axis=(1, 2))
-    cost = cost + _ALMOST * lacking.sum(axis=(1, 2)) + astray.sum(axis=(1, 2))
-    return cost, mistakes
+    astray *= np.where(part.playing[row + 1], _ASTRAY, _IDLE_ASTRAY)
+    astray *= _AT_THE_END if last else 1.0
+    cost = _WRONG * (missing | sounds_wrong).sum(axis=1)
+    return cost + _ALMOST * lacking.sum(axis=1) + astray.sum(axis=1), mistakes
 
 
 def _lifts(names: tuple[str, ...], horizon: int) -> Array:

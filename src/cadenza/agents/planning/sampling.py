@@ -32,8 +32,12 @@ _TEMPERATURE = 0.1  # of the spread of the costs
 
 
 def cheapest(candidates: Array, cost: Array, around: Around) -> Around:
-    """Predictive sampling (Howell et al., 2022): on from the best, as widely as before."""
-    return Around(candidates[np.argmin(cost)], around.sigma)
+    """Predictive sampling (Howell et al., 2022): on from the best, as widely as before.
+
+    Where all cost infinitely, as those do that are no better than what is known, nothing changes.
+    """
+    best = int(np.argmin(cost))
+    return Around(candidates[best], around.sigma) if np.isfinite(cost[best]) else around
 
 
 def elites(candidates: Array, cost: Array, around: Around) -> Around:
