@@ -137,7 +137,7 @@ def _fast(residual: bool) -> TrainingConfig:
             actor_average=0.01,
         ),
         task=TaskConfig(initial_buffer_time=0.5),
-        num_steps=400_000,
+        num_steps=500_000 if residual else 400_000,
         num_envs=16,
         seed_steps=2_000 if residual else 5_000,
         steps_per_round=8,
