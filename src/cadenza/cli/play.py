@@ -77,13 +77,12 @@ def play(command: Play) -> None:
     check_writable(folder)
     with closing(task):
         performance = perform(task, agent, command.seed, "playing")
-    misses = None
-    if isinstance(agent, ScorePlanner | TrackedPresses):
-        misses = misses_of(performance.episode, agent.plan)
+    plan = agent.plan if isinstance(agent, ScorePlanner | TrackedPresses) else None
+    misses = misses_of(performance.episode, plan) if plan else None
     _write_results(folder, command, performance, task, misses)
     print_scores(performance)
-    if isinstance(agent, ScorePlanner | TrackedPresses) and misses is not None:
-        print_what_was_lost(agent.plan, performance, misses)
+    if plan and misses is not None:
+        print_what_was_lost(plan, performance, misses)
     print(f"\nOpen {folder / 'report.html'}")
 
 

@@ -352,7 +352,7 @@ def _next_moment(
     """The moment `time` with as many of the notes that `begin` as can be played."""
     struck = {press.key for press in begin}
     held = [p for p in before.presses if p.end > time + LETTING_GO and p.key not in struck]
-    most = 5 * sum(side is _STANDS for side in places)
+    most = 5 * sum(place is _STANDS for place in places)
     if len(held) + len(begin) <= most:
         moment = _moment(before, time, [*held, *begin], places)
         if moment.cost.min() < _NEVER:

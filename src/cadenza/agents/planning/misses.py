@@ -34,7 +34,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
@@ -87,7 +86,7 @@ class _Note(NamedTuple):
 
 def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
     """What was lost of an episode, by time, where whoever played it followed `plan`."""
-    inquiry = _Inquiry(episode, plan.score, plan.dropped, plan.nominal)
+    inquiry = _Inquiry(episode, plan)
     runs = zip(*(array.tolist() for array in key_runs(episode["goal_keys"])), strict=True)
     notes = sorted((_Note(key, first, last) for first, last, key in runs), key=lambda n: n[1])
     return [miss for note in notes if (miss := inquiry.into(note))]
@@ -110,9 +109,8 @@ def _counted(causes: Sequence[str]) -> str:
 class _Inquiry:
     """What is known about an episode, and the rules."""
 
-    def __init__(
-        self, episode: Episode, score: Score, dropped: Sequence[Dropped], nominal: Nominal
-    ) -> None:
+    def __init__(self, episode: Episode, plan: SongPlan) -> None:
+        nominal = plan.nominal
         self._dt, self._steps = episode.dt, episode.num_steps
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
         self._depth = key_state(episode["key_qpos"])
@@ -124,7 +122,7 @@ class _Inquiry:
         self._of_finger: dict[int, list[Press]] = {i: [] for i in range(NUM_FINGERS)}
         for press in nominal.presses:
             self._of_finger[press.finger].append(press)
-        self._left_out = _left_out(self._goal, score, dropped, self._dt)
+        self._left_out = _left_out(self._goal, plan.score, plan.dropped, self._dt)
         self._forearms = _forearms_apart(episode)
 
     def into(self, note: _Note) -> Miss | None:

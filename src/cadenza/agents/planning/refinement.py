@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.model.config import Side
 from cadenza.model.scene import Scene
 from cadenza.model.servos import servos_of
 from cadenza.sim.simulation import Simulation, State
@@ -58,8 +60,9 @@ class HandPart:
         playing: (T + 1, 5) whether they are about to press, press, or let go.
     """
 
-    def __init__(self, keys: Mask, fingers: NDArray[np.int8], nominal: Nominal, hand: int) -> None:
-        """`hand` is 0 for the right, 1 for the left; arrays as in `nominal_plan`."""
+    def __init__(self, plan: SongPlan, side: Side) -> None:
+        hand = int(side == "left")
+        keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.mine = keys & (fingers >= 0) & (fingers // 5 == hand)
         others = keys & ~self.mine
         soon = others.copy()  # the other hand needs a moment to leave a key
@@ -225,6 +228,8 @@ class HandRefinement:
             given_up = cost[going] >= most
             cost[going[given_up]] = np.inf
             going = going[~given_up]
+            if not len(going):
+                break
         return cost, mistakes
 
 

@@ -40,15 +40,14 @@ class ScorePlanner:
         score = task.sheets.songs[0]
         found = self.config.fingering == "found"
         self.plan = plan_song(task, score.without_fingers() if found else score)
-        goals, nominal = self.plan.goals, self.plan.nominal
-        scene, dt = task.scene, task.config.control_timestep
-        self._pedal = goals.sustain.astype(np.float64)
+        nominal, scene, dt = self.plan.nominal, task.scene, task.config.control_timestep
+        self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
         for side, hand_rng in zip(scene.sides, rng.spawn(len(scene.sides)), strict=True):
             alone = build_scene(replace(scene.config, hands=side))
             servos = _ids(alone.actuator_names, scene.actuator_names)
             joints = _ids(alone.hand_joint_names, scene.hand_joint_names)
-            part = HandPart(goals.keys, goals.fingers, nominal, int(side == "left"))
+            part = HandPart(self.plan, side)
             threads = available_cores()
             hand = HandRefinement(alone, part, nominal, servos, self.config, dt, threads, hand_rng)
             self._hands.append((hand, servos, joints))

@@ -70,11 +70,10 @@ class TrackedPresses:
         side: Side,
         servos: NDArray[np.intp],
     ) -> PressOptimisation:
-        hand = int(side == "left")
-        goals, nominal = self.plan.goals, self.plan.nominal
+        hand, nominal = int(side == "left"), self.plan.nominal
         return PressOptimisation(
             build_scene(replace(task.scene.config, hands=side)),
-            HandPart(goals.keys, goals.fingers, nominal, hand),
+            HandPart(self.plan, side),
             np.array([press.first - 1 for press in nominal.presses if press.side == hand], np.intp),
             nominal.tracking.of(servos),
             self.config,
