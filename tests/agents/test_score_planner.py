@@ -189,7 +189,26 @@ def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     far = [Press(0, 39, 10, 20), Press(0, 60, 20, 30)]
     cut = let_go_in_time(far, np.zeros(10), 0.05)
     assert 11 <= cut[0].last < 19
-    assert cut[1] == far[1]
+    assert cut[1][:4] == far[1][:4]
+
+
+def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
+    first, key, chord = Press(0, 39, 10, 20), Press(0, 46, 20, 30), Press(4, 53, 20, 30)
+    rest_y = np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2)
+    left, reached = let_go_in_time([first, key], rest_y, 0.05)
+    assert (left.flies_off, reached.flies_to) == (True, True)
+    left_sooner, *landed = let_go_in_time([first, key, chord], rest_y, 0.05)
+    assert left_sooner.last < left.last < 20
+    assert not any(press.flies_to for press in landed)
+
+
+def test_in_a_jump_only_heights_are_strict() -> None:
+    still, jump = Press(1, 41, 5, 8), Press(1, 41, 5, 8, flies_off=True, flies_to=True)
+    strict, loose = targets_of([still], 12).sigma[:, 1], targets_of([jump], 12).sigma[:, 1]
+    on_the_way = [3, 4, 8]
+    assert (loose[on_the_way, :2] > 4 * strict[on_the_way, :2]).all()
+    np.testing.assert_array_equal(loose[:, 2], strict[:, 2])
+    np.testing.assert_array_equal(loose[5:8], strict[5:8])
 
 
 # Least squares

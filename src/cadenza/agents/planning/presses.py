@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import Counter
 from itertools import groupby, pairwise
 from typing import NamedTuple
 
@@ -13,13 +15,15 @@ from cadenza.model.piano import KEY_CENTRE
 Array = NDArray[np.float64]
 
 # What a hand needs to jump, measured by having it do so: within `_WITHIN_REACH` the fingers do it;
-# further away it lifts for a step, glides with `_GLIDE`, and strikes.
+# further away it glides with `_GLIDE`, lifting itself on the way and striking at its end, except
+# that it comes straight down on a chord, which takes a step more.
 _WITHIN_REACH = 0.05  # [m]
 _REACH_WHILE_HOLDING = 0.06  # [m]
 # As if it sped up over half the way and slowed down over the other [m/s^2]; a chord has to land
 # on several keys at once.
 _GLIDE, _GLIDE_OF_CHORD = 80.0, 50.0
 _STEPS_AHEAD = 8  # further away than this, no jump needs the time
+_FLIGHT = 2  # steps between two presses that are spent on the way, if the hand has to jump
 
 
 class Press(NamedTuple):
@@ -32,6 +36,10 @@ class Press(NamedTuple):
     key: int
     first: int
     last: int
+    flies_off: bool = False
+    """The hand leaves it in a jump."""
+    flies_to: bool = False
+    """The hand comes to it in a jump, and to no other key."""
 
     @property
     def side(self) -> int:
@@ -58,7 +66,7 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press
 
 
 def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press]:
-    """The presses, cut short where finger or hand must be elsewhere soon after.
+    """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
     A press keeps a step at least.
 
@@ -77,7 +85,28 @@ def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press
             last = max(min(last, following.first - 1), press.first + 1)
         next_of[press.finger] = press
         result.append(press._replace(last=last))
-    return result[::-1]
+    return _with_jumps(result[::-1], rest_y)
+
+
+def _with_jumps(presses: list[Press], rest_y: Array) -> list[Press]:
+    """Marks presses of one hand that are as little as `_FLIGHT` apart in time and far in space."""
+    together = Counter((press.side, press.first) for press in presses)
+    firsts = [press.first for press in presses]
+    left, reached = set[Press](), set[Press]()
+    for press in presses:
+        soon, too_late = (bisect_right(firsts, press.last + steps) for steps in (0, _FLIGHT))
+        for later in presses[soon:too_late]:
+            way = abs(_hand_y(later, rest_y) - _hand_y(press, rest_y))
+            if later.side == press.side and way > _WITHIN_REACH:
+                left.add(press)
+                reached.add(later)
+    return [
+        press._replace(
+            flies_off=press in left,
+            flies_to=press in reached and together[press.side, press.first] == 1,
+        )
+        for press in presses
+    ]
 
 
 def _let_hand_go(presses: list[Press], side: int, rest_y: Array, dt: float) -> list[Press]:
@@ -99,8 +128,8 @@ def _let_hand_go(presses: list[Press], side: int, rest_y: Array, dt: float) -> l
                     beyond = abs(means[j] - means[i]) - _WITHIN_REACH
                 if beyond > 0:
                     glide = _GLIDE if len(chord) == len(chords[j]) == 1 else _GLIDE_OF_CHORD
-                    steps = 1 + np.ceil(np.sqrt(4 * beyond / glide) / dt)
-                    last = min(last, max(first - int(steps), press.first + 1))
+                    steps = int(np.ceil(np.sqrt(4 * beyond / glide) / dt)) + (len(chords[j]) > 1)
+                    last = min(last, max(first - steps, press.first + 1))
             cut.append(press._replace(last=last))
     return cut
 

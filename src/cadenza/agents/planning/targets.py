@@ -44,6 +44,7 @@ _X_SIGMA = 0.006
 _AT_KEY = np.array([_X_SIGMA, 0.0015, 0.001])
 _ABOVE_KEY = np.array([_X_SIGMA, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
+_IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
 
 
 class Targets(NamedTuple):
@@ -93,6 +94,8 @@ def _approach(targets: Targets, press: Press, before: int) -> None:
         high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
         sigma = _ABOVE_KEY * steps
         sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
+        if press.flies_to:
+            sigma *= _IN_FLIGHT
         _box(targets, press, state, over, (low, high), sigma)
 
 
@@ -106,9 +109,10 @@ def _hold(targets: Targets, press: Press) -> None:
 
 
 def _let_go(targets: Targets, press: Press) -> None:
-    """Straight up before it goes anywhere, or it would drag along the key."""
+    """Straight up before it goes anywhere, or it would drag along the key; in a jump just up."""
     over = _at(press, angle=0.0)
-    _box(targets, press, press.last, over, (over[2] + _LIFTED, np.inf), _ABOVE_KEY)
+    sigma = _ABOVE_KEY * _IN_FLIGHT if press.flies_off else _ABOVE_KEY
+    _box(targets, press, press.last, over, (over[2] + _LIFTED, np.inf), sigma)
 
 
 def _box(
