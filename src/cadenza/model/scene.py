@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, get_args
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, get_args
 
 import mujoco
 import numpy as np
@@ -82,6 +82,24 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     model = spec.compile()
     _damp_forearms_critically(model, sides, config)
     return _resolve(config, model, sides)
+
+
+class HandAlone(NamedTuple):
+    """One hand of a scene, in a scene without the other."""
+
+    scene: Scene
+    servos: Ids
+    """Its actuators among those of both."""
+    joints: Ids
+    """Its joints among those of both."""
+
+
+def hand_alone(scene: Scene, side: Side) -> HandAlone:
+    """Takes the hand on one side by itself."""
+    alone = build_scene(replace(scene.config, hands=side))
+    servos = [scene.actuator_names.index(name) for name in alone.actuator_names]
+    joints = [scene.hand_joint_names.index(name) for name in alone.hand_joint_names]
+    return HandAlone(alone, np.array(servos, np.intp), np.array(joints, np.intp))
 
 
 def _sides(config: SceneConfig) -> tuple[Side, ...]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cadenza.agents.agent import Array
@@ -11,7 +9,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
-from cadenza.model.scene import build_scene
+from cadenza.model.scene import hand_alone
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.piano_task import PianoTask
 
@@ -44,9 +42,7 @@ class ScorePlanner:
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
         for side, hand_rng in zip(scene.sides, rng.spawn(len(scene.sides)), strict=True):
-            alone = build_scene(replace(scene.config, hands=side))
-            servos = _ids(alone.actuator_names, scene.actuator_names)
-            joints = _ids(alone.hand_joint_names, scene.hand_joint_names)
+            alone, servos, joints = hand_alone(scene, side)
             part = HandPart(self.plan, side)
             threads = available_cores()
             hand = HandRefinement(alone, part, nominal, servos, self.config, dt, threads, hand_rng)
@@ -62,10 +58,6 @@ class ScorePlanner:
             )
         self._step += 1
         return action
-
-
-def _ids(names: tuple[str, ...], among: tuple[str, ...]) -> np.ndarray:
-    return np.array([among.index(name) for name in names], np.intp)
 
 
 def _check(config: ScorePlannerConfig) -> None:

@@ -6,10 +6,8 @@ The paper (Zakka et al., CoRL 2023) names it as an alternative to its planners.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Array
@@ -19,8 +17,7 @@ from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
 from cadenza.model.config import Side
-from cadenza.model.hand import prefix
-from cadenza.model.scene import build_scene
+from cadenza.model.scene import HandAlone, hand_alone
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.piano_task import PianoTask
 
@@ -54,28 +51,23 @@ class TrackedPresses:
         self.plan = plan_song(task, task.sheets.songs[0].without_fingers())
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._task, self._step = task, 0
-        self._parts, self.trajectories = [], []
+        self._hands, self.trajectories = list[HandAlone](), []
         for side in task.scene.sides:
-            servos = _of_side(task.scene.actuator_names, side)
-            joints = _of_side(task.scene.hand_joint_names, side)
+            hand = hand_alone(task.scene, side)
             with threadpool_limits(1):  # small matrices, and the same bits everywhere
-                optimisation = self._optimisation(task, side, servos)
-                start = task.state.hand_qpos[0, joints]
+                optimisation = self._optimisation(task, side, hand)
+                start = task.state.hand_qpos[0, hand.joints]
                 self.trajectories.append(optimisation.optimise(start))
-            self._parts.append((servos, joints))
+            self._hands.append(hand)
 
-    def _optimisation(
-        self,
-        task: PianoTask,
-        side: Side,
-        servos: NDArray[np.intp],
-    ) -> PressOptimisation:
-        hand, nominal = int(side == "left"), self.plan.nominal
+    def _optimisation(self, task: PianoTask, side: Side, hand: HandAlone) -> PressOptimisation:
+        nominal, number = self.plan.nominal, int(side == "left")
+        mine = [press.first - 1 for press in nominal.presses if press.side == number]
         return PressOptimisation(
-            build_scene(replace(task.scene.config, hands=side)),
+            hand.scene,
             HandPart(self.plan, side),
-            np.array([press.first - 1 for press in nominal.presses if press.side == hand], np.intp),
-            nominal.tracking.of(servos),
+            np.array(mine, np.intp),
+            nominal.tracking.of(hand.servos),
             self.config,
             task.config.control_timestep,
             available_cores(),
@@ -85,13 +77,9 @@ class TrackedPresses:
         task, state = self._task, self._task.state
         action = np.zeros(task.action_size)
         action[-1] = self._pedal[self._step]
-        for (servos, joints), planned in zip(self._parts, self.trajectories, strict=True):
+        for (_, servos, joints), planned in zip(self._hands, self.trajectories, strict=True):
             here = np.concatenate([state.hand_qpos[0, joints], state.hand_qvel[0, joints]])
             deviation = here - planned.state[self._step]
             action[servos] = planned.ctrl[self._step] + planned.gain[self._step] @ deviation
         self._step += 1
         return np.clip(action, task.action_low, task.action_high)
-
-
-def _of_side(names: tuple[str, ...], side: Side) -> NDArray[np.intp]:
-    return np.array([i for i, name in enumerate(names) if name.startswith(prefix(side))], np.intp)
