@@ -87,7 +87,7 @@ def _guess(
     for side, slide in zip(scene.sides, slides, strict=bool(slides)):
         place, count = np.zeros(states), np.zeros(states)
         for press in presses:
-            if press.side == (side == "left"):
+            if press.side == side:
                 there = slice(max(press.first - _LEAD, 0), press.last)
                 place[there] += KEY_CENTRE[press.key, 1] - rest_y[press.finger]
                 count[there] += 1

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.model.config import Side
 from cadenza.model.piano import KEY_CENTRE
+from cadenza.music.fingering import BOTH
 
 Array = NDArray[np.float64]
 
@@ -42,9 +44,9 @@ class Press(NamedTuple):
     """The hand comes to it in a jump, and to no other key."""
 
     @property
-    def side(self) -> int:
-        """0 right, 1 left."""
-        return self.finger // 5
+    def side(self) -> Side:
+        """Of the hand."""
+        return BOTH[self.finger // 5]
 
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press]:
@@ -75,7 +77,7 @@ def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press
         rest_y: (10,) where the fingertips are along the keyboard when the forearms are at 0 [m].
         dt: control step [s].
     """
-    cut = [press for side in (0, 1) for press in _let_hand_go(presses, side, rest_y, dt)]
+    cut = [press for side in BOTH for press in _let_hand_go(presses, side, rest_y, dt)]
     next_of: dict[int, Press] = {}
     result = []
     for press in sorted(cut, key=lambda press: (press.first, press.key), reverse=True):
@@ -109,7 +111,7 @@ def _with_jumps(presses: list[Press], rest_y: Array) -> list[Press]:
     ]
 
 
-def _let_hand_go(presses: list[Press], side: int, rest_y: Array, dt: float) -> list[Press]:
+def _let_hand_go(presses: list[Press], side: Side, rest_y: Array, dt: float) -> list[Press]:
     mine = [press for press in presses if press.side == side]
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
     places = [[_hand_y(press, rest_y) for press in chord] for chord in chords]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.tracking import Tracking
 from cadenza.model.config import Side
 from cadenza.model.scene import Scene
 from cadenza.model.servos import servos_of
@@ -75,7 +75,7 @@ class HandPart:
         self.planned = np.zeros_like(self.mine)
         self.playing = np.zeros((len(keys) + 1, 5), bool)
         for press in nominal.presses:
-            if press.side == hand:
+            if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
                 self.playing[max(press.first - 2, 0) : press.last + 1, press.finger % 5] = True
 
@@ -87,8 +87,7 @@ class HandRefinement:
         self,
         scene: Scene,
         part: HandPart,
-        nominal: Nominal,
-        servo_ids: NDArray[np.intp],
+        tracking: Tracking,
         config: ScorePlannerConfig,
         dt: float,
         num_threads: int,
@@ -97,17 +96,15 @@ class HandRefinement:
         """Args:
         scene: with this hand only.
         part: what it has to do.
-        nominal: the plan, of all servos.
-        servo_ids: which of these are this hand's.
+        tracking: the controls of the plan, of this hand's servos.
         config: how to sample.
         dt: control step [s].
         num_threads: that share the rollouts.
         rng: what is random.
         """
-        self._part, self._rng = part, rng
+        self._part, self._tracking, self._rng = part, tracking, rng
         self._servos = servos_of(scene)
         self._to_posture = np.linalg.pinv(self._servos.joints)
-        self._tracking = nominal.tracking.of(servo_ids)
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))

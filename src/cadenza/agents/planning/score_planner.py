@@ -38,14 +38,14 @@ class ScorePlanner:
         score = task.sheets.songs[0]
         found = self.config.fingering == "found"
         self.plan = plan_song(task, score.without_fingers() if found else score)
-        nominal, scene, dt = self.plan.nominal, task.scene, task.config.control_timestep
+        scene, dt = task.scene, task.config.control_timestep
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
         for side, hand_rng in zip(scene.sides, rng.spawn(len(scene.sides)), strict=True):
             alone, servos, joints = hand_alone(scene, side)
-            part = HandPart(self.plan, side)
+            part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
             threads = available_cores()
-            hand = HandRefinement(alone, part, nominal, servos, self.config, dt, threads, hand_rng)
+            hand = HandRefinement(alone, part, tracking, self.config, dt, threads, hand_rng)
             self._hands.append((hand, servos, joints))
 
     def act(self) -> Array:

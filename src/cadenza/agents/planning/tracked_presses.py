@@ -61,8 +61,8 @@ class TrackedPresses:
             self._hands.append(hand)
 
     def _optimisation(self, task: PianoTask, side: Side, hand: HandAlone) -> PressOptimisation:
-        nominal, number = self.plan.nominal, int(side == "left")
-        mine = [press.first - 1 for press in nominal.presses if press.side == number]
+        nominal = self.plan.nominal
+        mine = [press.first - 1 for press in nominal.presses if press.side == side]
         return PressOptimisation(
             hand.scene,
             HandPart(self.plan, side),
