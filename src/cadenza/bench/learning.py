@@ -88,7 +88,7 @@ def gather(score: Score) -> Experience:
     observer = Observer(task, scores, inputs)
     actions = task.action_size
     played = Replay(observer, 1, 2 * PLAYED, actions)
-    collector = Collector(task, scores, observer, played, None, rng)
+    collector = Collector(task, scores, observer, played, task.scale_action, rng)
     collector.begin()
     collector.collect(None, PLAYED)
 

@@ -12,10 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody
 
 from cadenza.agents.rl.collector import Collector, Finished
+from cadenza.agents.rl.control import control_of
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.replay import Batch, Replay
-from cadenza.agents.rl.residual import PlanFollower, plan_of
+from cadenza.agents.rl.residual import plan_of
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -65,13 +66,13 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = Scores(self.task)
         self.scores.add_all(self.task)
-        follower = PlanFollower(self.task, plan_of(self.task)) if residual else None
-        plan = follower.actions if follower else None
+        control = control_of(self.task, plan_of(self.task) if residual else None, None)
         inputs = inputs_of(self.task, None, residual)
-        self.observer = Observer(self.task, self.scores, inputs, plan)
+        self.observer = Observer(self.task, self.scores, inputs, control.plan)
         self.replay = Replay(self.observer, 3, capacity, self.task.action_size)
+        rng = np.random.default_rng(0)
         self.collector = Collector(
-            self.task, self.scores, self.observer, self.replay, follower, np.random.default_rng(0)
+            self.task, self.scores, self.observer, self.replay, control.ctrl, rng
         )
 
     def sample(self, seed: int, number: int) -> Batch:

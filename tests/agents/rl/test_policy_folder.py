@@ -16,6 +16,7 @@ from rl_examples import melody
 from cadenza.agents.play import Performance, play
 from cadenza.agents.rl.observation import Scores, inputs_of
 from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy, save_policy
+from cadenza.agents.rl.ranges import ranges_of
 from cadenza.agents.rl.residual import plan_of
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
@@ -37,7 +38,7 @@ SONG = Score(
 )
 
 
-def some_policy(residual: bool = False, **task: Any) -> LearntPolicy:
+def some_policy(residual: bool = False, ranged: bool = False, **task: Any) -> LearntPolicy:
     config = TaskConfig(initial_buffer_time=0.1, **task)
     scene = SceneConfig(hands="right", forearm_dofs=("tx", "ty"))
     shown = PianoTask([SONG], config, scene)
@@ -56,22 +57,26 @@ def some_policy(residual: bool = False, **task: Any) -> LearntPolicy:
     weights = layer("hidden_0", len(inputs.kept), 16) | layer("hidden_1", 16, 16)
     weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
     plan = plan_of(shown) if residual else None
-    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, plan, config, scene, SONG)
+    ranges = ranges_of(shown) if ranged else None
+    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, plan, ranges, config, scene, SONG)
 
 
 def played(learnt: LearntPolicy) -> Performance:
     return play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent)
 
 
-@pytest.mark.parametrize("residual", [False, True])
-def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, residual: bool) -> None:
-    learnt = some_policy(residual)
+@pytest.mark.parametrize("kind", ["plain", "residual", "ranged"])
+def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> None:
+    learnt = some_policy(kind == "residual", kind == "ranged")
     save_policy(tmp_path / "policy", learnt, {"step": 3})
     again = load_policy(tmp_path / "policy")
-    assert replace(again, weights={}, plan=None) == replace(learnt, weights={}, plan=None)
-    assert (again.plan is None) == (learnt.plan is None) == (not residual)
-    for name, array in (learnt.plan._asdict() if learnt.plan else {}).items():
-        assert_array_equal(getattr(again.plan, name), array)
+    nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+    assert replace(again, **nothing) == replace(learnt, **nothing)
+    assert (again.plan is None) == (learnt.plan is None) == (kind != "residual")
+    assert (again.ranges is None) == (learnt.ranges is None) == (kind != "ranged")
+    for ours, theirs in ((again.plan, learnt.plan), (again.ranges, learnt.ranges)):
+        for name, array in (theirs._asdict() if theirs else {}).items():
+            assert_array_equal(getattr(ours, name), array)
     assert [note.start.hex() for note in again.score.notes] == [n.start.hex() for n in SONG.notes]
     assert again.weights.keys() == learnt.weights.keys()
     for name, array in learnt.weights.items():
@@ -131,7 +136,9 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
     facts, arrays = read_sealed(tmp_path / "policy", "policy")
     write_sealed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
-    assert_refused(tmp_path / "policy", "format 99, and this version reads 1; install the version")
+    assert_refused(
+        tmp_path / "policy", "format 99, and this version reads up to 2; install the version"
+    )
 
 
 @pytest.mark.parametrize(

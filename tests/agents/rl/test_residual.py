@@ -35,7 +35,7 @@ class Following:
 
     def act(self) -> Any:
         correction = np.full((1, self.task.action_size), self.correction, np.float32)
-        return self.follower.ctrl(self.task, correction)[0]
+        return self.follower.ctrl(correction)[0]
 
 
 def performance(agent: Any, score: Score = SONG, **options: Any) -> Performance:
@@ -61,7 +61,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
     task.reset([np.random.default_rng(0)], [0])
     follower = PlanFollower(task, plan_of(task))
     plain, moved = (
-        follower.ctrl(task, np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
+        follower.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
     )
     change = moved - plain
     assert change[-1] == 0

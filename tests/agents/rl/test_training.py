@@ -51,7 +51,7 @@ CONFIG = TrainingConfig(
 )
 WAYS = {
     "in turn": CONFIG,
-    "parallel": replace(CONFIG, parallel=True),
+    "parallel": replace(CONFIG, parallel=True, song_range=True),
     "residual": replace(CONFIG, parallel=True, residual=True),
     # Its score is drawn anew every time.
     "stretched": replace(CONFIG, task=replace(CONFIG.task, random_stretch=0.3)),
@@ -92,10 +92,9 @@ def evaluations(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def figures(run: RunFolder) -> list[dict[str, Any]]:
-    """Of the rows in between; the means of figures of updates begin anew when a run goes on."""
+    """Of the rows in between."""
     rows = [row for row in run.rows() if "eval_step" not in row]
-    kept = ("step", "updates", "episodes/f1", "episodes/return")
-    return [{name: row.get(name) for name in kept} for row in rows]
+    return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
 
 
 def newest(run: RunFolder) -> Path:
@@ -115,7 +114,8 @@ def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
         assert facts[name] == other_facts[name]
     for name in ("best", "last"):
         ours, theirs = (load_policy(r.path / name) for r in (run, other))
-        assert replace(ours, weights={}, plan=None) == replace(theirs, weights={}, plan=None)
+        nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+        assert replace(ours, **nothing) == replace(theirs, **nothing)
         for layer, array in ours.weights.items():
             assert_array_equal(array, theirs.weights[layer])
     assert evaluations(run) == evaluations(other)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 from cadenza.agents.rl.observation import Floats, Observer, Scores
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.replay import Replay, Rows
-from cadenza.agents.rl.residual import PlanFollower
 from cadenza.tasks.piano_task import PianoTask, Transition
+
+Array = NDArray[np.float64]
 
 
 class Finished(NamedTuple):
@@ -36,7 +38,7 @@ class Collector:
         scores: Scores,
         observer: Observer,
         replay: Replay,
-        follower: PlanFollower | None,
+        ctrl: Callable[[Floats], Array],
         rng: np.random.Generator,
     ) -> None:
         """Args:
@@ -44,11 +46,11 @@ class Collector:
         scores: where the scores of the episodes are entered.
         observer: what is observed.
         replay: where everything goes.
-        follower: turns what the policy does into actions, if the task does not.
+        ctrl: turns what the policy does (N, A), in [-1, 1], into actuator units.
         rng: of the actions, and of each environment.
         """
         self._task, self._scores, self._observer = task, scores, observer
-        self._replay, self._follower = replay, follower
+        self._replay, self._ctrl = replay, ctrl
         self._rng, *self._env_rngs = rng.spawn(1 + task.num_envs)
         self._env_ids = np.arange(task.num_envs)
         self._action = np.zeros((task.num_envs, task.action_size), np.float32)
@@ -93,9 +95,7 @@ class Collector:
         return finished
 
     def _take(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
-        task, follower = self._task, self._follower
-        ctrl = follower.ctrl(task, action) if follower else task.scale_action(action)
-        result = task.step(ctrl, env_ids)
+        result = self._task.step(self._ctrl(action), env_ids)
         moving = self._env_ids if env_ids is None else env_ids
         self._action[moving] = action[moving]
         self._reward[moving] = result.reward[moving]

@@ -85,6 +85,9 @@ class TrainingConfig:
     """Transitions that are kept to learn from."""
     keep_zero_inputs: bool = False
     """Observe also what is always zero for this song, which changes nothing and takes longer."""
+    song_range: bool = False
+    """Move the forearms along the keys that the song needs only, and see joints and actions on the
+    scale of their ranges."""
     residual: bool = False
     """Correct the plan that inverse kinematics makes, instead of starting from nothing."""
     eval_interval: int = 10_000

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.rl.ranges import Ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER
 from cadenza.tasks.music import goals_of
@@ -113,20 +114,27 @@ class Observer:
 
     An observation is that of the task, then as published the previous action in actuator units and
     the reward that it got, and with a plan its next action. At first both are 0, where the
-    published wrapper shows the least action.
+    published wrapper shows the least action. With ranges, joints and the previous action are on
+    their scale.
 
     Attributes:
         inputs: which entries of it are there.
     """
 
     def __init__(
-        self, task: PianoTask, scores: Scores, inputs: Inputs, plan: Floats | None = None
+        self,
+        task: PianoTask,
+        scores: Scores,
+        inputs: Inputs,
+        plan: Floats | None = None,
+        ranges: Ranges | None = None,
     ) -> None:
         """Args:
         task: whose observations they are.
         scores: the music.
         inputs: which entries are to be there.
         plan: (T, A) of the only score, in [-1, 1].
+        ranges: of joints and actions, which are shown as -1 to 1 then.
 
         Raises:
             CadenzaError: the observations have other entries.
@@ -141,6 +149,11 @@ class Observer:
         self._scores, self._plan = scores, plan
         self._centre = ((task.action_high + task.action_low) / 2).astype(np.float32)
         self._scale = ((task.action_high - task.action_low) / 2).astype(np.float32)
+        self._joints: tuple[slice, Floats, Floats] | None = None
+        if ranges is not None:
+            self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
+            low, high = ranges.joints.astype(np.float32)
+            self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
         goals, rest = task.observation_layout["goal"].stop, task.observation_layout["key_state"]
         kept = np.array(inputs.kept)
         self._goal = kept[kept < goals]
@@ -149,7 +162,11 @@ class Observer:
 
     def rest(self, task: PianoTask) -> Floats:
         """(N, S) what the task shows that does not follow from the score."""
-        return task.observation()[:, self._rest]
+        shown = task.observation()
+        if self._joints:
+            joints, centre, scale = self._joints
+            shown[:, joints] = (shown[:, joints] - centre) / scale
+        return shown[:, self._rest]
 
     @property
     def rest_size(self) -> int:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
+from cadenza.agents.rl.control import control_of
 from cadenza.agents.rl.observation import Inputs, Observer, Scores
 from cadenza.agents.rl.policy import Policy
-from cadenza.agents.rl.residual import Plan, PlanFollower
+from cadenza.agents.rl.ranges import Ranges
+from cadenza.agents.rl.residual import Plan
 from cadenza.errors import CadenzaError
 from cadenza.tasks.piano_task import PianoTask
 
@@ -15,13 +17,17 @@ from cadenza.tasks.piano_task import PianoTask
 class PolicyAgent:
     """Does what the policy finds best."""
 
-    def __init__(self, policy: Policy, inputs: Inputs, plan: Plan | None) -> None:
+    def __init__(
+        self, policy: Policy, inputs: Inputs, plan: Plan | None, ranges: Ranges | None
+    ) -> None:
         """Args:
         policy: what was learnt.
         inputs: what it observes.
         plan: what it corrects, if it does.
+        ranges: on whose scale it sees and acts, if not on the task's.
         """
-        self._policy, self._inputs, self._plan = policy, inputs, plan
+        self._policy, self._inputs = policy, inputs
+        self._plan, self._ranges = plan, ranges
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
         """Raises:
@@ -35,11 +41,10 @@ class PolicyAgent:
                 f"the policy corrects a plan of {len(plan.ctrl)} steps and {plan.ctrl.shape[1]} "
                 f"servos, and here are {size[0]} and {size[1]}: it plays what it has learnt only"
             )
-        self._follower = None if plan is None else PlanFollower(task, plan)
+        self._control = control_of(task, plan, self._ranges)
         sheets, scores = task.sheets, Scores(task)
         scores.add(*sheets.part(0, 0, int(sheets.num_steps[0])))
-        ahead = self._follower.actions if self._follower else None
-        self._observer = Observer(task, scores, self._inputs, ahead)
+        self._observer = Observer(task, scores, self._inputs, self._control.plan, self._ranges)
         self._action = np.zeros((1, task.action_size), np.float32)
 
     def act(self) -> Array:
@@ -53,6 +58,4 @@ class PolicyAgent:
             task.sheets.steps_done == 0,
         )
         self._action = self._policy.best(observation)
-        if self._follower:
-            return self._follower.ctrl(task, self._action)[0]
-        return task.scale_action(self._action)[0]
+        return self._control.ctrl(self._action)[0]

@@ -13,6 +13,7 @@ from cadenza.agents.rl.config import Activation, read_config
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_agent import PolicyAgent
+from cadenza.agents.rl.ranges import Ranges
 from cadenza.agents.rl.residual import Plan
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
@@ -21,8 +22,9 @@ from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
 
 _KIND = "policy"
-_FORMAT = 1
-_PLAN = "plan/"  # what names of its arrays begin with
+_FORMAT = 2
+_READ = (1, _FORMAT)  # the first had no ranges
+_PLAN, _RANGES = "plan/", "ranges/"  # what names of their arrays begin with
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,8 @@ class LearntPolicy:
     inputs: Inputs
     plan: Plan | None
     """What it corrects, if it does."""
+    ranges: Ranges | None
+    """On whose scale it sees and acts, if not on the task's."""
     task: TaskConfig
     scene: SceneConfig
     score: Score
@@ -48,7 +52,7 @@ class LearntPolicy:
     @property
     def agent(self) -> PolicyAgent:
         """For one that is played."""
-        return PolicyAgent(self.policy, self.inputs, self.plan)
+        return PolicyAgent(self.policy, self.inputs, self.plan, self.ranges)
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:
@@ -69,7 +73,8 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "score": asdict(learnt.score),
     }
     try:
-        write_sealed(folder, _KIND, facts, learnt.weights | _plan_arrays(learnt.plan))
+        parts = _named(_PLAN, learnt.plan) | _named(_RANGES, learnt.ranges)
+        write_sealed(folder, _KIND, facts, learnt.weights | parts)
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -81,9 +86,9 @@ def load_policy(folder: Path) -> LearntPolicy:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
     facts, arrays = read_sealed(folder, _KIND)
-    if facts.get("format") != _FORMAT:
+    if facts.get("format") not in _READ:
         raise CadenzaError(
-            f"{folder}: a policy of format {facts.get('format')}, and this version reads "
+            f"{folder}: a policy of format {facts.get('format')}, and this version reads up to "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
     try:
@@ -98,19 +103,24 @@ def load_policy(folder: Path) -> LearntPolicy:
     return learnt
 
 
-def _plan_arrays(plan: Plan | None) -> dict[str, NDArray[Any]]:
-    return {} if plan is None else {_PLAN + name: a for name, a in plan._asdict().items()}
+def _named(prefix: str, part: Plan | Ranges | None) -> dict[str, NDArray[Any]]:
+    return {} if part is None else {prefix + name: a for name, a in part._asdict().items()}
+
+
+def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
 def _learnt(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LearntPolicy:
-    plan = {n.removeprefix(_PLAN): a for n, a in arrays.items() if n.startswith(_PLAN)}
+    plan, ranges = _with(_PLAN, arrays), _with(_RANGES, arrays)
     low, high = facts["log_std_range"]
     return LearntPolicy(
-        weights={n: a for n, a in arrays.items() if not n.startswith(_PLAN)},
+        weights={n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))},
         activation=facts["activation"],
         log_std_range=(low, high),
         inputs=Inputs(tuple(facts["inputs"]["kept"]), facts["inputs"]["total"]),
         plan=Plan(**plan) if facts["residual"] else None,
+        ranges=Ranges(**ranges) if ranges else None,
         task=read_config(TaskConfig, facts["task"]),
         scene=read_config(SceneConfig, facts["scene"]),
         score=Score.from_plain(facts["score"]),

@@ -54,7 +54,7 @@ class PlanFollower:
     """Turns corrections in [-1, 1] into actions."""
 
     def __init__(self, task: PianoTask, plan: Plan) -> None:
-        self._plan = plan
+        self._task, self._plan = task, plan
         self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
         self._low, self._high = task.action_low, task.action_high
 
@@ -65,12 +65,12 @@ class PlanFollower:
         centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
         return ((action - centre) / scale).astype(np.float32)
 
-    def ctrl(self, task: PianoTask, correction: Floats) -> Array:
+    def ctrl(self, correction: Floats) -> Array:
         """(N, A + 1) actions in actuator units from corrections (N, A + 1) in [-1, 1].
 
         The pedal is the score's whatever the correction.
         """
-        row, state, plan = task.sheets.row, task.state, self._plan
+        row, state, plan = self._task.sheets.row, self._task.state, self._plan
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         here = np.stack([position, speed], axis=-1)
         feedback = (plan.gain[row] * (here - plan.expected[row])).sum(axis=-1)

@@ -16,12 +16,14 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.play import play
 from cadenza.agents.rl.collector import Collector, Finished
 from cadenza.agents.rl.config import TrainingConfig, check
+from cadenza.agents.rl.control import control_of
 from cadenza.agents.rl.droq import Learner, from_arrays, to_arrays, weights_of
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_folder import LearntPolicy, save_policy
+from cadenza.agents.rl.ranges import ranges_of
 from cadenza.agents.rl.replay import Replay
-from cadenza.agents.rl.residual import PlanFollower, plan_of
+from cadenza.agents.rl.residual import plan_of
 from cadenza.agents.rl.run_folder import Checkpoint, RunFolder
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
@@ -60,15 +62,17 @@ class Training:
         self._scores = Scores(self._task)
         self._scores.add_all(self._task)
         self._plan = plan_of(self._task) if config.residual else None
-        follower = None if self._plan is None else PlanFollower(self._task, self._plan)
-        inputs = inputs_of(self._task, self._known_scores(), follower is not None)
-        ahead = follower.actions if follower else None
-        observer = Observer(self._task, self._scores, inputs, ahead)
+        self._ranges = ranges_of(self._task) if config.song_range else None
+        control = control_of(self._task, self._plan, self._ranges)
+        inputs = inputs_of(self._task, self._known_scores(), config.residual)
+        observer = Observer(self._task, self._scores, inputs, control.plan, self._ranges)
         actions = self._task.action_size
         self._inputs = inputs
         self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
-        self._collector = Collector(self._task, self._scores, observer, self._replay, follower, rng)
+        self._collector = Collector(
+            self._task, self._scores, observer, self._replay, control.ctrl, rng
+        )
         self._learner = Learner(config.learner, inputs, actions, config.num_updates)
         self._state = self._learner.initial_state(config.seed)
         self._policy = self._latest_policy()
@@ -167,6 +171,7 @@ class Training:
             log_std_range=(learner.log_std_min, learner.log_std_max),
             inputs=self._inputs,
             plan=self._plan,
+            ranges=self._ranges,
             task=config.task,
             scene=config.scene,
             score=self._score,
@@ -175,11 +180,8 @@ class Training:
     # Figures
 
     def _log(self) -> None:
-        names = self._figures[0] if self._figures else {}
-        row = {
-            f"train/{name}": float(np.nanmean(np.concatenate([f[name] for f in self._figures])))
-            for name in names
-        }
+        figures = _one_after_another(self._figures)
+        row = {f"train/{name}": float(np.nanmean(values)) for name, values in figures.items()}
         if self._finished:
             row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
             row["episodes/return"] = float(
@@ -235,7 +237,7 @@ class Training:
             "replay": self._chunks,
         }
         parts = {"learner": to_arrays(self._state), "collector": arrays}
-        parts |= {"scores": self._scores.arrays()}
+        parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
         self._folder.save(facts, _joined(parts))
         save_policy(self._folder.path / "last", self._learnt(), {"step": self.step})
 
@@ -248,6 +250,7 @@ class Training:
         self._state = from_arrays(parts["learner"], self._state)
         self._policy = self._latest_policy()
         self._scores.restore(parts["scores"])
+        self._figures = [parts["figures"]] if "figures" in parts else []
         for gathered in checkpoint.replay:
             self._replay.restore(gathered)
         self._collector.restore(facts["collector"], parts["collector"])
@@ -258,6 +261,12 @@ class Training:
             stack.callback(self._task.close)
             stack.callback(self._background.shutdown)
             stack.callback(self._learning.shutdown)
+
+
+def _one_after_another(figures: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """By name (U,) of all updates, from those (u,) of each round."""
+    names = figures[0] if figures else {}
+    return {name: np.concatenate([some[name] for some in figures]) for name in names}
 
 
 def _joined(parts: dict[str, dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
