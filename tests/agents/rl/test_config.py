@@ -51,7 +51,7 @@ def test_the_defaults_of_training_are_the_table_of_the_paper() -> None:
     assert config.eval_interval == 10_000
     # One environment, one update a step, as in the published code.
     assert (config.num_envs, config.steps_per_round, config.updates_per_round) == (1, 1, 1)
-    assert (config.parallel, config.residual) == (False, False)
+    assert (config.parallel, config.residual, config.song_range) == (False, False, False)
     assert config.task.n_steps_lookahead == 10
     assert config.task.control_timestep == 0.05
     assert config.task.trim_silence
