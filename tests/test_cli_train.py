@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from cadenza.music.score import Note, Score
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 SMALL = ["--hidden-sizes", "16", "16", "--batch-size", "8", "--num-envs", "2", "--no-video"]
 SHORT = ["--num-steps", "200", "--seed-steps", "64", "--eval-interval", "100"]
-SHORT += ["--log-interval", "50"]
+SHORT += ["--log-interval", "50", "--steps-per-round", "8"]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -110,6 +111,22 @@ def test_a_finished_run_stays_finished(run: Path, capsys: pytest.CaptureFixture[
     assert rows(run) == before
 
 
+def test_a_run_goes_on_to_another_end(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    longer = tmp_path / "longer"
+    shutil.copytree(run, longer)
+    main(["train", "--resume", str(longer), "--num-steps", "300", "--no-video"])
+    capsys.readouterr()
+    assert rows(longer)[: len(rows(run))] == rows(run)
+    assert rows(longer)[-1]["eval_step"] == 304
+    with pytest.raises(SystemExit):
+        main(["train", "--resume", str(longer), "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "(default: 300)" in shown  # the run's own
+    assert "(default: 16 16)" in shown
+
+
 def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     code = "from cadenza.cli import main; main()"
@@ -143,6 +160,8 @@ def test_what_makes_no_sense_is_said_in_a_line(
     assert "no run" in refused(capsys, "train", "--resume", tmp_path / "none")
     options = ("--resume", run, "--batch-size", 9)
     assert "its own options" in refused(capsys, "train", *options)
+    options = ("--resume", run, "--preset", "paper")
+    assert "leave out --preset" in refused(capsys, "train", *options)
     assert "num_cores 0" in refused(capsys, "train", tune, "--num-cores", 0)
     assert "no agent 'nobody'" in refused(capsys, "play", tune, "--agent", "nobody")
     assert "no pretrained policy" in refused(capsys, "play", tune, "--agent", "pretrained")

@@ -8,12 +8,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import Annotated, Any, Union, get_args
+from typing import Annotated, Any, Union
 
 import tyro
 
-from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.cli import about, compare, plan, play, train
 from cadenza.errors import CadenzaError
 
@@ -32,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
     try:
         arguments = sys.argv[1:] if arguments is None else arguments
-        defaults: dict[type, Any] = {train.Train: train.Train(training=_named_preset(arguments))}
+        training = train.begins_with(arguments)
+        defaults: dict[type, Any] = {train.Train: train.Train(training=training)}
         kinds: Any = tuple(
             Annotated[
                 kind,
@@ -64,12 +63,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("cadenza: interrupted", file=sys.stderr)
         sys.exit(130)
-
-
-def _named_preset(arguments: Sequence[str]) -> TrainingConfig:
-    """The preset that the arguments name, which the other options then change, and --help shows."""
-    words = [word for argument in arguments for word in argument.split("=", 1)]
-    following = dict(pairwise(words))
-    name = following.get("--preset", "fast")
-    known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
-    return preset(known, "--residual" in arguments)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
@@ -36,7 +37,8 @@ class Train:
     """Where the options below begin: what suits few cores; the table of the paper; or what the
     published run script says."""
     resume: Path | None = None
-    """Folder of a run that is to go on, with the options that it has."""
+    """Folder of a run that is to go on with the options that it has; with --num-steps to another
+    end."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
@@ -63,13 +65,30 @@ class Curves:
     """The page."""
 
 
+def begins_with(arguments: Sequence[str]) -> TrainingConfig:
+    """What the options of training change, and --help shows: a run's own, or those of a preset.
+
+    Raises:
+        CadenzaError: there is no such run.
+    """
+    words = [word for argument in arguments for word in argument.split("=", 1)]
+    following = dict(pairwise(words))
+    if words[:1] == ["train"] and "--resume" in following:
+        from cadenza.agents.rl.run_folder import RunFolder
+
+        return RunFolder(Path(following["--resume"])).settings()[0]
+    name = following.get("--preset", "fast")
+    known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
+    return preset(known, "--residual" in arguments)
+
+
 def train(command: Train) -> None:
     from cadenza.agents.rl.cores import claimed_cores
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("name a song to learn, or with --resume the folder of a run")
-    if command.resume is not None and command.training != preset("fast"):
-        raise CadenzaError(f"{command.resume}: goes on with its own options; leave out all others")
+    if command.resume is not None and command.preset != Train.preset:
+        raise CadenzaError(f"{command.resume}: goes on with its own options; leave out --preset")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
@@ -91,9 +110,11 @@ def _train(command: Train, folder: Path) -> None:
         score = score_of(command.song)
         check_writable(folder)
         run.begin(command.training, score)
-    config, score = run.settings()
-    with run.locked(), closing(Training(config, score, run)) as training:
-        finished = _train_on(training, command, folder)
+    with run.locked():
+        run.set_end(command.training)
+        config, score = run.settings()
+        with closing(Training(config, score, run)) as training:
+            finished = _train_on(training, command, folder)
     if finished:
         best = str(folder / "best")
         play(Play(best, agent=best, output=folder / "best_played", video=command.video))

@@ -98,6 +98,17 @@ def test_a_run_is_begun_once(run: RunFolder) -> None:
     assert run.settings()[0].seed == 0
 
 
+def test_only_its_end_can_change(run: RunFolder) -> None:
+    run.begin(config := TrainingConfig(num_steps=100), melody(60))
+    run.set_end(config)
+    assert run.settings() == (config, melody(60))
+    run.set_end(longer := replace(config, num_steps=200))
+    assert run.settings() == (longer, melody(60))
+    with pytest.raises(CadenzaError, match="leave out all others but --num-steps"):
+        run.set_end(replace(longer, num_steps=300, seed=1))
+    assert run.settings() == (longer, melody(60))
+
+
 def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -> None:
     with pytest.raises(CadenzaError, match="holds no run to go on with"):
         run.settings()

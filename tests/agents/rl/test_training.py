@@ -239,6 +239,19 @@ def test_a_run_that_is_done_stays_as_it_is(
     assert_same_runs(done, undisturbed("in turn"))
 
 
+def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    run = runs()
+    train(replace(CONFIG, num_steps=104), run)
+    train(CONFIG, run)
+    _, arrays = read_sealed(newest(run), "checkpoint")
+    _, whole = read_sealed(newest(undisturbed("in turn")), "checkpoint")
+    assert arrays.keys() == whole.keys()
+    for name, array in arrays.items():
+        assert_array_equal(array, whole[name], err_msg=name)
+
+
 def test_a_damaged_checkpoint_costs_only_time(
     runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
 ) -> None:

@@ -16,7 +16,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -89,6 +89,23 @@ class RunFolder:
             "score": asdict(score),
             "versions": {name: version(name) for name in _VERSIONS},
         }
+        self._write(about)
+
+    def set_end(self, config: TrainingConfig) -> None:
+        """Has the run end as `config` says.
+
+        Raises:
+            CadenzaError: it differs in something else too.
+        """
+        begun, _ = self.settings()
+        if replace(config, num_steps=begun.num_steps) != begun:
+            raise CadenzaError(
+                f"{self.path}: goes on with its own options; leave out all others but --num-steps"
+            )
+        if config != begun:
+            self._write(json.loads(self._about.read_bytes()) | {"config": asdict(config)})
+
+    def _write(self, about: dict[str, Any]) -> None:
         with write_atomically(self._about) as file:
             file.write((json.dumps(about, indent=1) + "\n").encode())
 
