@@ -172,6 +172,14 @@ def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
         assert (array != begun[name]).any(), name
 
 
+def test_keys_can_be_learnt_to_move_by_themselves(runs: Callable[[], RunFolder]) -> None:
+    """Without hands there is no forearm whose range could be the song's."""
+    run = runs()
+    train(replace(CONFIG, scene=SceneConfig(hands="none"), song_range=True, num_steps=64), run)
+    assert load_policy(run.path / "best").ranges is None
+    assert evaluations(run)[-1]["eval/steps"] > 0
+
+
 def test_another_seed_is_another_run(
     runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
 ) -> None:

@@ -62,7 +62,8 @@ class Training:
         self._scores = Scores(self._task)
         self._scores.add_all(self._task)
         self._plan = plan_of(self._task) if config.residual else None
-        self._ranges = ranges_of(self._task) if config.song_range else None
+        narrowed = config.song_range and self._task.scene.sides
+        self._ranges = ranges_of(self._task) if narrowed else None
         control = control_of(self._task, self._plan, self._ranges)
         inputs = inputs_of(self._task, self._known_scores(), config.residual)
         observer = Observer(self._task, self._scores, inputs, control.plan, self._ranges)
