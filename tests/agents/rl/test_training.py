@@ -6,6 +6,7 @@ import errno
 import functools
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -245,6 +246,22 @@ def test_a_run_that_is_done_stays_as_it_is(
     train(CONFIG, done)
     train(CONFIG, done)
     assert_same_runs(done, undisturbed("in turn"))
+
+
+def test_a_kill_between_the_last_checkpoint_and_its_policy_is_made_good(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    run = runs()
+    train(replace(CONFIG, num_steps=104), run)
+    older = run.path / "older"
+    shutil.copytree(run.path / "last", older)
+    train(CONFIG, run)
+    shutil.rmtree(run.path / "last")
+    shutil.move(older, run.path / "last")
+    train(CONFIG, run)
+    ours, theirs = (load_policy(r.path / "last") for r in (run, undisturbed("in turn")))
+    for layer, array in ours.weights.items():
+        assert_array_equal(array, theirs.weights[layer])
 
 
 def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(

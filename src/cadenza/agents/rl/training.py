@@ -240,6 +240,9 @@ class Training:
         parts = {"learner": to_arrays(self._state), "collector": arrays}
         parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
         self._folder.save(facts, _joined(parts))
+        self._save_last()
+
+    def _save_last(self) -> None:
         save_policy(self._folder.path / "last", self._learnt(), {"step": self.step})
 
     def _restore(self, checkpoint: Checkpoint) -> None:
@@ -255,6 +258,7 @@ class Training:
         for gathered in checkpoint.replay:
             self._replay.restore(gathered)
         self._collector.restore(facts["collector"], parts["collector"])
+        self._save_last()  # a kill may have come before it
 
     def close(self) -> None:
         """Stops the threads."""
