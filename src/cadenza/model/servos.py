@@ -39,6 +39,11 @@ class Servos:
     high: Array
     """(A,)"""
 
+    @property
+    def along_keyboard(self) -> list[int]:
+        """Those that slide the forearms, the right one first."""
+        return [a for a, name in enumerate(self.names) if name == "forearm_tx"]
+
 
 def servos_of(scene: Scene) -> Servos:
     """The servos of a scene with hands."""

@@ -28,6 +28,12 @@ Mask = NDArray[np.bool_]
 PEDAL_DOWN = 0.5  # the pedal sounds from here on
 
 
+def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
+    """From [-1, 1] to [low, high], `(..., A)`; what lies outside is clipped."""
+    value = np.asarray(action, np.float64) * ((high - low) / 2) + (low + high) / 2
+    return np.minimum(np.maximum(value, low), high)
+
+
 class Transition(NamedTuple):
     """What came of one control step; arrays over the batch (N,)."""
 
@@ -91,8 +97,6 @@ class PianoTask:
         )
         self.action_low = self.scene.action_low
         self.action_high = self.scene.action_high
-        self._action_centre = (self.action_low + self.action_high) / 2
-        self._action_scale = (self.action_high - self.action_low) / 2
         lookahead = self._steps_lookahead()
         self.sheets = music.Sheets(num_envs, lookahead, self.scene.fingers)
         self.observation_layout = self._lay_out_observation(lookahead)
@@ -112,8 +116,7 @@ class PianoTask:
 
     def scale_action(self, action: NDArray[Any]) -> Array:
         """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
-        ctrl = np.asarray(action, np.float64) * self._action_scale + self._action_centre
-        return np.minimum(np.maximum(ctrl, self.action_low), self.action_high)
+        return to_range(action, self.action_low, self.action_high)
 
     def _steps_lookahead(self) -> int:
         seconds = self.config.n_seconds_lookahead

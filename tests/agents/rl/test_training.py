@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,7 +118,7 @@ def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
         nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
         assert replace(ours, **nothing) == replace(theirs, **nothing)
         for layer, array in ours.weights.items():
-            assert_array_equal(array, theirs.weights[layer])
+            assert_array_equal(array, theirs.weights[layer], err_msg=f"{name}: {layer}")
     assert evaluations(run) == evaluations(other)
     assert figures(run) == figures(other)
 
@@ -248,20 +248,60 @@ def test_a_run_that_is_done_stays_as_it_is(
     assert_same_runs(done, undisturbed("in turn"))
 
 
-def test_a_kill_between_the_last_checkpoint_and_its_policy_is_made_good(
-    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+class Killed(BaseException):
+    """Nothing catches it for good."""
+
+
+@contextmanager
+def killed_after(calls: int) -> Iterator[list[str]]:
+    """Has every change of the disk but the first ones fail, also those that clean up.
+
+    Yields the names of the calls.
+    """
+    made: list[str] = []
+
+    def mortal(owner: Any, name: str) -> Callable[..., Any]:
+        real = getattr(owner, name)
+
+        def call(*args: Any, **options: Any) -> Any:
+            if len(made) >= calls:
+                raise Killed
+            made.append(name)
+            return real(*args, **options)
+
+        return call
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fsync", "replace", "rename"):
+            patch.setattr(os, name, mortal(os, name))
+        patch.setattr(shutil, "rmtree", mortal(shutil, "rmtree"))
+        patch.setattr(Path, "unlink", mortal(Path, "unlink"))
+        yield made
+
+
+@pytest.mark.parametrize("way", ["in turn", pytest.param("residual", marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
+    way: str,
+    runs: Callable[[], RunFolder],
+    undisturbed: Callable[[str], RunFolder],
 ) -> None:
-    run = runs()
-    train(replace(CONFIG, num_steps=104), run)
-    older = run.path / "older"
-    shutil.copytree(run.path / "last", older)
-    train(CONFIG, run)
-    shutil.rmtree(run.path / "last")
-    shutil.move(older, run.path / "last")
-    train(CONFIG, run)
-    ours, theirs = (load_policy(r.path / "last") for r in (run, undisturbed("in turn")))
-    for layer, array in ours.weights.items():
-        assert_array_equal(array, theirs.weights[layer])
+    """The last evaluation, the best policy, the last checkpoint, what it drops, the last policy."""
+    begun = runs()
+    with closing(Training(WAYS[way], SONG, begun)) as one:
+        one.run(lambda: one.step < 176)
+    for calls in range(1000):
+        killed = runs()
+        shutil.copytree(begun.path, killed.path, dirs_exist_ok=True)
+        with killed_after(calls) as made:
+            try:
+                train(WAYS[way], killed)
+            except Killed:
+                pass
+            else:
+                break
+        train(WAYS[way], killed)
+        assert_same_runs(killed, undisturbed(way))
+    assert made.count("rename") >= 4  # a checkpoint, the last policy and that which it replaces
 
 
 def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
@@ -324,7 +364,7 @@ def test_a_full_disk_ends_a_run_with_what_to_do(
 
 PROGRAM = """
 import sys
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 import jax
 jax.config.update("jax_disable_most_optimizations", True)

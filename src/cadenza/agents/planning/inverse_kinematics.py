@@ -151,8 +151,8 @@ class _Problem:
         self._inertia = np.array([c.change for c in comforts]) ** -2.0
         self._stride = np.array([c.stride for c in comforts])
         self._mounted_apart = mounted_apart
-        slides = [a for a, name in enumerate(servos.names) if name == "forearm_tx"]
-        self._slides = slides if len(slides) == 2 else []  # right, left
+        slides = servos.along_keyboard
+        self._slides = slides if len(slides) == 2 else []
         self._base = self._smoothness_band(len(guess) - 1)
 
     def _smoothness_band(self, count: int) -> Array:

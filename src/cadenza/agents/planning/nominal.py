@@ -83,7 +83,7 @@ def _guess(
 ) -> Array:
     """(S, A) hands at rest over the keys that they press or will press next."""
     guess = np.tile(rest, (states, 1))
-    slides = [a for a, name in enumerate(servos.names) if name == "forearm_tx"]
+    slides = servos.along_keyboard
     for side, slide in zip(scene.sides, slides, strict=bool(slides)):
         place, count = np.zeros(states), np.zeros(states)
         for press in presses:

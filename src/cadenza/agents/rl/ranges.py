@@ -17,7 +17,7 @@ from cadenza.model.piano import KEY_CENTRE
 from cadenza.model.servos import servos_of
 from cadenza.music.score import NUM_KEYS
 from cadenza.tasks.music import goals_of
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.piano_task import PianoTask, to_range
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -36,8 +36,7 @@ class Ranges(NamedTuple):
 
     def ctrl(self, action: Floats) -> Array:
         """(N, A) actions in actuator units from those in [-1, 1]; what lies outside is clipped."""
-        low, high = self.actions
-        return np.clip((low + high) / 2 + action * ((high - low) / 2), low, high)
+        return to_range(action, *self.actions)
 
 
 def ranges_of(task: PianoTask) -> Ranges:
@@ -48,7 +47,7 @@ def ranges_of(task: PianoTask) -> Ranges:
     keys = _keys_of_fingers(task)
     points, jacobian = Kinematics(scene, servos).fingers(np.zeros((1, len(servos.names))))
     tips = points[0, :, TIP, _ALONG_KEYBOARD]
-    for servo in np.flatnonzero(np.array(servos.names) == "forearm_tx"):
+    for servo in servos.along_keyboard:
         along = jacobian[0, :, TIP, _ALONG_KEYBOARD, servo]  # (F,) 0 for the other hand's fingers
         finger, key = np.nonzero(keys & (along != 0)[:, None])
         wanted = (KEY_CENTRE[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
