@@ -250,7 +250,9 @@ def test_steps_on_after_close() -> None:
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_gymnasium_s_own_vector_environments(mode: str) -> None:
-    envs = gym.make_vec(ID, num_envs=2, vectorization_mode=mode)
+    # Forking a process in which JAX has started threads may hang.
+    context = {"context": "spawn"} if mode == "async" else {}
+    envs = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, vector_kwargs=context)
     ours = PianoVectorEnv("TwinkleTwinkleLittleStar", num_envs=2)
     assert_array_equal(envs.reset(seed=3)[0], ours.reset(seed=3)[0])
     actions = np.full((2, 39), 0.5, np.float32)
