@@ -91,12 +91,11 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     state, activation = reward.key_state(key_qpos), reward.key_activation(key_qpos)
     assert_array_equal(activation, recording["key_activation"])
     force, velocity = servo_force_and_velocity(recording)
-    pairs = reward.finger_distances(
-        recording["fingertip_xpos"], key_centres(recording), goals.fingers
-    )
+    pairs = reward.score_pairs(goals.fingers)
+    offset = reward.press_offsets(recording["fingertip_xpos"], key_centres(recording), pairs)
     terms = {
         "key_press": reward.key_press(state, activation, goals.keys),
-        "fingering": reward.nearness(*pairs, goals.num_steps, otherwise=0.0),
+        "fingering": reward.nearness(pairs.row, offset, goals.num_steps, otherwise=0.0),
         "energy": reward.energy(force, velocity, recording.config.energy_coefficient),
         "sustain": reward.sustain(recording["sustain_activation"], goals.sustain),
         "forearm": reward.forearm(np.zeros(goals.num_steps, bool)),

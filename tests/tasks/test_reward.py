@@ -105,14 +105,22 @@ def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
     return arrays((n, fingers, 3), -0.2, 0.2)
 
 
+def fingers_at_their_keys(
+    tips: np.ndarray, centres: np.ndarray, fingers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the pairs that a score wants, and how far off the fingers are."""
+    pairs = reward.score_pairs(fingers)
+    return pairs.row, reward.press_offsets(tips, centres, pairs)
+
+
 @few
 @given(st.data(), sizes)
 def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
     tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
     some = st.sampled_from([-1] * 9 + list(range(10)))
     fingers = data.draw(npst.arrays(np.int8, (n, NUM_KEYS), elements=some, fill=st.just(-1)))
-    pairs = reward.finger_distances(tips, centres, fingers)
-    ours = reward.nearness(*pairs, n, otherwise=0.0)
+    row, offset = fingers_at_their_keys(tips, centres, fingers)
+    ours = reward.nearness(row, offset, n, otherwise=0.0)
     for env in range(n):
         distances = [
             math.dist(tips[env, fingers[env, k]], point(k, centres[env, k]))
@@ -120,7 +128,7 @@ def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
             if fingers[env, k] >= 0
         ]
         near = [gaussian(distance, 0, 0.01, 0.1) for distance in distances]
-        assert_allclose(pairs[1][pairs[0] == env], distances, **CLOSE)
+        assert_allclose(np.linalg.norm(offset[row == env], axis=1), distances, **CLOSE)
         assert_allclose(ours[env], sum(near) / len(near) if near else 0.0, **CLOSE)
 
 
@@ -131,11 +139,11 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
     fingers[0, key] = 7
     tips[0, 7] = point(key, KEY_CENTRE[key])
     centres = KEY_CENTRE[None]
-    pairs = reward.finger_distances(tips, centres, fingers)
-    assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [1.0])
+    row_and_offset = fingers_at_their_keys(tips, centres, fingers)
+    assert_allclose(reward.nearness(*row_and_offset, 1, otherwise=0.0), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
-    pairs = reward.finger_distances(tips, centres, fingers)
-    assert_allclose(reward.nearness(*pairs, 1, otherwise=0.0), [0.1], rtol=1e-6)
+    row_and_offset = fingers_at_their_keys(tips, centres, fingers)
+    assert_allclose(reward.nearness(*row_and_offset, 1, otherwise=0.0), [0.1], rtol=1e-6)
 
 
 @few
@@ -145,8 +153,10 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    env, distance = reward.transport_distances(tips, centres, goal)
-    assert env.tolist() == [0] * min(num_fingers, len(keys))
+    pairs = reward.transport_pairs(tips, centres, goal, np.arange(num_fingers))
+    assert pairs.row.tolist() == [0] * min(num_fingers, len(keys))
+    assert set(pairs.key) <= set(keys)
+    distance = np.linalg.norm(reward.press_offsets(tips, centres, pairs), axis=1)
     way = [[math.dist(tip, point(k, centres[0, k])) for k in keys] for tip in tips[0]]
     if num_fingers < len(keys):
         sums = (
@@ -167,19 +177,20 @@ def test_optimal_transport_row_by_row() -> None:
     goal = np.zeros((3, NUM_KEYS), bool)
     goal[1, [3, 50]] = True
     tips[1, 2], tips[1, 8] = point(50, KEY_CENTRE[50]), point(3, KEY_CENTRE[3])
-    env, distance = reward.transport_distances(tips, centres, goal)
-    assert env.tolist() == [1, 1]
-    assert_allclose(distance, 0.0, atol=1e-12)
+    pairs = reward.transport_pairs(tips, centres, goal, np.array([2, 5, 8]))
+    assert [values.tolist() for values in pairs] == [[1, 1], [2, 8], [50, 3]]
+    offset = reward.press_offsets(tips, centres, pairs)
+    assert_allclose(offset, 0.0, atol=1e-12)
     for otherwise in (0.0, 1.0):
-        near = reward.nearness(env, distance, 3, otherwise=otherwise)
+        near = reward.nearness(pairs.row, offset, 3, otherwise=otherwise)
         assert_allclose(near, [otherwise, 1.0, otherwise])
 
 
 def test_optimal_transport_of_nothing() -> None:
-    nothing = reward.transport_distances(
-        np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS, 3)), np.zeros((2, NUM_KEYS), bool)
-    )
-    assert [len(part) for part in nothing] == [0, 0]
+    tips, centres, goal = np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS, 3)), np.zeros((2, NUM_KEYS))
+    nothing = reward.transport_pairs(tips, centres, goal > 0, np.arange(5))
+    assert [len(part) for part in nothing] == [0, 0, 0]
+    assert reward.press_offsets(tips, centres, nothing).shape == (0, 3)
 
 
 @few

@@ -222,10 +222,12 @@ class PianoTask:
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos
         if self.config.fingering == "transport":
-            pairs = reward.transport_distances(tips[:, self.scene.fingers], key_xpos, keys)
-            return reward.nearness(*pairs, self.num_envs, otherwise=1.0)
-        pairs = reward.finger_distances(tips, key_xpos, fingers)
-        return reward.nearness(*pairs, self.num_envs, otherwise=0.0)
+            pairs = reward.transport_pairs(tips, key_xpos, keys, self.scene.fingers)
+            otherwise = 1.0
+        else:
+            pairs, otherwise = reward.score_pairs(fingers), 0.0
+        offset = reward.press_offsets(tips, key_xpos, pairs)
+        return reward.nearness(pairs.row, offset, self.num_envs, otherwise)
 
     # What is seen
 

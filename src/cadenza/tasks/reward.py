@@ -6,6 +6,8 @@ published code computes them.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -14,6 +16,7 @@ from cadenza.model.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Ids = NDArray[np.intp]
 
 _LOG_VALUE_AT_MARGIN = np.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
@@ -49,61 +52,74 @@ def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     return 0.5 * (_mean_by_row(env, down, len(goal), otherwise=0.0) + ~wrong)
 
 
-def _mean_by_row(
-    row: NDArray[np.intp], values: Array, num_rows: int, otherwise: float
-) -> NDArray[np.float64]:
+def _mean_by_row(row: Ids, values: Array, num_rows: int, otherwise: float) -> NDArray[np.float64]:
     """(num_rows,) means of the values (P,) that belong to each row, `otherwise` where none does."""
     count = np.bincount(row, minlength=num_rows)
     total = np.bincount(row, values, num_rows)
     return np.where(count, total / np.maximum(count, 1), otherwise)
 
 
-def finger_distances(
-    fingertips: Array, key_xpos: Array, fingers: NDArray[np.int8]
-) -> tuple[NDArray[np.intp], Array]:
-    """How far fingers are from the keys they should press.
+class Pairs(NamedTuple):
+    """P fingers, each with a key to press; arrays (P,)."""
+
+    row: Ids
+    """Of 0..N-1, that it belongs to."""
+    finger: Ids
+    key: Ids
+
+
+def score_pairs(fingers: NDArray[np.int8]) -> Pairs:
+    """The fingers (N, 88) that the score gives to keys, -1 for none."""
+    row, key = (fingers >= 0).nonzero()
+    return Pairs(row, fingers[row, key].astype(np.intp), key)
+
+
+def transport_pairs(fingertips: Array, key_xpos: Array, goal: Mask, there: Ids) -> Pairs:
+    """The fingers that get to the keys by the least way in sum.
+
+    RP1M (Zhao et al., 2024) assigns fingers so where a song has no fingering.
 
     Args:
         fingertips: (N, 10, 3) [m].
         key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        fingers: (N, 88) the finger that each key wants, -1 for none.
-
-    Returns:
-        For each of P pairs of finger and key the row 0..N-1 that it belongs to (P,), and its
-        distance (P,) [m].
+        goal: (N, 88) the keys to press.
+        there: (F,) the fingers that there are.
     """
-    env, key = (fingers >= 0).nonzero()
-    offset = fingertips[env, fingers[env, key]] - key_xpos[env, key] - PRESS_OFFSET[key]
-    return env, np.sqrt(np.vecdot(offset, offset))
+    pairs = [np.zeros((3, 0), np.intp)]
+    for row in np.flatnonzero(goal.any(axis=1)):
+        key = np.flatnonzero(goal[row])
+        points = key_xpos[row, key] + PRESS_OFFSET[key]
+        offsets = fingertips[row, there][:, None] - points
+        finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
+        pairs.append(np.array([np.full(len(of_key), row), there[finger], key[of_key]]))
+    return Pairs(*np.concatenate(pairs, axis=1))
 
 
-def transport_distances(
-    fingertips: Array, key_xpos: Array, goal: Mask
-) -> tuple[NDArray[np.intp], Array]:
-    """As `finger_distances`, with the fingers that get to the keys by the least way in sum.
+def press_offsets(fingertips: Array, key_xpos: Array, pairs: Pairs) -> Array:
+    """(P, 3) from where on its key each finger is wanted to where it is [m].
 
-    RP1M (Zhao et al., 2024) assigns fingers so where a song has no fingering. `goal` (N, 88) are
-    the keys to press, `fingertips` (N, F, 3) the fingertips that there are.
+    Args:
+        fingertips: (N, 10, 3) [m].
+        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
+        pairs: of fingers and keys.
     """
-    envs, distances = [np.zeros(0, np.intp)], [np.zeros(0)]
-    for env in np.flatnonzero(goal.any(axis=1)):
-        key = np.flatnonzero(goal[env])
-        offsets = fingertips[env][:, None] - key_xpos[env, key] - PRESS_OFFSET[key]
-        distance = np.sqrt((offsets**2).sum(axis=-1))
-        assigned = distance[linear_sum_assignment(distance)]
-        envs.append(np.full(len(assigned), env))
-        distances.append(assigned)
-    return np.concatenate(envs), np.concatenate(distances, dtype=np.float64)
+    row, finger, key = pairs
+    return fingertips[row, finger] - key_xpos[row, key] - PRESS_OFFSET[key]
 
 
-def nearness(env: NDArray[np.intp], distance: Array, num_envs: int, otherwise: float) -> Array:
-    """(N,) mean nearness of fingers to their keys, from pairs as `finger_distances` gives them.
+def nearness(row: Ids, offset: Array, num_rows: int, otherwise: float) -> Array:
+    """(num_rows,) mean nearness of fingers to their keys.
 
-    `otherwise` is what a row without pairs gets: 0 with the score's fingering (the published
-    code), 1 with optimal transport (RP1M).
+    Args:
+        row: (P,) that each finger belongs to.
+        offset: (P, 3) of each, as `press_offsets` has it [m].
+        num_rows: N.
+        otherwise: what a row without fingers gets: 0 with the score's fingering (the published
+            code), 1 with optimal transport (RP1M).
     """
+    distance = np.sqrt(np.vecdot(offset, offset))
     near = tolerance(distance, _FINGER_BOUND, _FINGER_MARGIN)
-    return _mean_by_row(env, near, num_envs, otherwise)
+    return _mean_by_row(row, near, num_rows, otherwise)
 
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.box_ddp import Model, Policy, backward_pass
@@ -170,10 +169,8 @@ class _Misses(NamedTuple):
 
     keys: Array
     """(R, 88) state of the keys less that wanted."""
-    moment: Ids
-    """(Q,) the moments that Q pairs of a finger and its key belong to."""
-    finger: Ids
-    key: Ids
+    pairs: reward.Pairs
+    """Q of a finger and its key, at such a moment."""
     offset: Array
     """(Q, 3) from where the finger is wanted to where it is [m]."""
 
@@ -202,7 +199,7 @@ class _Cost:
         misses = self._misses(steps, _flat(key_qpos), _flat(tips), _flat(centres))
         cost = _norm(misses.keys, _KEY_RADIUS) - _KEY_RADIUS
         fingers = _norm(misses.offset, _FINGER_RADIUS) - _FINGER_RADIUS
-        cost += np.bincount(misses.moment, fingers, minlength=len(cost))
+        cost += np.bincount(misses.pairs.row, fingers, minlength=len(cost))
         return cost.reshape(num, -1).sum(axis=1)
 
     def derivatives(self, seen: Linearisation) -> tuple[Array, Array]:
@@ -214,7 +211,7 @@ class _Cost:
         by_keys, by_offset = self._jacobians(seen, misses, jacobian)
         gradients, hessians = [], []
         for step in range(self._num_steps):
-            mine, pairs = steps == step, steps[misses.moment] == step
+            mine, pairs = steps == step, steps[misses.pairs.row] == step
             of_keys = _weighted(misses.keys[mine], by_keys[mine], _KEY_RADIUS)
             of_fingers = _weighted(misses.offset[pairs], by_offset[pairs], _FINGER_RADIUS)
             residual, rows = map(np.concatenate, zip(of_keys, of_fingers, strict=True))
@@ -229,7 +226,7 @@ class _Cost:
 
         A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
         """
-        moment, finger, key = misses.moment, misses.finger, misses.key
+        moment, finger, key = misses.pairs
         keys = self._task.scene.key_qpos
         of_keys = jacobian[:, keys]
         of_tips = _flat(seen.fingertip_jacobian)[moment, finger]
@@ -241,28 +238,11 @@ class _Cost:
     def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
         wanted = self._wanted[steps]
         if self._transports:
-            moment, finger, key = self._transported(wanted, tips, centres)
+            pairs = reward.transport_pairs(tips, centres, wanted, self._task.scene.fingers)
         else:
-            fingers = self._fingers[steps]
-            moment, key = (fingers >= 0).nonzero()
-            finger = fingers[moment, key].astype(np.intp)
-        offset = tips[moment, finger] - centres[moment, key] - reward.PRESS_OFFSET[key]
-        return _Misses(reward.key_state(key_qpos) - wanted, moment, finger, key, offset)
-
-    def _transported(
-        self, wanted: NDArray[np.bool_], tips: Array, centres: Array
-    ) -> tuple[Ids, Ids, Ids]:
-        """Fingers that get to the keys by the least way in sum."""
-        there = self._task.scene.fingers
-        pairs = [np.zeros((3, 0), np.intp)]
-        for moment in np.flatnonzero(wanted.any(axis=1)):
-            keys = np.flatnonzero(wanted[moment])
-            points = centres[moment, keys] + reward.PRESS_OFFSET[keys]
-            distance = np.linalg.norm(tips[moment, there][:, None] - points, axis=-1)
-            finger, key = linear_sum_assignment(distance)
-            pairs.append(np.array([np.full(len(key), moment), there[finger], keys[key]]))
-        moments, fingers, pressed = np.concatenate(pairs, axis=1)
-        return moments, fingers, pressed
+            pairs = reward.score_pairs(self._fingers[steps])
+        keys = reward.key_state(key_qpos) - wanted
+        return _Misses(keys, pairs, reward.press_offsets(tips, centres, pairs))
 
 
 def _norm(residual: Array, radius: float) -> Array:

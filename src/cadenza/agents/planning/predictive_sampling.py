@@ -100,11 +100,11 @@ class PredictiveSampling:
         keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
         if self._task.config.fingering == "transport":
-            there = self._task.scene.fingers
-            pairs = reward.transport_distances(tips[:, there], centres, wanted)
+            pairs = reward.transport_pairs(tips, centres, wanted, self._task.scene.fingers)
         else:
-            pairs = reward.finger_distances(tips, centres, np.tile(fingers[rows], (shape[0], 1)))
-        return (keys + np.bincount(*pairs, minlength=len(keys))).reshape(shape)
+            pairs = reward.score_pairs(np.tile(fingers[rows], (shape[0], 1)))
+        distance = np.linalg.norm(reward.press_offsets(tips, centres, pairs), axis=1)
+        return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)
 
 
 def _flat(values: Array) -> Array:
