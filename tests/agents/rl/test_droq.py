@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -260,6 +263,42 @@ def test_the_same_seed_gives_the_same_bits(learner: Learner) -> None:
         assert_array_equal(array, ends[1][name])
     weights = [name for name in ends[0] if name.startswith(".actor[")]
     assert all((ends[0][name] != ends[2][name]).any() for name in weights)
+
+
+PROGRAM = """
+import os, sys
+os.sched_setaffinity(0, set(map(int, sys.argv[1:])))
+import hashlib
+import numpy as np
+from cadenza.agents.rl.config import preset
+from cadenza.agents.rl.droq import Learner, to_arrays
+from cadenza.agents.rl.observation import Inputs
+from cadenza.agents.rl.replay import Batch
+rng, size = np.random.default_rng(0), (3, 256)
+def draw(*shape):
+    return rng.standard_normal((*size, *shape), np.float32)
+observation, action, following = draw(284), np.tanh(draw(39)), draw(284)
+batches = Batch(observation, action, draw(), np.ones(size, np.float32), following)
+learner = Learner(preset("fast", residual=True).learner, Inputs(tuple(range(284)), 284), 39)
+state, _ = learner.update(learner.initial_state(0), batches)
+for name, array in to_arrays(state).items():
+    print(name, hashlib.sha256(array.tobytes()).hexdigest())
+"""
+
+
+def test_any_number_of_cores_gives_the_same_bits() -> None:
+    """Networks and batches of the real sizes: small ones XLA does not divide among threads."""
+    cores = sorted(map(str, os.sched_getaffinity(0)))
+    if len(cores) == 1:
+        pytest.skip("there is only one core")
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM, *some], capture_output=True, text=True, check=True
+        ).stdout
+        for some in (cores[:1], cores)
+    ]
+    assert printed[0].splitlines() == printed[1].splitlines()
+    assert len(printed[0].splitlines()) > 50
 
 
 def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: Learner) -> None:

@@ -7,6 +7,7 @@ et al., RoboPianist, CoRL 2023.
 
 from __future__ import annotations
 
+import os
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,8 +22,11 @@ from cadenza.agents.rl.networks import Actor, Critic
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.replay import Batch
 from cadenza.errors import CadenzaError
+from cadenza.sim.simulation import available_cores
 
 Params = Any  # nested dictionaries of arrays
+
+_MOST_THREADS = 2
 
 
 class LearnerState(NamedTuple):
@@ -39,6 +43,20 @@ class LearnerState(NamedTuple):
     actor_optimiser: Any
     critic_optimiser: Any
     temperature_optimiser: Any
+
+
+def _start_jax() -> None:
+    """With one thread or two, unless something has started it before.
+
+    The networks have the same bits with both. With four, XLA adds up the gradients of some weights
+    in another order; and that of small matrices is no faster.
+    """
+    before = os.environ.get("NPROC")
+    os.environ["NPROC"] = str(min(available_cores(), _MOST_THREADS))
+    jax.devices()
+    del os.environ["NPROC"]
+    if before is not None:
+        os.environ["NPROC"] = before
 
 
 def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:
@@ -87,6 +105,7 @@ class Learner:
         action_size: A.
         num_updates: over which the learning rates fall, where they do.
         """
+        _start_jax()
         actions = tuple(range(inputs.total, inputs.total + action_size))
         self._config = config
         self._action_size, self._num_updates = action_size, num_updates
