@@ -52,7 +52,7 @@ def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     return 0.5 * (_mean_by_row(env, down, len(goal), otherwise=0.0) + ~wrong)
 
 
-def _mean_by_row(row: Ids, values: Array, num_rows: int, otherwise: float) -> NDArray[np.float64]:
+def _mean_by_row(row: Ids, values: Array, num_rows: int, otherwise: float) -> Array:
     """(num_rows,) means of the values (P,) that belong to each row, `otherwise` where none does."""
     count = np.bincount(row, minlength=num_rows)
     total = np.bincount(row, values, num_rows)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -289,7 +290,7 @@ def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
     begun = runs()
     with closing(Training(WAYS[way], SONG, begun)) as one:
         one.run(lambda: one.step < 176)
-    for calls in range(1000):
+    for calls in count():
         killed = runs()
         shutil.copytree(begun.path, killed.path, dirs_exist_ok=True)
         with killed_after(calls) as made:
@@ -364,7 +365,7 @@ def test_a_full_disk_ends_a_run_with_what_to_do(
 
 PROGRAM = """
 import sys
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 import jax
 jax.config.update("jax_disable_most_optimizations", True)
