@@ -221,13 +221,25 @@ class PianoTask:
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos
-        if self.config.fingering == "transport":
-            pairs = reward.transport_pairs(tips, key_xpos, keys, self.scene.fingers)
-            otherwise = 1.0
-        else:
-            pairs, otherwise = reward.score_pairs(fingers), 0.0
+        pairs = self.pairs(tips, key_xpos, keys, fingers)
         offset = reward.press_offsets(tips, key_xpos, pairs)
+        otherwise = 1.0 if self.config.fingering == "transport" else 0.0
         return reward.nearness(pairs.row, offset, self.num_envs, otherwise)
+
+    def pairs(
+        self, fingertips: Array, key_xpos: Array, keys: Mask, fingers: NDArray[np.int8]
+    ) -> reward.Pairs:
+        """Which fingers are to press which keys, by the score or by the least way.
+
+        Args:
+            fingertips: (N, 10, 3) [m].
+            key_xpos: (N, 88, 3) centres of the keys' boxes [m].
+            keys: (N, 88) to press.
+            fingers: (N, 88) that the score gives them, -1 for none.
+        """
+        if self.config.fingering == "transport":
+            return reward.transport_pairs(fingertips, key_xpos, keys, self.scene.fingers)
+        return reward.score_pairs(fingers)
 
     # What is seen
 

@@ -183,7 +183,6 @@ class _Cost:
 
     def __init__(self, task: PianoTask, num_steps: int, num_looks: int) -> None:
         self._task, self._num_steps, self._num_looks = task, num_steps, num_looks
-        self._transports = task.config.fingering == "transport"
 
     def look_ahead(self) -> None:
         """The next control steps begin now."""
@@ -237,10 +236,7 @@ class _Cost:
 
     def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
         wanted = self._wanted[steps]
-        if self._transports:
-            pairs = reward.transport_pairs(tips, centres, wanted, self._task.scene.fingers)
-        else:
-            pairs = reward.score_pairs(self._fingers[steps])
+        pairs = self._task.pairs(tips, centres, wanted, self._fingers[steps])
         keys = reward.key_state(key_qpos) - wanted
         return _Misses(keys, pairs, reward.press_offsets(tips, centres, pairs))
 

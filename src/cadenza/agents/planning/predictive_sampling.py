@@ -99,10 +99,7 @@ class PredictiveSampling:
         wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
         keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
-        if self._task.config.fingering == "transport":
-            pairs = reward.transport_pairs(tips, centres, wanted, self._task.scene.fingers)
-        else:
-            pairs = reward.score_pairs(np.tile(fingers[rows], (shape[0], 1)))
+        pairs = self._task.pairs(tips, centres, wanted, np.tile(fingers[rows], (shape[0], 1)))
         distance = np.linalg.norm(reward.press_offsets(tips, centres, pairs), axis=1)
         return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)
 

@@ -48,8 +48,8 @@ class LearnerState(NamedTuple):
 def _start_jax() -> None:
     """With one thread or two, unless something has started it before.
 
-    What is learnt has the same bits with both. With four, XLA adds up the gradients of some weights
-    in another order. It has no other way to choose.
+    What is learnt has the same bits with both; with four, XLA adds up the gradients of some weights
+    in another order. This variable is the only way to tell it, and it asks when it starts.
     """
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = str(min(available_cores(), _MOST_THREADS))
