@@ -13,7 +13,7 @@ from rl_examples import random_params
 from scipy.stats import binomtest
 
 from cadenza.agents.rl.config import LearnerConfig
-from cadenza.agents.rl.networks import Actor, Critic, Dropout, Linear
+from cadenza.agents.rl.networks import Actor, Critic, Dropout, FirstLayer
 from cadenza.agents.rl.observation import Inputs
 
 ALL = Inputs(tuple(range(12)), 12)
@@ -79,11 +79,11 @@ def test_dropout_of_the_same_entry_is_fair_over_keys() -> None:
 # Layers
 
 
-def test_linear_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
+def test_first_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
     """Where what is left out is zero, nothing changes."""
     x = np.zeros((7, 12), np.float32)
     x[:, SOME.kept] = np.random.default_rng(0).standard_normal((7, 5))
-    whole, less = Linear(8, ALL), Linear(8, SOME)
+    whole, less = FirstLayer(8, ALL), FirstLayer(8, SOME)
     weights, fewer = whole.init(jax.random.key(1), x), less.init(jax.random.key(1), x[:, SOME.kept])
     assert fewer["params"]["kernel"].shape == (5, 8)
     assert_array_equal(
@@ -94,10 +94,10 @@ def test_linear_layer_with_fewer_inputs_begins_as_the_same_layer() -> None:
     )
 
 
-def test_linear_layer_begins_by_xavier() -> None:
+def test_first_layer_begins_by_xavier() -> None:
     """Glorot & Bengio 2010: uniform up to the square root of 6 over inputs and outputs."""
     inputs = Inputs(tuple(range(0, 1000, 2)), 1000)
-    params = Linear(256, inputs).init(jax.random.key(0), np.zeros((1, 500)))["params"]
+    params = FirstLayer(256, inputs).init(jax.random.key(0), np.zeros((1, 500)))["params"]
     most = np.sqrt(6 / (1000 + 256))
     kernel = np.asarray(params["kernel"])
     assert 0.999 * most < np.abs(kernel).max() <= most

@@ -22,11 +22,10 @@ from cadenza.agents.rl.networks import Actor, Critic
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.replay import Batch
 from cadenza.errors import CadenzaError
-from cadenza.sim.simulation import available_cores
 
 Params = Any  # nested dictionaries of arrays
 
-_MOST_THREADS = 2
+_NUM_THREADS = 2
 
 
 class LearnerState(NamedTuple):
@@ -46,13 +45,13 @@ class LearnerState(NamedTuple):
 
 
 def _start_jax() -> None:
-    """With one thread or two, unless something has started it before.
+    """With two threads, on one core and on many, unless something has started it before.
 
-    What is learnt has the same bits with both; with four, XLA adds up the gradients of some weights
-    in another order. This variable is the only way to tell it, and it asks when it starts.
+    In which order XLA adds numbers up depends on how many threads it has, and so do the last digits
+    of all that is learnt. This variable is the only way to tell it, and it asks when it starts.
     """
     before = os.environ.get("NPROC")
-    os.environ["NPROC"] = str(min(available_cores(), _MOST_THREADS))
+    os.environ["NPROC"] = str(_NUM_THREADS)
     jax.devices()
     del os.environ["NPROC"]
     if before is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import flax.linen as nn
@@ -36,58 +35,19 @@ class Dropout(nn.Module):
         return jnp.where(bits >= jnp.uint32(self.rate * 2**32), x / (1 - self.rate), 0.0)
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(1,))
-def to_all(row: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """A row (H,) for every sample, (..., H): broadcasting, with a gradient of the same bits always.
-
-    How XLA sums over samples, and with it the last digits of all that is learnt, depends on the
-    number of its threads; a product with ones does not.
-    """
-    return jnp.broadcast_to(row, shape)
-
-
-def _to_all_forward(row: jax.Array, shape: tuple[int, ...]) -> tuple[jax.Array, None]:
-    return to_all(row, shape), None
-
-
-def _to_all_backward(shape: tuple[int, ...], _: None, gradient: jax.Array) -> tuple[jax.Array]:
-    samples = gradient.reshape(-1, shape[-1])
-    return (jnp.ones(len(samples)) @ samples,)
-
-
-to_all.defvjp(_to_all_forward, _to_all_backward)
-
-
-class Linear(nn.Module):
-    """A linear layer.
-
-    With `inputs` its weights begin as those rows that it has of the layer with all inputs.
-    """
+class FirstLayer(nn.Module):
+    """A linear layer whose weights begin as those rows that it has of the layer with all inputs."""
 
     size: int
-    inputs: Inputs | None = None
+    inputs: Inputs
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
-        kernel = self.param("kernel", self._draw, (x.shape[-1], self.size))
-        bias = self.param("bias", nn.initializers.zeros, (self.size,))
-        return x @ kernel + to_all(bias, (*x.shape[:-1], self.size))
+        def rows(key: Any, shape: tuple[int, int]) -> jax.Array:
+            return _xavier(key, (self.inputs.total, shape[1]))[np.array(self.inputs.kept)]
 
-    def _draw(self, key: Any, shape: tuple[int, int]) -> jax.Array:
-        if self.inputs is None:
-            return _xavier(key, shape)
-        return _xavier(key, (self.inputs.total, self.size))[np.array(self.inputs.kept)]
-
-
-class LayerNorm(nn.Module):
-    """As `flax.linen.LayerNorm`."""
-
-    @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
-        scale = self.param("scale", nn.initializers.ones, (x.shape[-1],))
-        bias = self.param("bias", nn.initializers.zeros, (x.shape[-1],))
-        normal = nn.LayerNorm(use_scale=False, use_bias=False)(x)
-        return normal * to_all(scale, x.shape) + to_all(bias, x.shape)
+        kernel = self.param("kernel", rows, (len(self.inputs.kept), self.size))
+        return x @ kernel + self.param("bias", nn.initializers.zeros, (self.size,))
 
 
 class HiddenLayers(nn.Module):
@@ -101,11 +61,15 @@ class HiddenLayers(nn.Module):
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         for i, size in enumerate(self.config.hidden_sizes):
-            x = Linear(size, None if i else self.inputs, name=f"hidden_{i}")(x)
+            name = f"hidden_{i}"
+            if i:
+                x = nn.Dense(size, kernel_init=_xavier, name=name)(x)
+            else:
+                x = FirstLayer(size, self.inputs, name=name)(x)
             if self.dropout:
                 x = Dropout(self.dropout)(x)
             if self.layer_norm:
-                x = LayerNorm()(x)
+                x = nn.LayerNorm()(x)
             x = _ACTIVATIONS[self.config.activation](x)
         return x
 
@@ -123,8 +87,8 @@ class Actor(nn.Module):
     @nn.compact
     def __call__(self, observation: jax.Array) -> tuple[jax.Array, jax.Array]:
         hidden = HiddenLayers(self.config, self.inputs)(observation)
-        mean = Linear(self.action_size, name="mean")(hidden)
-        log_std = Linear(self.action_size, name="log_std")(hidden)
+        mean = nn.Dense(self.action_size, kernel_init=_xavier, name="mean")(hidden)
+        log_std = nn.Dense(self.action_size, kernel_init=_xavier, name="log_std")(hidden)
         return mean, jnp.clip(log_std, self.config.log_std_min, self.config.log_std_max)
 
 
@@ -140,4 +104,4 @@ class Critic(nn.Module):
         both = jnp.concatenate([observation, action], axis=-1)
         config = self.config
         hidden = HiddenLayers(config, self.inputs, config.dropout, config.layer_norm)(both)
-        return Linear(1, name="value")(hidden)[..., 0]
+        return nn.Dense(1, kernel_init=_xavier, name="value")(hidden)[..., 0]
