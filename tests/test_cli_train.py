@@ -127,6 +127,19 @@ def test_a_run_goes_on_to_another_end(
     assert "(default: 16 16)" in shown
 
 
+def test_curves_of_several_runs_make_one_page(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, page = tmp_path / "other", tmp_path / "curves.html"
+    shutil.copytree(run, other)
+    main(["curves", str(run), str(other), "-o", str(page)])
+    assert all(f.name in page.read_text() for f in (run, other))
+    picture = tmp_path / "curves.png"
+    assert "a .html page" in refused(capsys, "curves", run, "-o", picture)
+    assert "holds no figures" in refused(capsys, "curves", tmp_path, "-o", page)
+    assert not picture.exists()
+
+
 def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     code = "from cadenza.cli import main; main()"

@@ -195,6 +195,8 @@ def curves(command: Curves) -> None:
 
     if not command.runs:
         raise CadenzaError("no curves to draw: name at least one folder of a run")
+    if command.output.suffix != ".html":
+        raise CadenzaError(f"{command.output}: curves are a .html page; choose a name that ends so")
     check_writable(command.output.parent)
     drawn = [_curve(folder) for folder in command.runs]
     write_training(command.output, "Learning curves", drawn, {})
