@@ -19,7 +19,7 @@ from cadenza.cli.performing import (
     score_of,
     with_time_to_begin,
 )
-from cadenza.cli.results import check_writable
+from cadenza.cli.results import check_name, check_writable
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 
@@ -45,8 +45,7 @@ def plan(command: Plan) -> None:
     from cadenza.music.fingering_file import SUFFIX, write_fingering
 
     path = command.output or command.default_folder / "plan.npz"
-    if path.suffix != ".npz":
-        raise CadenzaError(f"{path}: a plan is a .npz file; choose a name that ends so")
+    check_name(path, ".npz", "a plan is a .npz file")
     score = score_of(command.song)
     agent = ScorePlanner(command.planner)
     task = build_task(score, command)

@@ -16,7 +16,7 @@ import tyro
 from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.cli.performing import score_of
 from cadenza.cli.play import Play, play
-from cadenza.cli.results import check_writable, plain
+from cadenza.cli.results import check_name, check_writable, plain
 from cadenza.errors import CadenzaError
 
 if TYPE_CHECKING:
@@ -195,8 +195,7 @@ def curves(command: Curves) -> None:
 
     if not command.runs:
         raise CadenzaError("no curves to draw: name at least one folder of a run")
-    if command.output.suffix != ".html":
-        raise CadenzaError(f"{command.output}: curves are a .html page; choose a name that ends so")
+    check_name(command.output, ".html", "curves are a .html page")
     check_writable(command.output.parent)
     drawn = [_curve(folder) for folder in command.runs]
     write_training(command.output, "Learning curves", drawn, {})
