@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +16,7 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
+from cadenza.cli.progress import progress
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -133,20 +133,6 @@ def perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performance
 
     with progress(doing, "steps") as advance:
         return play_episode(task, agent, seed, advance)
-
-
-@contextmanager
-def progress(doing: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar that appears after a second; yields what to call with steps done and in all."""
-    from tqdm import tqdm
-
-    with tqdm(desc=doing, unit=f" {unit}", delay=1.0, leave=False) as bar:
-
-        def advance(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield advance
 
 
 def print_scores(performance: Performance) -> None:

@@ -19,10 +19,10 @@ from cadenza.cli.performing import (
     perform,
     print_scores,
     print_what_was_lost,
-    progress,
     score_of,
     with_time_to_begin,
 )
+from cadenza.cli.progress import progress
 from cadenza.cli.results import check_writable, plain, write_json
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig

@@ -16,6 +16,7 @@ import tyro
 from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.cli.performing import score_of
 from cadenza.cli.play import Play, play
+from cadenza.cli.progress import progress
 from cadenza.cli.results import check_name, check_writable, plain
 from cadenza.errors import CadenzaError
 
@@ -127,27 +128,24 @@ def _train(command: Train, folder: Path) -> None:
 
 def _train_on(training: Training, command: Train, folder: Path) -> bool:
     """Trains until all is done, and then is true, or until someone asks to stop."""
-    from tqdm import tqdm
-
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
     shown: list[Scalars] = [TensorBoard(folder / "tensorboard", training.step)]
     if command.wandb:
         shown.append(WeightsAndBiases(command.wandb, folder, asdict(training.config)))
-    often = 0.1 if sys.stderr.isatty() else 30.0  # seconds; a log file wants fewer lines
-    steps, done = training.config.num_steps, training.step
-    bar = tqdm(total=steps, initial=done, unit=" steps", mininterval=often)
-    with bar, _asked_to_stop() as stop:
+    scores = ""
+    with progress("learning", "steps", 30.0) as advance, _asked_to_stop() as stop:
 
         def goes_on() -> bool:
-            bar.update(training.step - bar.n)
+            nonlocal scores
             while training.rows:
                 row = training.rows.popleft()
                 for scalars in shown:
                     scalars.add(row)
                 if "eval/f1" in row:
                     best = training.best["eval/f1"]
-                    bar.set_postfix_str(f"F1 {row['eval/f1']:.3f}, best {best:.3f}")
+                    scores = f"F1 {row['eval/f1']:.3f}, best {best:.3f}"
+            advance(training.step, training.config.num_steps, scores)
             return not stop()
 
         training.run(goes_on)

@@ -1,0 +1,91 @@
+"""How far a command has got: a bar on a terminal, plain lines now and then anywhere else."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
+"""Whether the command shows no progress."""
+
+
+class Advance(Protocol):
+    """What a stage of work calls as it gets on."""
+
+    def __call__(self, done: int, total: int, remark: str = "") -> None:
+        """Units done and in all; time is counted from the first call."""
+
+
+@contextmanager
+def progress(doing: str, unit: str, seconds_between_lines: float = 10.0) -> Iterator[Advance]:
+    """Shows a stage of work on stderr, and yields what to call with units done and in all.
+
+    A bar appears on a terminal after a second, and goes at the end. A file or a pipe gets a line
+    at most every `seconds_between_lines`, none for shorter work, and no carriage returns.
+    """
+    if QUIET.get():
+        yield lambda *_, **__: None
+    elif sys.stderr.isatty():
+        bar = _Bar(doing, unit)
+        try:
+            yield bar
+        finally:
+            bar.close()
+    else:
+        yield _Lines(doing, unit, seconds_between_lines)
+
+
+class _Bar:
+    def __init__(self, doing: str, unit: str) -> None:
+        self._doing, self._unit = doing, unit
+        self._bar: tqdm | None = None
+
+    def __call__(self, done: int, total: int, remark: str = "") -> None:
+        from tqdm import tqdm
+
+        if self._bar is None:
+            self._bar = tqdm(
+                desc=self._doing,
+                unit=f" {self._unit}",
+                total=total,
+                initial=done,
+                delay=1.0,
+                leave=False,
+            )
+        self._bar.total = total
+        self._bar.set_postfix_str(remark, refresh=False)
+        self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+class _Lines:
+    def __init__(self, doing: str, unit: str, seconds_between: float) -> None:
+        self._doing, self._unit, self._between = doing, unit, seconds_between
+        self._began: tuple[float, int] | None = None  # when, and what was done by then
+        self._last = 0.0
+
+    def __call__(self, done: int, total: int, remark: str = "") -> None:
+        from tqdm import tqdm
+
+        now = time.monotonic()
+        if self._began is None:
+            self._began, self._last = (now, done), now
+        if now - self._last < self._between:
+            return
+        self._last = now
+        started, already = self._began
+        line = f"{self._doing}: {done} of {total} {self._unit}"
+        if already < done < total:
+            left = (total - done) * (now - started) / (done - already)
+            line += f", {tqdm.format_interval(left)} left"
+        print(line + (f", {remark}" if remark else ""), file=sys.stderr, flush=True)

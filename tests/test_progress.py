@@ -1,0 +1,88 @@
+"""What is shown of work that takes a while, on a terminal and elsewhere."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+
+import pytest
+
+from cadenza.cli.progress import QUIET, progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Seconds that time.monotonic tells, to be moved by the test."""
+    seconds = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: seconds[0])
+    return seconds
+
+
+def test_a_log_gets_a_line_now_and_then(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    with progress("playing", "steps") as advance:
+        for done in range(1, 101):
+            advance(done, 100, "F1 0.5" if done > 50 else "")
+            clock[0] += 0.25
+    assert log.getvalue() == (
+        "playing: 41 of 100 steps, 00:14 left\nplaying: 81 of 100 steps, 00:04 left, F1 0.5\n"
+    )
+
+
+def test_what_is_resumed_is_timed_from_where_it_goes_on(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    with progress("learning", "steps", 30.0) as advance:
+        advance(900, 1000)
+        clock[0] += 40
+        advance(940, 1000)
+    assert log.getvalue() == "learning: 940 of 1000 steps, 01:00 left\n"
+
+
+def test_short_work_leaves_no_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("playing", "steps") as advance:
+        for done in range(10):
+            advance(done, 9)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress("playing", "steps") as advance:
+        advance(1, 3)
+        time.sleep(1.1)  # it appears after a second
+        advance(2, 3, "F1 0.5")
+    shown = terminal.getvalue()
+    assert "playing" in shown
+    assert "2/3" in shown
+    assert "F1 0.5" in shown
+    assert shown.endswith("\r")
+
+
+@pytest.mark.parametrize("stream", [Terminal, io.StringIO])
+def test_quiet_shows_nothing(
+    stream: type[io.StringIO], clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = stream()
+    monkeypatch.setattr(sys, "stderr", shown)
+    token = QUIET.set(True)
+    try:
+        with progress("playing", "steps") as advance:
+            for done in range(3):
+                advance(done, 2)
+                clock[0] += 60
+    finally:
+        QUIET.reset(token)
+    assert shown.getvalue() == ""
