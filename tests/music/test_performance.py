@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from cadenza.music.performance import performed_score
 from cadenza.music.score import Note, PedalEvent
 
 DT = 0.05
+DATA = Path(__file__).parents[1] / "data"
 
 
 def silent(steps):
@@ -61,6 +64,27 @@ def test_a_key_that_lay_just_above_its_bottom_is_soft():
     keys, sustain = silent(20)
     keys[10:, 39] = True
     assert performed_score(keys, sustain, DT, angle).notes[0].velocity == 30
+
+
+def test_a_key_struck_again_soon_is_as_loud_as_its_way_from_where_it_turned():
+    angle = np.zeros((20, 88))
+    keys, sustain = silent(20)
+    angle[5:, 39] = 0.0666
+    angle[10, 39] = 0.2 * 0.0666
+    keys[5:10, 39] = keys[11:, 39] = True
+    first, again = performed_score(keys, sustain, DT, angle).notes
+    assert (first.velocity, again.velocity) == (120, 102)
+
+
+@pytest.mark.parametrize("name", "bcd")
+def test_no_key_that_is_struck_again_in_a_recording_is_silent(name):
+    with np.load(DATA / f"episode_{name}.npz") as recorded:
+        keys, angle = recorded["key_activation"], recorded["key_qpos"]
+    notes = performed_score(keys, np.zeros(len(keys), bool), DT, angle).notes
+    again = [
+        b.velocity for a in notes for b in notes if a.pitch == b.pitch and 0 < b.start - a.end < 0.1
+    ]
+    assert min(again) > 35
 
 
 @given(scores())

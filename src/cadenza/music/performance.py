@@ -15,7 +15,8 @@ WHITE_KEY_TRAVEL = 0.0666
 BLACK_KEY_TRAVEL = 0.0887
 
 SOFTEST, LOUDEST = 30, 120  # MIDI velocities
-# [s] over which the key's speed is averaged: as short as tells loud from soft at 20 steps a second.
+# [s] a key that is struck as hard as can be goes down within this time: as short as tells loud from
+# soft at 20 steps a second.
 STRIKE_TIME = 0.1
 
 _TRAVEL = np.where(IS_BLACK, BLACK_KEY_TRAVEL, WHITE_KEY_TRAVEL)
@@ -43,9 +44,10 @@ def performed_score(
 
     A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
     just as `score_to_goals` places it. Its velocity is 80, or where `key_qpos` is known
-    `30 + 90 * v * 0.1 s / travel`, at most 120: v [rad/s] is the average speed at which the key
-    went down over the 0.1 s before and including the step on which it began to sound, travel [rad]
-    its way to the bottom. A key pushed down within 0.1 s gives 120, one let down slowly 30.
+    `30 + 90 * way / travel`: way [rad] is how far the key went down within 0.1 s to where it is on
+    the step on which it begins to sound, from the highest that it stood in that time, travel [rad]
+    its way from rest to the bottom. A key pushed down within 0.1 s gives 120, one let down slowly
+    30, one that comes up halfway before it is struck again 75.
 
     Args:
         key_activation: (T, 88), whether each key sounds after the step.
@@ -70,6 +72,6 @@ def _velocity(
     depth = np.clip(key_qpos / _TRAVEL, 0, 1)
     steps = max(1, round(STRIKE_TIME / dt))
     depth = np.vstack([np.zeros((steps, NUM_KEYS)), depth])  # at rest before the first step
-    travels_per_second = (depth[first + steps, key] - depth[first, key]) / (steps * dt)
-    loudness = np.clip(travels_per_second * STRIKE_TIME, 0, 1)
-    return np.rint(SOFTEST + (LOUDEST - SOFTEST) * loudness).astype(np.intp)
+    before = depth[first[:, None] + np.arange(steps + 1), key[:, None]]  # (N, steps + 1)
+    way = before[:, -1] - before.min(axis=1)
+    return np.rint(SOFTEST + (LOUDEST - SOFTEST) * way).astype(np.intp)
