@@ -1,11 +1,12 @@
 """Trains Stable-Baselines3's SAC on the environments, single and vectorised.
 
-A check that they train under someone else's learner; docs/learning.md has what it printed. In a
-virtual environment with Cadenza, since it installs gigabytes:
+The single environment is used as it is; `VecEnvAdapter` gives the vectorised one the interface that
+Stable-Baselines3 has for such. docs/learning.md has what this printed. Stable-Baselines3 installs
+gigabytes, so take a virtual environment of its own:
 
     pip install torch --index-url https://download.pytorch.org/whl/cpu
     pip install 'stable-baselines3>=2.7,<3'
-    python tools/train_with_sb3.py --steps 4000
+    python examples/stable_baselines3.py --steps 4000
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ import cadenza  # noqa: F401 - registers the environments
 SONG = "cadenza/CMajorScaleOneHand-v0"
 
 
-class OfGymnasium(VecEnv):
-    """A vector environment of Gymnasium, reset in the same step, as Stable-Baselines3 has them."""
+class VecEnvAdapter(VecEnv):
+    """Gymnasium's vector environment, made with `AutoresetMode.SAME_STEP`, as a `VecEnv`."""
 
     def __init__(self, envs: VectorEnv) -> None:
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
@@ -97,7 +98,7 @@ def main() -> None:
     steps = parser.parse_args().steps
     train("gym.make", Monitor(gym.make(SONG)), steps, {})
     vector = gym.make_vec(SONG, num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)
-    train("gym.make_vec", VecMonitor(OfGymnasium(vector)), steps, {"gradient_steps": 8})
+    train("gym.make_vec", VecMonitor(VecEnvAdapter(vector)), steps, {"gradient_steps": 8})
 
 
 if __name__ == "__main__":
