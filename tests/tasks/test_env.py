@@ -15,9 +15,13 @@ from numpy.testing import assert_array_equal
 
 import cadenza
 from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
 from cadenza.music.library import songs
 from cadenza.music.score import Note, Score
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import Outcome
 
 ID = "cadenza/TwinkleTwinkleLittleStar-v0"
 SHORT = Score((Note(0.0, 0.1, 60, finger=0), Note(0.1, 0.25, 62, finger=1)), title="short")
@@ -265,6 +269,11 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
     [
         (lambda: PianoVectorEnv(SHORT).step(np.zeros((1, 39))), "reset.. before step"),
         (lambda: PianoEnv(SHORT, render_mode="human"), "render_mode 'human': choose"),
+        (lambda: gym.make("cadenza/Piano-v0"), "no song to play: give song='OdeToJoy'"),
+        (lambda: gym.make_vec("cadenza/Piano-v0", num_envs=2), "no song to play"),
+        (lambda: PianoEnv(SHORT, task=PianoTask([SHORT])), "has its songs"),
+        (lambda: PianoEnv(task=PianoTask([SHORT]), stretch=2), "give nothing else"),
+        (lambda: PianoVectorEnv(num_envs=2, task=PianoTask([SHORT])), "num_envs 2: the task has 1"),
         (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
@@ -288,6 +297,76 @@ def test_final_info_holds_the_ended_episodes_scores() -> None:
     *_, truncated, info = scripted(AutoresetMode.SAME_STEP, SHORT_STEPS)[-1]
     assert_array_equal(info["_final_info"], truncated)
     assert_array_equal(info["final_info"]["metrics/f1"], info["metrics/f1"])
+
+
+@pytest.mark.parametrize("env_id", ["cadenza/Piano-v0", ID])
+def test_info_names_the_song(env_id: str) -> None:
+    given = {} if env_id == ID else {"song": SHORT}
+    title = "Twinkle, Twinkle, Little Star" if env_id == ID else "short"
+    env = gym.make(env_id, **given)
+    assert env.reset(seed=0)[1] == {"song": title}
+    assert env.step(env.action_space.sample())[4]["song"] == title
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_infos_name_the_song_of_each_environment(mode: AutoresetMode) -> None:
+    other = Score((Note(0.0, 0.1, 64),), title="other")
+    envs = PianoVectorEnv([SHORT, other], num_envs=8, autoreset_mode=mode)
+    _, infos = envs.reset(seed=0)
+    assert set(infos["song"]) == {"short", "other"}
+    for _ in range(12):
+        before = infos["song"]
+        _, _, terminated, truncated, infos = envs.step(np.zeros((8, 39)))
+        assert_array_equal(infos["song"], [score.title for score in envs.task.sheets.songs])
+        assert infos["_song"].all()
+        if "final_info" in infos:
+            assert_array_equal(infos["final_info"]["song"], before)
+        if mode == AutoresetMode.DISABLED and (ended := terminated | truncated).any():
+            _, infos = envs.reset(options={"reset_mask": ended})
+            assert_array_equal(infos["_song"], ended)
+
+
+def near_middle_c(outcome: Outcome) -> np.ndarray:
+    return outcome.key_state[:, 39] - outcome.goal_keys.sum(axis=1)
+
+
+def test_reward_terms_of_one_s_own() -> None:
+    terms = {"middle_c": near_middle_c, "energy": lambda outcome: np.zeros(len(outcome.ctrl))}
+    env = gym.make("cadenza/Piano-v0", song=SHORT, reward_terms=terms)
+    envs = gym.make_vec("cadenza/Piano-v0", num_envs=3, song=SHORT, reward_terms=terms)
+    plain = PianoEnv(SHORT)
+    for each in (env, envs, plain):
+        each.reset(seed=0)
+    for _ in range(SHORT_STEPS):
+        action = np.full(39, 0.3)
+        _, reward, _, _, info = env.step(action)
+        _, rewards, _, _, infos = envs.step(np.tile(action, (3, 1)))
+        _, without, _, _, before = plain.step(action)
+        goals = plain.task.sheets.part(0, 0, SHORT_STEPS)[0][:, :88].sum(axis=1)
+        wanted = plain.task.key_state[0, 39] - goals[plain.task.sheets.steps_done[0] - 1]
+        assert info["reward/middle_c"] == pytest.approx(wanted)
+        assert info["reward/energy"] == 0
+        assert reward == pytest.approx(without + wanted - before["reward/energy"])
+        assert_array_equal(rewards, [reward] * 3)
+        assert_array_equal(infos["reward/middle_c"], [info["reward/middle_c"]] * 3)
+
+
+def test_a_reward_term_of_the_wrong_shape() -> None:
+    env = PianoEnv(SHORT, reward_terms={"sum": lambda outcome: outcome.sounding.sum()})
+    env.reset(seed=0)
+    with pytest.raises(CadenzaError, match=r"'sum' returned shape \(\): give .* \(1,\)"):
+        env.step(np.zeros(39))
+
+
+def test_make_takes_configurations_and_tasks() -> None:
+    config, scene = TaskConfig(stretch=2.0), SceneConfig(reduced_action_space=False)
+    env = gym.make(ID, task=config, scene=scene, n_steps_lookahead=3)
+    assert env.unwrapped.task.config == TaskConfig(stretch=2.0, n_steps_lookahead=3)
+    assert env.action_space.shape == (45,)
+    task = PianoTask([SHORT], config, num_envs=2)
+    envs = gym.make_vec("cadenza/Piano-v0", num_envs=2, task=task)
+    assert envs.unwrapped.task is task
+    assert envs.reset(seed=0)[1]["song"].tolist() == ["short", "short"]
 
 
 def test_stretch_and_transpose() -> None:

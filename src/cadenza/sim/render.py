@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import threading
 import weakref
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,6 +104,50 @@ class Renderer:
         return pixels[::-1]
 
 
+class Drawing:
+    """Draws from any thread: each has a renderer of its own, as a graphics context belongs to one.
+
+    Renderers are made when they are first needed; a copy or a forked child makes its own.
+    """
+
+    def __init__(self, scene: Scene, picture: Picture) -> None:
+        self._scene, self._picture = scene, picture
+        self._mine = threading.local()
+
+    def frame(
+        self,
+        hand_qpos: NDArray[Any],
+        key_qpos: NDArray[Any],
+        sounding: NDArray[Any],
+        goal: NDArray[Any],
+    ) -> NDArray[np.uint8]:
+        """See `Renderer.frame`.
+
+        Raises:
+            CadenzaError: this machine cannot draw, or the picture makes no sense.
+        """
+        return self._renderer().frame(hand_qpos, key_qpos, sounding, goal)
+
+    def _renderer(self) -> Renderer:
+        renderer, process = getattr(self._mine, "made", (None, None))
+        if renderer is not None and process == os.getpid():
+            return renderer
+        if renderer is not None:
+            renderer.close.detach()  # its graphics context is the parent's
+        self._mine.made = Renderer(self._scene, self._picture), os.getpid()
+        return self._mine.made[0]
+
+    def close(self) -> None:
+        """Frees this thread's graphics; those of other threads go when these end."""
+        renderer, process = getattr(self._mine, "made", (None, None))
+        if renderer is not None and process == os.getpid():
+            renderer.close()
+        self._mine = threading.local()
+
+    def __reduce__(self) -> tuple[type[Drawing], tuple[Scene, Picture]]:
+        return Drawing, (self._scene, self._picture)
+
+
 def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     names = [model.camera(i).name for i in range(model.ncam)]
     if name not in names:
@@ -134,7 +180,9 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
 
 
 def _free(context: mujoco.MjrContext, gl: Any) -> None:
-    context.free()
+    with suppress(Exception):  # it may be current in another thread, and can then not be used here
+        gl.make_current()  # or the buffers of whichever context is current would go
+        context.free()
     gl.free()
 
 

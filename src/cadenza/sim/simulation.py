@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.model.piano import NUM_KEYS
 from cadenza.model.scene import Scene
+from cadenza.sim.lock import Lock, one_at_a_time
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,8 @@ class Simulation:
     """N simulations, each with its own `MjData`.
 
     Every simulation is stepped by one thread at a time and shares nothing with the others, so the
-    results are the same bits for any number of threads.
+    results are the same bits for any number of threads. Threads that call its methods wait for each
+    other.
 
     Attributes:
         state: the state after the last step; its arrays are never written to again.
@@ -91,8 +93,10 @@ class Simulation:
         self.control_timestep = control_timestep
         self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
         self.num_unstable = 0
+        self._lock = Lock()
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
         self._pool: ThreadPoolExecutor | None = None  # started when it is first needed
+        self._pool_of = os.getpid()  # a forked child has none of its threads
         self._num_threads = num_threads
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
@@ -120,6 +124,7 @@ class Simulation:
     def _copy(self) -> State:
         return State._make(values.copy() for values in self.state)
 
+    @one_at_a_time
     def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
         """Puts simulations back to the start.
 
@@ -138,6 +143,7 @@ class Simulation:
             self._counted[i] = False
             self._read(i, self.state, i)
 
+    @one_at_a_time
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
         """Applies `ctrl` (N, A) in actuator units for one control step.
 
@@ -156,6 +162,7 @@ class Simulation:
         self._count_unstable(out.unstable)
         self.state = out
 
+    @one_at_a_time
     def rollout(self, ctrl: Array) -> State:
         """Takes K control steps in every simulation and returns all states on the way.
 
@@ -185,8 +192,8 @@ class Simulation:
             for i in env_ids:
                 advance(i)
             return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._num_threads)
+        if self._pool is None or self._pool_of != os.getpid():
+            self._pool, self._pool_of = ThreadPoolExecutor(self._num_threads), os.getpid()
         shared = iter(list(env_ids))  # each thread takes the next simulation that nobody has taken
 
         def work() -> None:
@@ -228,15 +235,17 @@ class Simulation:
             self.num_unstable += 1
             _LOG.warning("simulation %d became unstable", i)
 
+    @one_at_a_time
     def copy_from(self, other: Simulation, env_id: int) -> None:
         """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
-        source = other._data[env_id]
         self.state = self._blank(self.num_envs)
-        for i, data in enumerate(self._data):
-            mujoco.mj_copyData(data, self.scene.model, source)
-            self._counted[i] = other._counted[env_id]
-            self._read(i, self.state, i)
+        with other._lock:
+            for i, data in enumerate(self._data):
+                mujoco.mj_copyData(data, self.scene.model, other._data[env_id])
+                self._counted[i] = other._counted[env_id]
+                self._read(i, self.state, i)
 
+    @one_at_a_time
     def place(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
         """Puts the joints of every simulation of this batch here, with the keys at rest.
 
@@ -255,6 +264,7 @@ class Simulation:
             self._counted[i] = False
             self._read(i, self.state, i)
 
+    @one_at_a_time
     def displace(self, hand_qpos: Array, hand_qvel: Array) -> None:
         """Moves the hands of each simulation and leaves the keys as they are.
 
@@ -269,6 +279,7 @@ class Simulation:
             mujoco.mj_step1(self.scene.model, data)
             self._read(i, self.state, i)
 
+    @one_at_a_time
     def physics_state(self, env_id: int) -> Array:
         """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
         model = self.scene.model
@@ -276,6 +287,7 @@ class Simulation:
         mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
         return state
 
+    @one_at_a_time
     def set_physics_state(self, state: Array) -> None:
         """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
 
@@ -289,15 +301,17 @@ class Simulation:
             self._counted[i] = False
             self._read(i, self.state, i)
 
+    @one_at_a_time
     def coordinates(self) -> Array:
         """(N, 2 V) positions and velocities of all V joints, keys and hands, in MuJoCo's order."""
         return np.array([np.concatenate([data.qpos, data.qvel]) for data in self._data])
 
+    @one_at_a_time
     def close(self) -> None:
         """Stops the threads."""
-        if self._pool is not None:
+        if self._pool is not None and self._pool_of == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_pool": None}  # threads cannot be copied

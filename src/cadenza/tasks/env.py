@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,25 @@ from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.music.library import load_score
 from cadenza.music.score import NUM_KEYS, Score
-from cadenza.sim.render import Picture, Renderer
+from cadenza.sim.lock import Lock, one_at_a_time
+from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
+from cadenza.tasks.reward import RewardTerm
 
 Song = str | Path | Score
 Observation = Any  # an array, or with pixels a dictionary of two
 
 
-def configure(options: dict[str, Any]) -> tuple[TaskConfig, SceneConfig]:
+def configure(
+    options: dict[str, Any], task: TaskConfig | None = None, scene: SceneConfig | None = None
+) -> tuple[TaskConfig, SceneConfig]:
     """Sorts keyword options into the two configurations that have them as fields.
+
+    Args:
+        options: change `task` and `scene`.
+        task: the defaults if not given.
+        scene: the defaults if not given.
 
     Raises:
         CadenzaError: no configuration has such an option.
@@ -45,7 +54,8 @@ def configure(options: dict[str, Any]) -> tuple[TaskConfig, SceneConfig]:
     def chosen(kind: type) -> dict[str, Any]:
         return {name: options[name] for name in known[kind] & options.keys()}
 
-    return TaskConfig(**chosen(TaskConfig)), SceneConfig(**chosen(SceneConfig))
+    task = replace(task or TaskConfig(), **chosen(TaskConfig))
+    return task, replace(scene or SceneConfig(), **chosen(SceneConfig))
 
 
 def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
@@ -54,13 +64,43 @@ def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
     return tuple(s if isinstance(s, Score) else load_score(s) for s in songs)
 
 
+def make_task(
+    song: Song | Sequence[Song] | None,
+    num_envs: int,
+    num_threads: int,
+    task: TaskConfig | PianoTask | None,
+    scene: SceneConfig | None,
+    reward_terms: Mapping[str, RewardTerm] | None,
+    options: dict[str, Any],
+) -> PianoTask:
+    """The task of an environment, see `PianoVectorEnv`."""
+    if isinstance(task, PianoTask):
+        if song is not None or scene is not None or reward_terms is not None or options:
+            raise CadenzaError(
+                "a PianoTask has its songs, scene, reward and options already: give nothing else, "
+                "or a TaskConfig"
+            )
+        if num_envs != task.num_envs:
+            raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}, give the same")
+        return task
+    if song is None:
+        raise CadenzaError(
+            "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
+        )
+    config, scene = configure(options, task, scene)
+    return PianoTask(load_songs(song), config, scene, num_envs, num_threads, reward_terms)
+
+
 class PianoVectorEnv(VectorEnv):
     """N copies of the task, stepped together on a pool of threads.
 
     Actions are in [-1, 1], scaled to the actuators' ranges, the pedal last. Observations are
     float32 arrays whose parts `observation_layout` names; with `pixels` a dictionary of them,
-    "state", and of pictures, "pixels". `infos` holds the reward terms as "reward/<term>", and in
-    the last step of an episode its scores as "metrics/<name>".
+    "state", and of pictures, "pixels". `infos` holds the title of the song that each environment
+    plays as "song", the reward terms as "reward/<term>", and in the last step of an episode its
+    scores as "metrics/<name>".
+
+    Threads that call the methods of one environment wait for each other.
 
     The score's end truncates an episode (the published environment gives it a discount of 1); a
     wrong key that ends it, or a simulation that became unstable, terminates it.
@@ -68,13 +108,16 @@ class PianoVectorEnv(VectorEnv):
 
     def __init__(
         self,
-        song: Song | Sequence[Song],
+        song: Song | Sequence[Song] | None = None,
         num_envs: int = 1,
         num_threads: int = 1,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         picture: Picture | None = None,
         pixels: bool = False,
+        task: TaskConfig | PianoTask | None = None,
+        scene: SceneConfig | None = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
         """Args:
@@ -86,25 +129,29 @@ class PianoVectorEnv(VectorEnv):
             render_mode: "rgb_array" to draw.
             picture: size and camera of what is drawn.
             pixels: observe pictures too.
-            options: fields of `TaskConfig` and `SceneConfig`.
+            task: the task's configuration, or a whole task, which has a song already.
+            scene: the scene's configuration.
+            reward_terms: name -> function of a `tasks.reward.Outcome` that returns (N,); added to
+                the reward, or in place of the term that has this name.
+            options: fields of `TaskConfig` and `SceneConfig`, which change `task` and `scene`.
 
         Raises:
             CadenzaError: a song cannot be played or an option makes no sense.
         """
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
-        config, scene = configure(options)
-        self.task = PianoTask(load_songs(song), config, scene, num_envs, num_threads)
+        self.task = make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
+        self._lock = Lock()
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
-            "render_fps": round(1 / config.control_timestep),
+            "render_fps": round(1 / self.task.config.control_timestep),
             "autoreset_mode": AutoresetMode(autoreset_mode),
         }
         self._picture = picture or Picture()
         self._pixels = pixels
-        self._renderer: Renderer | None = None
+        self._drawing = Drawing(self.task.scene, self._picture)
         self._rngs: list[np.random.Generator] = []
         self._finished = np.zeros(num_envs, bool)
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
@@ -129,6 +176,7 @@ class PianoVectorEnv(VectorEnv):
         shape = (self._picture.height, self._picture.width, 3)
         return spaces.Dict({"state": state, "pixels": spaces.Box(0, 255, shape, np.uint8)})
 
+    @one_at_a_time
     def reset(
         self,
         *,
@@ -147,7 +195,11 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
         self._restart(np.flatnonzero(mask))
         self._finished = self._finished & ~mask
-        return self._observe(), {}
+        return self._observe(), self._songs(mask)
+
+    def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
+        titles = np.array([score.title for score in self.task.sheets.songs], object)
+        return {"song": titles, "_song": known}
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._rngs:
@@ -167,6 +219,7 @@ class PianoVectorEnv(VectorEnv):
         if len(env_ids):
             self.task.reset([self._rngs[i] for i in env_ids], env_ids.tolist())
 
+    @one_at_a_time
     def step(
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
@@ -199,12 +252,14 @@ class PianoVectorEnv(VectorEnv):
             infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
+            infos |= self._songs(np.ones_like(ended))
             self._finished = np.zeros_like(ended)
             observation = self._observe()
         return observation, result.reward, result.terminated, result.truncated, infos
 
     def _infos(self, result: Transition, stepped: NDArray[np.bool_]) -> dict[str, Any]:
-        infos: dict[str, Any] = {"unstable": result.unstable, "_unstable": stepped}
+        infos = self._songs(np.ones_like(stepped))
+        infos |= {"unstable": result.unstable, "_unstable": stepped}
         for name, values in result.terms.items():
             infos[f"reward/{name}"], infos[f"_reward/{name}"] = values, stepped
         return infos
@@ -221,27 +276,25 @@ class PianoVectorEnv(VectorEnv):
         return {"state": state, "pixels": self._draw()} if self._pixels else state
 
     def _draw(self) -> NDArray[np.uint8]:
-        if self._renderer is None:
-            self._renderer = Renderer(self.task.scene, self._picture)
         state, task = self.task.state, self.task
         goal = task.sheets.goal[:, :NUM_KEYS]
         return np.stack(
             [
-                self._renderer.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])
+                self._drawing.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])
                 for i, sounding in enumerate(task.sounding)
             ]
         )
 
+    @one_at_a_time
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each environment, if `render_mode` asks for it."""
         return tuple(self._draw()) if self.render_mode == "rgb_array" else None
 
+    @one_at_a_time
     def close_extras(self, **kwargs: Any) -> None:
         """Frees threads and graphics."""
         self.task.close()
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._drawing.close()
 
 
 class PianoEnv(gymnasium.Env):
@@ -251,16 +304,28 @@ class PianoEnv(gymnasium.Env):
 
     def __init__(
         self,
-        song: Song | Sequence[Song],
+        song: Song | Sequence[Song] | None = None,
         render_mode: str | None = None,
         picture: Picture | None = None,
         pixels: bool = False,
+        task: TaskConfig | PianoTask | None = None,
+        scene: SceneConfig | None = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
         **options: Any,
     ) -> None:
         """See `PianoVectorEnv`."""
         self._batch = PianoVectorEnv(
-            song, 1, 1, AutoresetMode.DISABLED, render_mode, picture, pixels, **options
+            song,
+            autoreset_mode=AutoresetMode.DISABLED,
+            render_mode=render_mode,
+            picture=picture,
+            pixels=pixels,
+            task=task,
+            scene=scene,
+            reward_terms=reward_terms,
+            **options,
         )
+        self._lock = self._batch._lock
         self.task = self._batch.task
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._batch.metadata["render_fps"]}
@@ -272,22 +337,23 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.observation_layout
 
+    @one_at_a_time
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts a new episode."""
         super().reset(seed=seed)
         self._batch._rngs = [self.np_random]
-        observation, _ = self._batch.reset()
-        return _row(observation), {}
+        observation, infos = self._batch.reset()
+        return _row(observation), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step, as `gymnasium.Env.step`."""
         observation, reward, terminated, truncated, infos = self._batch.step(
             np.asarray(action)[None]
         )
-        info = {name: value[0].item() for name, value in infos.items() if name[0] != "_"}
-        return _row(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+        ended = bool(terminated[0]), bool(truncated[0])
+        return _row(observation), float(reward[0]), *ended, _first(infos)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3), if `render_mode` asks for it."""
@@ -297,6 +363,11 @@ class PianoEnv(gymnasium.Env):
     def close(self) -> None:
         """Frees graphics."""
         self._batch.close()
+
+
+def _first(infos: dict[str, Any]) -> dict[str, Any]:
+    """What `infos` says of the first environment, as plain values."""
+    return {name: values[:1].tolist()[0] for name, values in infos.items() if name[0] != "_"}
 
 
 def _row(observation: Observation) -> Observation:

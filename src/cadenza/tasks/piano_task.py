@@ -7,7 +7,7 @@ actuator units and arrays (num_envs, ...).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,6 +72,7 @@ class PianoTask:
         scene: SceneConfig | Scene | None = None,
         num_envs: int = 1,
         num_threads: int = 1,
+        reward_terms: Mapping[str, reward.RewardTerm] | None = None,
     ) -> None:
         """Args:
             scores: the songs to draw from, one per episode.
@@ -79,6 +80,8 @@ class PianoTask:
             scene: the scene or its options.
             num_envs: N.
             num_threads: threads that share the simulation.
+            reward_terms: name -> function of a `reward.Outcome` that returns (N,); they are added
+                to the reward, and one of the same name takes the place of the task's own.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -102,6 +105,7 @@ class PianoTask:
         self.observation_layout = self._lay_out_observation(lookahead)
         self.observation_size = max(part.stop for part in self.observation_layout.values())
         self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
+        self._more_terms = dict(reward_terms or {})
         self._pedal = np.zeros(num_envs)
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
@@ -190,7 +194,7 @@ class PianoTask:
         self._played[self._env_ids[moving], row[moving]] = played[moving]
         sheets.advance(moving)
 
-        terms = self._reward_terms(goal, fingers)
+        terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
         terminated = self.state.unstable
         if self.config.wrong_press_termination:
             terminated = terminated | (self.sounding > goal[:, :NUM_KEYS]).any(axis=1)
@@ -217,6 +221,28 @@ class PianoTask:
             terms["sustain"] = reward.sustain(self.pedal_down, goal[:, NUM_KEYS])
         if config.forearm_term:
             terms["forearm"] = reward.forearm(state.forearm_contact)
+        return terms
+
+    def _terms_given(self, goal: Mask, fingers: NDArray[np.int8], ctrl: Array) -> dict[str, Array]:
+        if not self._more_terms:
+            return {}
+        outcome = reward.Outcome(
+            state=self.state,
+            key_state=self.key_state,
+            sounding=self.sounding,
+            pedal_down=self.pedal_down,
+            goal_keys=goal[:, :NUM_KEYS],
+            goal_sustain=goal[:, NUM_KEYS],
+            fingers=fingers,
+            ctrl=ctrl,
+        )
+        terms = {n: np.asarray(term(outcome), float) for n, term in self._more_terms.items()}
+        for name, values in terms.items():
+            if values.shape != (self.num_envs,):
+                raise CadenzaError(
+                    f"reward term {name!r} returned shape {values.shape}: give a number for each "
+                    f"environment, ({self.num_envs},)"
+                )
         return terms
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:

@@ -6,6 +6,7 @@ published code computes them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cadenza.model.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
+from cadenza.sim.simulation import State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,6 +28,31 @@ PRESS_OFFSET = np.stack(
     [0.35 * KEY_HALF_SIZE[:, 0], np.zeros(len(KEY_HALF_SIZE)), 0.5 * KEY_HALF_SIZE[:, 2]], axis=1
 )
 """(88, 3) where on a key a finger is wanted, from the centre of its box [m]."""
+
+
+class Outcome(NamedTuple):
+    """What came of a control step in N environments, and what was wanted of it."""
+
+    state: State
+    """The simulations after the step."""
+    key_state: Array
+    """(N, 88) how far the keys are down, 0..1."""
+    sounding: Mask
+    """(N, 88) which keys sound."""
+    pedal_down: Mask
+    """(N,)"""
+    goal_keys: Mask
+    """(N, 88) which keys should sound."""
+    goal_sustain: Mask
+    """(N,) whether the pedal should be down."""
+    fingers: NDArray[np.int8]
+    """(N, 88) which fingers should press the keys, -1 for none."""
+    ctrl: Array
+    """(N, A) the action in actuator units, the pedal last."""
+
+
+RewardTerm = Callable[[Outcome], Array]
+"""A term of the reward, (N,)."""
 
 
 def tolerance(x: Array, bound: float, margin: float) -> Array:

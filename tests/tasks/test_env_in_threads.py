@@ -1,0 +1,109 @@
+"""One environment used by several threads, and in a forked process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+_BEGINNING = """
+    import threading
+    import numpy as np
+    from cadenza.tasks.env import PianoVectorEnv
+
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2, num_threads=THREADS)
+    envs.reset(seed=0)
+    envs.step(np.zeros((2, 39)))
+"""
+
+
+def run(program: str, threads: int = 1) -> subprocess.CompletedProcess[str]:
+    """Its own process: what goes wrong here ends or hangs it."""
+    code = textwrap.dedent(_BEGINNING.replace("THREADS", str(threads))) + textwrap.dedent(program)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("other", ["step(np.zeros((2, 39)))", "reset(seed=1)", "close()"])
+def test_threads_that_share_an_environment_wait_for_each_other(other: str, threads: int) -> None:
+    result = run(
+        f"""
+        failed = []
+
+        def repeat(call):
+            try:
+                for _ in range(30):
+                    call()
+            except Exception as error:
+                failed.append(error)
+
+        calls = [lambda: envs.step(np.ones((2, 39))), lambda: envs.{other}] * 2
+        workers = [threading.Thread(target=repeat, args=(call,)) for call in calls]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        print(failed)
+        """,
+        threads,
+    )
+    assert (result.returncode, result.stdout) == (0, "[]\n"), result.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_environment_steps_on() -> None:
+    result = run(
+        """
+        import os
+
+        held, let_go = threading.Event(), threading.Event()
+
+        def hold():  # the lock, while the process forks
+            with envs._lock:
+                held.set()
+                let_go.wait()
+
+        threading.Thread(target=hold).start()
+        held.wait()
+        child = os.fork()
+        if child == 0:
+            there = envs.step(np.ones((2, 39)))[0]
+            os.write(1, there.tobytes())
+            os._exit(0)
+        let_go.set()
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        os.write(2, envs.step(np.ones((2, 39)))[0].tobytes())
+        """,
+        threads=2,
+    )
+    assert result.returncode == 0
+    assert result.stdout == result.stderr != ""
+
+
+def test_every_thread_can_draw() -> None:
+    result = run(
+        """
+        from cadenza.tasks.env import PianoEnv
+
+        env = PianoEnv("OdeToJoy", render_mode="rgb_array")
+        env.reset(seed=0)
+        pictures = [env.render()]
+        for _ in range(2):
+            worker = threading.Thread(target=lambda: pictures.append(env.render()))
+            worker.start()
+            worker.join()
+        pictures.append(env.render())
+        print([bool((picture == pictures[0]).all()) for picture in pictures])
+        """
+    )
+    assert result.stdout == "[True, True, True, True]\n", result.stderr
