@@ -49,16 +49,19 @@ def _hand(number: int) -> list[dict]:
     ]
 
 
+def _bodies(number: int) -> list[dict]:
+    """A forearm that slides along the keyboard, and fingers fixed to it."""
+    slide = {"type": "slide", "axis": [0, 1, 0], "index": number}
+    forearm = {"parent": -1, "pos": [0, 0, 0], "quat": UPRIGHT, "joints": [slide]}
+    fixed = {"parent": number * (1 + FINGERS), "quat": UPRIGHT, "joints": []}
+    fingers = [{"pos": [0.04, 0.022 * (i - 2), 0.035], **fixed} for i in range(FINGERS)]
+    return [forearm, *fingers]
+
+
 def make_episode(steps: int = STEPS, hands: int = 2, song: str = "A made-up walk") -> Episode:
     time = np.arange(steps)
     middle = np.array([0.25, -0.25])[:hands] + 0.1 * np.sin(time / 12)[:, None]  # (T, hands)
     bodies = hands * (1 + FINGERS)
-    xpos = np.zeros((steps, hands, 1 + FINGERS, 3), np.float32)
-    xpos[..., 1] = middle[..., None]
-    xpos[:, :, 1:, 1] += 0.022 * (np.arange(FINGERS) - 2)
-    xpos[:, :, 1:, 0], xpos[:, :, 1:, 2] = 0.04, 0.035
-    xquat = np.zeros((steps, bodies, 4), np.float32)
-    xquat[..., 0] = 1
 
     goal, played = np.zeros((steps, 88), bool), np.zeros((steps, 88), bool)
     goal[0:20, 39], goal[20:, 43] = True, True
@@ -72,14 +75,14 @@ def make_episode(steps: int = STEPS, hands: int = 2, song: str = "A made-up walk
         "key_qpos": 0.07 * played,
         "key_activation": played,
         "sustain_activation": time % 10 < 6,
-        "body_xpos": xpos.reshape(steps, bodies, 3),
-        "body_xquat": xquat,
+        "hand_qpos": middle,
         "reward_total": 1 + reward,
         "reward_key_press": reward,
         "reward_energy": np.full(steps, -0.1),
     }
     scene = {
         "bodies": [f"body {i}" for i in range(bodies)],
+        "skeleton": [body for hand in range(hands) for body in _bodies(hand)],
         "geoms": [geom for hand in range(hands) for geom in _hand(hand)],
         "keys": _keys(),
     }

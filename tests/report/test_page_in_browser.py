@@ -7,7 +7,7 @@ from headless import Browser, needs_chromium
 
 from cadenza.episode import Episode
 from cadenza.model.config import SceneConfig
-from cadenza.model.drawing import body_poses, drawing
+from cadenza.model.drawing import drawing
 from cadenza.model.scene import build_scene
 from cadenza.music.performance import performed_score
 from cadenza.report.page import write_report
@@ -239,12 +239,10 @@ def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, epis
 def test_a_recorded_performance_of_the_real_hands_is_drawn(browser, write):
     scene = build_scene(SceneConfig(reduced_action_space=True))
     recorded = np.load(DATA / "episode_d.npz", allow_pickle=False)
-    xpos, xquat = body_poses(scene, recorded["hand_qpos"])
-    steps = len(xpos)
-    wanted = ("action", "key_qpos", "key_activation", "sustain_activation", "reward_total")
-    arrays = {name: recorded[name] for name in wanted}
+    steps = len(recorded["action"])
+    wanted = ("action", "hand_qpos", "key_qpos", "key_activation", "sustain_activation")
+    arrays = {name: recorded[name] for name in (*wanted, "reward_total")}
     arrays |= {"goal_keys": recorded["key_activation"], "goal_sustain": np.zeros(steps, bool)}
-    arrays |= {"body_xpos": xpos, "body_xquat": xquat}
     with_hands = Episode("scale", 0.05, arrays, drawing(scene))
     parts = with_hands.scene | {"geoms": [g for g in with_hands.scene["geoms"] if g["body"] < 0]}
     pictures = []

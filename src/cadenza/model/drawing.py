@@ -25,6 +25,9 @@ def drawing(scene: Scene) -> dict[str, Any]:
     """Everything that can be seen, as plain values for JSON.
 
     bodies: names of the B bodies of the hands, in the order of `body_poses`.
+    skeleton: for each of them its parent (index, or -1 where that stands still), pos [m] and quat
+        (w x y z) in the parent's frame while all joints are at 0, and its joints, one after the
+        other: type (slide or hinge), axis in the body's frame, index among the J joints.
     geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
         [m] and quat (w x y z) in the body's frame, rgba, finger (0..9 for a fingertip, or None).
     keys: for each of the 88 its box at rest, pos and half size [m], a point on the hinge, the
@@ -44,6 +47,7 @@ def drawing(scene: Scene) -> dict[str, Any]:
         geoms.append(geom | _shape(model, g, fixed=body not in index))
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],
+        "skeleton": [_jointed(scene, int(b), index) for b in scene.hand_bodies],
         "geoms": geoms,
         "keys": [_key(k) for k in range(NUM_KEYS)],
     }
@@ -69,6 +73,26 @@ def body_poses(
 
 def _is_key(model: mujoco.MjModel, body: int) -> bool:
     return "_key_" in model.body(body).name
+
+
+def _jointed(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
+    """Of a body whose joints turn about its own origin, as all of the hands do."""
+    model = scene.model
+    first = int(model.body_jntadr[body])
+    joints = range(first, first + int(model.body_jntnum[body]))
+    return {
+        "parent": index.get(int(model.body_parentid[body]), -1),
+        "pos": _plain(model.body_pos[body]),
+        "quat": _plain(model.body_quat[body]),
+        "joints": [
+            {
+                "type": "slide" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "hinge",
+                "axis": _plain(model.jnt_axis[j]),
+                "index": int(model.jnt_qposadr[j]) - scene.hand_qpos.start,
+            }
+            for j in joints
+        ],
+    }
 
 
 def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from cadenza.episode import Episode
 from cadenza.music.keyboard import IS_BLACK, note_name
 from cadenza.music.performance import key_runs
-from cadenza.report.page import asset, verdict, write_page
+from cadenza.report.page import asset, write_page
+from cadenza.report.recording import verdict
 
 COLUMNS = {
     "f1": ("F1", 3),

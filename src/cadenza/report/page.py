@@ -8,26 +8,24 @@ server or Jupyter, and bare copies come with packages of another purpose.
 
 from __future__ import annotations
 
-import base64
 import html
-import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
-from cadenza.music.score import NUM_KEYS
-from cadenza.report.sound import SAMPLE_RATE, encode_mp3
+from cadenza.report.recording import embedded
+from cadenza.report.sound import SAMPLE_RATE
 
-_SCRIPTS = ("flat.js", "stage.js", "charts.js", "page.js")
-_MILLIMETRES = 1e4  # positions are stored in tenths of a millimetre
+_SCRIPTS = ("recording.js", "flat.js", "stage.js", "charts.js", "page.js")
 
 
 def write_report(
@@ -61,9 +59,7 @@ def write_report(
         "misses": _misses(misses),
         "settings": _table(dict(flat(settings))),
         "roll_label": html.escape(_in_words(episode)),
-        "data": _json(
-            _recording(episode) | {"audio": _base64(_sound(episode, audio, sample_rate))}
-        ),
+        "recording": embedded(episode, audio, sample_rate),
         "css": asset("page.css"),
         "three": asset("three.min.js"),
         "js": "\n".join(map(asset, _SCRIPTS)),
@@ -71,50 +67,18 @@ def write_report(
     write_page(path, "page.html", parts)
 
 
-def write_page(path: Path, template: str, parts: Mapping[str, str]) -> None:
-    """Writes the asset `template` to `path`, each `{{name}}` in it replaced by its part."""
-    page = re.sub(r"{{(\w+)}}", lambda mark: parts[mark[1]], asset(template))
+def write_page(path: Path, template: str, parts: Mapping[str, str | Iterable[str]]) -> None:
+    """Writes the asset `template` to `path`, each `{{name}}` in it replaced by its part.
+
+    A long part comes in pieces; each stands in the template once.
+    """
+    texts = re.split(r"{{(\w+)}}", asset(template))
     with write_atomically(path) as file:
-        file.write(page.encode())
-
-
-def _recording(episode: Episode) -> dict[str, Any]:
-    """What the page's script draws, as JSON; large arrays as text of their bytes."""
-    scene = episode.scene
-    bodies = len(scene.get("bodies", ()))
-    poses = np.empty((episode.num_steps, bodies, 7), "<i2")
-    if bodies:
-        positions = np.round(episode["body_xpos"] * _MILLIMETRES)
-        poses[..., :3] = np.clip(positions, -32767, 32767)
-        poses[..., 3:] = np.round(episode["body_xquat"] * 32767)
-    travel = np.array([key["travel"] for key in scene.get("keys", ())] or np.ones(NUM_KEYS))
-    rewards = {
-        name.removeprefix("reward_"): [_number(value) for value in values.tolist()]
-        for name, values in episode.arrays.items()
-        if name.startswith("reward_")
-    }
-    return {
-        "dt": episode.dt,
-        "steps": episode.num_steps,
-        "scene": scene,
-        "poses": _base64(poses),
-        "angles": _base64(np.uint8(np.clip(episode["key_qpos"] / travel, 0, 1) * 255)),
-        "states": _base64(verdict(episode["goal_keys"], episode["key_activation"])),
-        "pedal": _base64(verdict(episode["goal_sustain"], episode["sustain_activation"])),
-        "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
-    }
-
-
-def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """What became of each, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
-    return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
-
-
-def _sound(episode: Episode, audio: NDArray[np.floating], rate: int) -> bytes:
-    """MP3 of at least the episode's length: the page's clock is this sound."""
-    missing = math.ceil(episode.num_steps * episode.dt * rate) - len(audio)
-    padding = [(0, max(missing, 0))] + [(0, 0)] * (audio.ndim - 1)
-    return encode_mp3(np.pad(audio, padding), rate)
+        for text, name in zip_longest(texts[::2], texts[1::2]):
+            file.write(text.encode())
+            part = parts[name] if name else ""
+            for piece in [part] if isinstance(part, str) else part:
+                file.write(piece.encode())
 
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -205,16 +169,6 @@ def _number(value: Any) -> float | None:
     except (TypeError, ValueError):
         return None
     return float(f"{number:.5g}") if math.isfinite(number) else None
-
-
-def _json(content: Mapping[str, Any]) -> str:
-    """JSON that cannot end the script element it stands in."""
-    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-
-
-def _base64(content: bytes | ArrayLike) -> str:
-    raw = content if isinstance(content, bytes) else np.ascontiguousarray(content).tobytes()
-    return base64.b64encode(raw).decode()
 
 
 def asset(name: str) -> str:

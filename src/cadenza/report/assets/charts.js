@@ -141,7 +141,7 @@ function createRoll(element, { states, pedal, dt, steps }, seek) {
 function createRewards(element, { rewards, dt, steps }, seek) {
   const terms = Object.entries(rewards).map(([name, values]) => {
     const title = document.createElement("div"), here = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
-    const known = values.filter((v) => v !== null);
+    const known = values.filter((v) => !Number.isNaN(v));
     const mean = known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1);
     title.className = "term";
     const label = document.createElement("b");
@@ -168,7 +168,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
       context.textAlign = "right";
       for (const v of high - low > 1e-9 ? [low, high] : [0]) context.fillText(Number(v.toPrecision(2)), GUTTER - 7, Math.min(Math.max(y(v), 6), height - 6), GUTTER - 7);
       const line = new Path2D();
-      values.forEach((v, step) => { if (v !== null) { line.lineTo(x(step), y(v)); line.lineTo(x(step + 1), y(v)); } });
+      values.forEach((v, step) => { if (!Number.isNaN(v)) { line.lineTo(x(step), y(v)); line.lineTo(x(step + 1), y(v)); } });
       context.strokeStyle = css("--accent");
       context.lineWidth = 1.5;
       context.lineJoin = "round";
@@ -180,7 +180,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
     draw,
     move(time) {
       const { row } = rowAt(time, dt, steps);
-      for (const { values, output } of terms) output.textContent = values[row] === null ? "–" : decimals(values[row]);
+      for (const { values, output } of terms) output.textContent = Number.isNaN(values[row]) ? "–" : decimals(values[row]);
       point(time);
     },
   };

@@ -10,21 +10,13 @@ function fail(message) {
 window.addEventListener("error", (event) => fail(event.message));
 window.addEventListener("unhandledrejection", (event) => fail(event.reason));
 
-/** The recorded row in force at `time`, the next one, and how far it is towards that. */
-function rowAt(time, dt, steps) {
-  const at = Math.min(Math.max(time / dt + 1e-6, 0), steps - 1), row = Math.floor(at);
-  return { row, next: Math.min(row + 1, steps - 1), blend: at - row };
-}
-const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).padStart(4, "0")}`;
 
-const data = JSON.parse($("data").textContent);
-data.poses = new Int16Array(bytes(data.poses).buffer);
-for (const name of ["angles", "states", "pedal"]) data[name] = bytes(data[name]);
+const data = await readRecording();
 const duration = cadenza.duration = data.steps * data.dt;
 
 const audio = $("audio");
-audio.src = URL.createObjectURL(new Blob([bytes(data.audio)], { type: "audio/mpeg" }));
+audio.src = data.sound;
 audio.preservesPitch = false;
 
 // A browser moves `currentTime` in coarse steps; between them the wall clock carries on.

@@ -5,22 +5,23 @@ const VIEWS = { // from where the camera looks at the keyboard
   player: [0.4, 0, 0.92], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
 
-/** Poses of step rows, blended between rows: `move(time)` puts bodies and keys where they were. */
-function createStage(canvas, { scene: parts, poses, angles, states, dt, steps }, colours) {
+/** A recording in three dimensions: `move(time)` puts bodies and keys where they were. */
+function createStage(canvas, { scene: parts, jointsAt, angles, states, dt, steps }, colours) {
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(28, 1, 0.05, 20);
   camera.up.set(0, 0, 1);
   const renderer = createRenderer(canvas);
   if (!renderer.flat) light(scene, renderer);
 
-  const bodies = parts.bodies.map(() => scene.add(new THREE.Group()).children.at(-1));
+  const hands = createHands(parts.skeleton);
+  scene.add(hands.root);
   for (const geom of parts.geoms) {
     const colour = new THREE.Color().setRGB(...geom.rgba.slice(0, 3), "srgb");
     const solid = mesh(geom.type, geom.size, colour, geom.finger === null ? 0.45 : 0.35);
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
     solid.renderOrder = geom.body < 0 ? 0 : 3;
-    (geom.body < 0 ? scene : bodies[geom.body]).add(solid);
+    (geom.body < 0 ? scene : hands.bodies[geom.body]).add(solid);
   }
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
@@ -82,21 +83,13 @@ function createStage(canvas, { scene: parts, poses, angles, states, dt, steps },
   }
   new ResizeObserver(fit).observe(canvas);
 
-  const [from, to] = [new THREE.Quaternion(), new THREE.Quaternion()];
   let shown = -1;
   function move(time) {
     if (time === shown) return;
     shown = time;
     stale = true;
     const { row, next, blend } = rowAt(time, dt, steps);
-    bodies.forEach((body, b) => {
-      const p = (row * bodies.length + b) * 7, q = (next * bodies.length + b) * 7;
-      const between = (i) => (poses[p + i] + blend * (poses[q + i] - poses[p + i])) * 1e-4;
-      body.position.set(between(0), between(1), between(2));
-      from.set(poses[p + 4], poses[p + 5], poses[p + 6], poses[p + 3]).normalize();
-      to.set(poses[q + 4], poses[q + 5], poses[q + 6], poses[q + 3]).normalize();
-      body.quaternion.slerpQuaternions(from, to, blend);
-    });
+    hands.pose(jointsAt(time));
     keys.forEach((key, k) => {
       const a = angles[row * keys.length + k], b = angles[next * keys.length + k];
       key.hinge.quaternion.setFromAxisAngle(key.axis, ((a + blend * (b - a)) / 255) * key.travel);

@@ -1,0 +1,79 @@
+// Reads the performances that recording.py has put into the page.
+
+/** The recorded row in force at `time`, the next one, and how far it is towards that. */
+function rowAt(time, dt, steps) {
+  const at = Math.min(Math.max(time / dt + 1e-6, 0), steps - 1), row = Math.floor(at);
+  return { row, next: Math.min(row + 1, steps - 1), blend: at - row };
+}
+
+const fromBase64 = Uint8Array.fromBase64?.bind(Uint8Array) ?? ((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
+
+/** What `_packed` was given: numbers of the type `Numbers`, row by row. */
+async function unpacked(text, steps, Numbers) {
+  const deflated = new Blob([fromBase64(text)]).stream();
+  const inflated = new Response(deflated.pipeThrough(new DecompressionStream("deflate")));
+  const planes = new Uint8Array(await inflated.arrayBuffer());
+  const size = Numbers.BYTES_PER_ELEMENT, count = planes.length / size, columns = count / steps;
+  const patterns = new { 1: Uint8Array, 2: Uint16Array, 4: Uint32Array }[size](count);
+  for (let column = 0, i = 0; column < columns; column++) {
+    for (let row = 0, sum = 0; row < steps; row++, i++) {
+      for (let plane = 0; plane < size; plane++) sum = (sum + (planes[plane * count + i] << (8 * plane))) | 0;
+      patterns[row * columns + column] = sum;
+    }
+  }
+  return new Numbers(patterns.buffer);
+}
+
+/**
+ * The performance that stands at `index` in the page: `dt` [s], `steps`, and of each step
+ *   states (88 a row) and pedal: 0 rightly silent, 1 hit, 2 wrong, 3 missing;
+ *   angles (88 a row) of keys, 255 all the way down;
+ *   rewards, by name, NaN where there is none;
+ *   jointsAt(time): where the hands' joints are [m, rad].
+ * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file.
+ */
+async function readRecording(index = 0) {
+  const { unit, joints, angles, states, pedal, rewards, ...plain } =
+    JSON.parse(document.querySelectorAll(".recording")[index].textContent);
+  const { dt, steps } = plain, read = (text, Numbers) => unpacked(text, steps, Numbers);
+  const positions = await read(joints, Int32Array), width = positions.length / steps;
+  const terms = {};
+  for (const [name, text] of Object.entries(rewards)) terms[name] = await read(text, Float32Array);
+  const mp3 = fromBase64(document.querySelectorAll(".sound")[index].textContent);
+  return {
+    ...plain,
+    angles: await read(angles, Uint8Array),
+    states: await read(states, Uint8Array),
+    pedal: await read(pedal, Uint8Array),
+    rewards: terms,
+    sound: URL.createObjectURL(new Blob([mp3], { type: "audio/mpeg" })),
+    jointsAt(time) {
+      const { row, next, blend } = rowAt(time, dt, steps);
+      return Array.from({ length: width }, (_, i) => {
+        const [from, to] = [positions[row * width + i], positions[next * width + i]];
+        return (from + blend * (to - from)) * unit;
+      });
+    },
+  };
+}
+
+/** The hands' bodies, each a group within that of its parent; `pose(joints)` moves them. */
+function createHands(skeleton) {
+  const root = new THREE.Group(), bodies = skeleton.map(() => new THREE.Group());
+  skeleton.forEach(({ parent }, b) => (bodies[parent] ?? root).add(bodies[b]));
+  const moves = skeleton.map(({ joints }) => joints.map(({ axis, ...joint }) => ({ axis: new THREE.Vector3(...axis), ...joint })));
+  return {
+    root,
+    bodies,
+    pose(joints) {
+      skeleton.forEach(({ pos, quat: [w, x, y, z] }, b) => {
+        bodies[b].position.set(...pos);
+        bodies[b].quaternion.set(x, y, z, w);
+        for (const { type, axis, index } of moves[b]) {
+          if (type === "slide") bodies[b].translateOnAxis(axis, joints[index]);
+          else bodies[b].rotateOnAxis(axis, joints[index]);
+        }
+      });
+    },
+  };
+}

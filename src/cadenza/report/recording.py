@@ -1,0 +1,86 @@
+"""A performance as the text that a page holds; `recording.js` reads it.
+
+Arrays over time stand there as differences from step to step, deflated. Of the hands there are
+only the joints' positions: the page's scene puts the bodies where they belong.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.episode import Episode
+from cadenza.music.score import NUM_KEYS
+from cadenza.report.sound import encode_mp3
+
+_UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
+_PIECE = 3 << 18  # bytes that are written at once; base64 wants a multiple of 3
+
+
+def embedded(episode: Episode, audio: NDArray[np.floating], sample_rate: int) -> Iterator[str]:
+    """The elements of a page that hold a performance and its sound, in pieces."""
+    yield f'<script type="application/json" class="recording">{_json(_recording(episode))}</script>'
+    yield '<script type="text/plain" class="sound">'
+    sound = _sound(episode, audio, sample_rate)
+    for start in range(0, len(sound), _PIECE):
+        yield base64.b64encode(sound[start : start + _PIECE]).decode()
+    yield "</script>"
+
+
+def _recording(episode: Episode) -> dict[str, Any]:
+    scene = episode.scene
+    joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
+    travel = np.array([key["travel"] for key in scene.get("keys", ())] or np.ones(NUM_KEYS))
+    rewards = {
+        name.removeprefix("reward_"): _packed(np.asarray(values, np.float32))
+        for name, values in episode.arrays.items()
+        if name.startswith("reward_")
+    }
+    return {
+        "dt": episode.dt,
+        "steps": episode.num_steps,
+        "scene": scene,
+        "unit": _UNIT,
+        "joints": _packed(np.round(joints / _UNIT).astype(np.int32)),
+        "angles": _packed((np.clip(episode["key_qpos"] / travel, 0, 1) * 255).astype(np.uint8)),
+        "states": _packed(verdict(episode["goal_keys"], episode["key_activation"])),
+        "pedal": _packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
+    }
+
+
+def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """What became of each, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
+    return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
+
+
+def _packed(values: NDArray[Any]) -> str:
+    """`values` (T, ...) as base64 of deflated differences from step to step.
+
+    They are those of the bit patterns, modulo 2^bits: nothing is rounded. A column follows the
+    other, first all lowest bytes, then all of the next.
+    """
+    size = values.dtype.itemsize
+    patterns = np.ascontiguousarray(values).view(f"u{size}").reshape(len(values), -1)
+    steps = np.diff(patterns, axis=0, prepend=np.zeros_like(patterns[:1]))
+    planes = steps.T.astype(f"<u{size}", order="C").view(np.uint8).reshape(-1, size).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
+
+
+def _sound(episode: Episode, audio: NDArray[np.floating], rate: int) -> bytes:
+    """MP3 of at least the episode's length: the page's clock is this sound."""
+    missing = math.ceil(episode.num_steps * episode.dt * rate) - len(audio)
+    padding = [(0, max(missing, 0))] + [(0, 0)] * (audio.ndim - 1)
+    return encode_mp3(np.pad(audio, padding), rate)
+
+
+def _json(content: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
