@@ -102,7 +102,7 @@ def test_songs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def facts(out: str) -> dict[str, str]:
-    rows = (line.split("  ", 1) for line in out.splitlines())
+    rows = (line.split("  ", 1) for line in out.split("\n\n")[0].splitlines())
     return {name: value.strip() for name, value in rows}
 
 

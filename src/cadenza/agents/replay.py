@@ -78,12 +78,15 @@ def physics_of(path: Path) -> dict[str, Any]:
     }
 
 
-def options_of(task: TaskConfig, scene: SceneConfig, seed: int) -> dict[str, Any]:
-    """What has to be the same for a plan to play the same, by name, as JSON has it."""
+def options_of(task: TaskConfig, scene: SceneConfig, seed: int, **of_song: Any) -> dict[str, Any]:
+    """What has to be the same for a plan to play the same, by name, as JSON has it.
+
+    `of_song` says what of the song is played.
+    """
     options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING}
     drawn = any(value for name, value in options.items() if name.startswith("random_"))
     options |= {n: v for n, v in asdict(scene).items() if n not in _TAKEN_FROM_PLAN}
-    options |= {"seed": seed} if drawn else {}
+    options |= of_song | ({"seed": seed} if drawn else {})
     return dict(json.loads(json.dumps(options)))
 
 

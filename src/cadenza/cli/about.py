@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cadenza.cli.arrangement import Arrangement
 from cadenza.errors import CadenzaError
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cadenza.music.score import Score
+    from cadenza.music.tracks import Track
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,7 @@ class Info:
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
     """A bundled song or the path of a MIDI file."""
+    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
 
 
 def songs(_: Songs) -> None:
@@ -38,28 +43,59 @@ def songs(_: Songs) -> None:
 
 
 def info(command: Info) -> None:
-    facts = _song_facts(command.song) if command.song else _installation_facts()
+    if command.song is None:
+        _print_facts(_installation_facts())
+        return
+    score = command.arrangement.score(command.song)
+    _print_facts(_song_facts(score))
+    if len(score.tracks) > 1:
+        print("\n" + _table_of_tracks(score.tracks))
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
     width = max(len(name) for name in facts)
     for name, value in facts.items():
         print(f"{name:{width}}  {value}")
 
 
-def _song_facts(song: str) -> dict[str, Any]:
+def _song_facts(score: Score) -> dict[str, Any]:
     from cadenza.music.goals import score_to_goals
-    from cadenza.music.library import load_score
 
-    score = load_score(song)
-    pitches = [note.pitch for note in score.notes]
-    goals = score_to_goals(score.with_silence_trimmed(), TaskConfig().control_timestep)
+    trimmed = score.with_silence_trimmed()
+    goals = score_to_goals(trimmed, TaskConfig().control_timestep)
     return {
         "title": score.title,
-        "length": f"{score.with_silence_trimmed().total_time:.1f} s, {goals.num_steps} steps",
+        "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",
         "notes": len(score.notes),
-        "range": f"MIDI {min(pitches)} to {max(pitches)}",
+        "range": _pitch_range(
+            min(note.pitch for note in score.notes), max(note.pitch for note in score.notes)
+        ),
         "at once": f"up to {goals.keys.sum(axis=1).max()} keys",
         "fingering": _about_fingering(score),
         "pedal": f"{len(score.pedal)} movements",
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
+
+
+def _pitch_range(lowest: int, highest: int) -> str:
+    return f"MIDI {lowest} to {highest}"
+
+
+def _table_of_tracks(tracks: Sequence[Track]) -> str:
+    rows = [("track", "notes", "range", "channel", "instrument", "name")]
+    rows += [
+        (
+            str(t.number),
+            str(t.notes),
+            _pitch_range(t.lowest, t.highest),
+            str(t.channel),
+            t.instrument,
+            t.name,
+        )
+        for t in tracks
+    ]
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(f"{c:{w}}" for c, w in zip(r, widths, strict=True)) for r in rows)
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def _about_fingering(score: Score) -> str:

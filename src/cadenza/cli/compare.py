@@ -47,7 +47,7 @@ def compare(command: Compare) -> None:
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
-    score = score_of(command.song)
+    score = score_of(command.song, command.arrangement)
     agents = {name: agent_named(name, command) for name in command.agents}
     task = build_task(score, command)
     folder = command.output or command.default_folder

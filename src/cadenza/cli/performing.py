@@ -16,6 +16,7 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
+from cadenza.cli.arrangement import Arrangement
 from cadenza.cli.progress import progress
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
@@ -53,6 +54,7 @@ class Performing:
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
     """A bundled song (see "cadenza songs"), the path of a MIDI file, or the folder of a policy,
     which holds the song that it has learnt."""
+    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
     planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
@@ -71,14 +73,23 @@ class WithOtherPlanners(Performing):
     tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
 
 
-def score_of(song: str) -> Score:
+def score_of(song: str, arrangement: Arrangement) -> Score:
     """What SONG names, with remarks on it for whoever gave it."""
     from cadenza.agents.rl.policy_folder import load_policy
-    from cadenza.music.library import load_score
 
-    score = load_policy(Path(song)).score if Path(song).is_dir() else load_score(song)
+    if Path(song).is_dir():
+        if arrangement.chosen:
+            raise CadenzaError(f"{song}: holds its song as it was learnt; give no tracks of it")
+        return load_policy(Path(song)).score
+    score = arrangement.score(song)
     for remark in score.remarks:
         print(f"{song}: {remark}", file=sys.stderr)
+    if len(score.tracks) > 2 and not arrangement.chosen:
+        print(
+            f"{song}: all {len(score.tracks)} tracks are played at once; choose some of those that "
+            f'"cadenza info" lists, as in --tracks 1 3, or --reduce melody-bass',
+            file=sys.stderr,
+        )
     return score
 
 

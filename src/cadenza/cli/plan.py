@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from cadenza.cli.arrangement import Arrangement
 from cadenza.cli.performing import (
     Performing,
     build_task,
@@ -46,7 +47,7 @@ def plan(command: Plan) -> None:
 
     path = command.output or command.default_folder / "plan.npz"
     check_name(path, ".npz", "a plan is a .npz file")
-    score = score_of(command.song)
+    score = score_of(command.song, command.arrangement)
     agent = ScorePlanner(command.planner)
     task = build_task(score, command)
     check_writable(path.parent)
@@ -61,7 +62,7 @@ def plan(command: Plan) -> None:
     # The notes are the same in the same order; times and pitches are again those of the file.
     notes = zip(score.notes, agent.plan.score.notes, strict=True)
     fingered = replace(score, notes=tuple(replace(n, finger=m.finger) for n, m in notes))
-    options = options_of(command.task, command.scene, command.seed)
+    options = options_of(command.task, command.scene, command.seed, **asdict(command.arrangement))
     save_plan(path, performance.episode, performance.metrics, options, fingered)
     write_fingering(fingered, path.with_suffix(SUFFIX))
     print_scores(performance)
@@ -77,6 +78,7 @@ def _to_replay(command: Plan, path: Path) -> list[str]:
     for options, default in (
         (command.task, with_time_to_begin()),
         (command.scene, SceneConfig()),
+        (command.arrangement, Arrangement()),
     ):
         for name, value in asdict(options).items():
             if value == getattr(default, name):

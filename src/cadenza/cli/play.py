@@ -66,7 +66,7 @@ def play(command: Play) -> None:
     from cadenza.agents.planning.score_planner import ScorePlanner
     from cadenza.agents.planning.tracked_presses import TrackedPresses
 
-    score = score_of(command.song)
+    score = score_of(command.song, command.arrangement)
     if (learnt := learnt_policy(command.agent, command.song)) is not None:
         score, command = _as_learnt(learnt, score, command)
     agent = _player(command)
@@ -118,7 +118,9 @@ def _as_planned(plan: Path, command: Play) -> Play:
     """In the physics of the plan; its other options must be those of the command."""
     from cadenza.agents.replay import check_options, options_of, physics_of
 
-    check_options(plan, options_of(command.task, command.scene, command.seed))
+    check_options(
+        plan, options_of(command.task, command.scene, command.seed, **asdict(command.arrangement))
+    )
     scene = replace(command.scene, **physics_of(plan))
     if scene.physics != command.scene.physics:
         print(f"{plan}: was made in the {scene.physics} physics, played in it", file=sys.stderr)

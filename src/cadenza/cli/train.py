@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import tyro
 
 from cadenza.agents.rl.config import Preset, TrainingConfig, preset
+from cadenza.cli.arrangement import Arrangement
 from cadenza.cli.performing import score_of
 from cadenza.cli.play import Play, play
 from cadenza.cli.progress import progress
@@ -48,6 +49,7 @@ class Train:
     """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
     video: bool = True
     """Write a video of the best policy too, where this machine can draw."""
+    arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
         default_factory=lambda: preset("fast")
     )
@@ -90,6 +92,8 @@ def train(command: Train) -> None:
         raise CadenzaError("name a song to learn, or with --resume the folder of a run")
     if command.resume is not None and command.preset != Train.preset:
         raise CadenzaError(f"{command.resume}: goes on with its own options; leave out --preset")
+    if command.resume is not None and command.arrangement.chosen:
+        raise CadenzaError(f"{command.resume}: goes on with its own song; give no tracks")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
@@ -108,7 +112,7 @@ def _train(command: Train, folder: Path) -> None:
 
     run = RunFolder(folder)
     if command.song is not None:
-        score = score_of(command.song)
+        score = score_of(command.song, command.arrangement)
         check_writable(folder)
         run.begin(command.training, score)
     with run.locked():

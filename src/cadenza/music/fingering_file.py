@@ -31,8 +31,10 @@ _HEADER = (
 )
 
 
-def read_fingering(path: str | Path, score: Score) -> Score:
+def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Score:
     """`score` with the fingers of the file at `path`.
+
+    Unless `all_there`, lines may belong to notes that the score has been left without.
 
     Raises:
         CadenzaError: the file cannot be read, a line is malformed, belongs to no note, or gives a
@@ -58,6 +60,8 @@ def read_fingering(path: str | Path, score: Score) -> Score:
         where = f"{path}, line {number}"
         start, pitch, finger = _parsed(content, where)
         nearest = _nearest(score, by_pitch[pitch], start)
+        if nearest is None and not all_there:
+            continue
         if nearest is None:
             raise CadenzaError(
                 f"{where}: no note of pitch {pitch} starts within {TOLERANCE} s of {start:g} s"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os.path
 import tomllib
+from collections.abc import Collection
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -44,15 +45,20 @@ def songs() -> tuple[Piece, ...]:
     return tuple(Piece(name, **about) for name, about in index.items())
 
 
-def load_score(name_or_path: str | Path) -> Score:
+def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     """A bundled piece by its name (upper or lower case), or a MIDI file by its path.
 
     Whatever is there as a file, or ends in .mid or .midi, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the MIDI file, the notes have
     its fingers, see `cadenza.music.fingering_file`.
 
+    Args:
+        name_or_path: the piece or file.
+        tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+
     Raises:
-        CadenzaError: no such piece, or a file that `read_midi` or `read_fingering` refuses.
+        CadenzaError: no such piece or track, or a file that `read_midi` or `read_fingering`
+            refuses.
     """
     from cadenza.music.fingering_file import SUFFIX, read_fingering
     from cadenza.music.midi import read_midi
@@ -60,9 +66,11 @@ def load_score(name_or_path: str | Path) -> Score:
     path = Path(name_or_path)
     if path.suffix.lower() not in _MIDI_SUFFIXES and not os.path.isfile(path):
         path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
-    score = read_midi(path)
+    score = read_midi(path, tracks)
     sidecar = path.with_suffix(SUFFIX)
-    return read_fingering(sidecar, score) if sidecar.exists() else score
+    if not sidecar.exists():
+        return score
+    return read_fingering(sidecar, score, all_there=not tracks)
 
 
 def _bundled_name(name: str) -> str:

@@ -6,9 +6,9 @@ import io
 import re
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +17,10 @@ from mido.midifiles.meta import KeySignatureError
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
+from cadenza.music.general_midi import INSTRUMENTS
 from cadenza.music.score import HIGHEST_PITCH, LOWEST_PITCH, Note, PedalEvent, Score
+from cadenza.music.titles import printable, title_of
+from cadenza.music.tracks import Track, check_chosen
 
 MAX_SECONDS = 3600.0  # a longer song is taken for a broken file
 MAX_BYTES = 2 * 2**20  # an hour of dense piano music needs about half of it
@@ -37,15 +40,16 @@ _NO_KEY = re.compile(rb"\xff\x59\x02(?![\xf9-\xff\x00-\x07][\x00\x01])..", re.DO
 _C_MAJOR = b"\xff\x59\x02\x00\x00"
 
 
-def read_midi(path: str | Path) -> Score:
+def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     """The piano score in a Standard MIDI file (format 0, 1 or 2), bare or wrapped in RIFF (RMID).
 
-    All tracks and channels but the drums (channel 10) are played together; of format 2, whose
-    tracks are songs of their own, the first track with notes. The sustain pedals (controller 64)
-    of all these channels move the one pedal, which stands where the latest event of any of them
-    put it. Times follow the tempo changes, or the SMPTE division where the file has one. Chunks of
-    unknown types are skipped. What cannot be played on one piano is repaired, and `Score.remarks`
-    says so:
+    All instruments but the drums (channel 10) are played together, or only `tracks`, by their
+    numbers in `Score.tracks`: a track is what one channel plays in one track of the file. Of format
+    2, whose tracks are songs of their own, the first with notes is read. The sustain pedals
+    (controller 64) of all channels that are played move the one pedal, which stands where the
+    latest event of any of them put it. Times follow the tempo changes, or the SMPTE division where
+    the file has one. Chunks of unknown types are skipped. What cannot be played on one piano is
+    repaired, and `Score.remarks` says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
@@ -57,24 +61,37 @@ def read_midi(path: str | Path) -> Score:
     - a key signature that no key has is ignored.
 
     Raises:
-        CadenzaError: no such file, not a MIDI file, damaged, without notes, or over an hour long.
+        CadenzaError: no such file, not a MIDI file, damaged, without notes, without one of
+            `tracks`, or over an hour long.
     """
     path = Path(path)
     file, remarks = _parse(path)
-    tracks = list(file.tracks)
+    chunks = list(file.tracks)
     if file.type == 2:
-        songs = [track for track in tracks if any(message.type == "note_on" for message in track)]
+        songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
         if len(songs) > 1:
             remarks.append(f"the file holds {len(songs)} separate songs: the first is used")
-        tracks = songs[:1]
+        chunks = songs[:1]
 
-    clock = _Clock.of(file.ticks_per_beat, tracks, path)
-    counts = Counter[str]()
-    found: list[_Sounding] = []
-    pedal: list[PedalEvent] = []
-    for track in tracks:
-        _collect(track, clock, found, pedal, counts)
-    played = _repaired(found, counts)
+    clock = _Clock.of(file.ticks_per_beat, chunks, path)
+    parts: list[_Part] = []
+    moves: list[tuple[int, PedalEvent]] = []  # with their channels
+    for chunk in chunks:
+        _collect(chunk, clock, parts, moves)
+    melodic = [part for part in parts if part.channel != _DRUM_CHANNEL]
+    listed = _tracks(melodic)
+    if tracks:
+        check_chosen(tracks, listed, path)
+        sounding = [part for part in melodic if part.notes]
+        melodic = [sounding[number - 1] for number in sorted(set(tracks))]
+    channels = {part.channel for part in melodic}
+    pedal = tuple(event for channel, event in moves if channel in channels)
+
+    counts = Counter(outside=sum(part.outside for part in melodic))
+    if not tracks:
+        drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
+        counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
+    played = _repaired([note for part in melodic for note in part.notes], counts)
     remarks += _remarks(counts)
 
     if not played:
@@ -90,7 +107,7 @@ def read_midi(path: str | Path) -> Score:
         Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
         for note in played
     )
-    return Score(notes, tuple(pedal), _title(file, path), tuple(remarks))
+    return Score(notes, pedal, _title(file, path), tuple(remarks), listed)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -143,6 +160,17 @@ class _Sounding:
     pitch: int
     velocity: int
     released: bool = False
+
+
+@dataclass(slots=True)
+class _Part:
+    """What one channel plays in one track of the file; `outside` counts what no key plays."""
+
+    channel: int
+    name: str = ""
+    program: int | None = None
+    notes: list[_Sounding] = field(default_factory=list)
+    outside: int = 0
 
 
 @dataclass(frozen=True)
@@ -258,38 +286,71 @@ def _chunks(data: bytes, order: Literal["big", "little"]) -> Iterator[bytes]:
 
 
 def _collect(
-    track: mido.MidiTrack,
+    chunk: mido.MidiTrack,
     clock: _Clock,
-    found: list[_Sounding],
-    pedal: list[PedalEvent],
-    counts: Counter[str],
+    parts: list[_Part],
+    moves: list[tuple[int, PedalEvent]],
 ) -> None:
-    """Adds the track's notes and pedal events to `found` and `pedal`."""
+    """Adds what the channels of a track of the file play to `parts`, the pedals' to `moves`."""
+    here: dict[int, _Part] = {}
     sounding: defaultdict[tuple[int, int], deque[_Sounding]] = defaultdict(deque)
-    tick = 0
-    for message in track:
+    name, tick = "", 0
+    for message in chunk:
         tick += message.time
-        drums = getattr(message, "channel", None) == _DRUM_CHANNEL
-        if message.type == "note_on" and message.velocity > 0:
-            if drums:
-                counts["drums"] += 1
-            elif not LOWEST_PITCH <= message.note <= HIGHEST_PITCH:
-                counts["outside"] += 1
-            else:
-                now = clock.at(tick)
-                note = _Sounding(now, now, message.note, message.velocity)
-                found.append(note)
-                sounding[message.channel, message.note].append(note)
-        elif message.type in ("note_on", "note_off"):
-            waiting = sounding[message.channel, message.note]
+        kind = message.type
+        if kind == "track_name":
+            name = name or _text(message.name)
+        if kind not in ("note_on", "note_off", "control_change", "program_change"):
+            continue
+        channel = message.channel
+        part = here.setdefault(channel, _Part(channel))
+        if kind == "note_on" and message.velocity > 0:
+            if not LOWEST_PITCH <= message.note <= HIGHEST_PITCH:
+                part.outside += 1
+                continue
+            now = clock.at(tick)
+            note = _Sounding(now, now, message.note, message.velocity)
+            part.notes.append(note)
+            sounding[channel, message.note].append(note)
+        elif kind in ("note_on", "note_off"):
+            waiting = sounding[channel, message.note]
             if waiting:
                 note = waiting.popleft()
                 note.end, note.released = clock.at(tick), True
-        elif message.is_cc(_SUSTAIN) and not drums:
-            pedal.append(PedalEvent(clock.seconds(clock.at(tick)), message.value))
+        elif kind == "program_change":
+            part.program = message.program if part.program is None else part.program
+        elif message.control == _SUSTAIN:
+            moves.append((channel, PedalEvent(clock.seconds(clock.at(tick)), message.value)))
     for waiting in sounding.values():
         for note in waiting:
             note.end = clock.at(tick)
+    if len(here) == 1:  # else it names the song, or none of them in particular
+        next(iter(here.values())).name = name
+    parts += here.values()
+
+
+def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
+    """Those with notes; without a program of its own a track has that of its channel, if any."""
+    programs: dict[int, int] = {}
+    for part in parts:
+        if part.program is not None:
+            programs.setdefault(part.channel, part.program)
+    tracks = []
+    for number, part in enumerate((part for part in parts if part.notes), start=1):
+        program = programs.get(part.channel, 0) if part.program is None else part.program
+        pitches = [note.pitch for note in part.notes]
+        tracks.append(
+            Track(
+                number,
+                part.name,
+                INSTRUMENTS[program],
+                part.channel + 1,
+                len(pitches),
+                min(pitches),
+                max(pitches),
+            )
+        )
+    return tuple(tracks)
 
 
 def _repaired(found: list[_Sounding], counts: Counter[str]) -> list[_Sounding]:
@@ -339,12 +400,16 @@ def _remarks(counts: Counter[str]) -> list[str]:
 
 
 def _title(file: mido.MidiFile, path: Path) -> str:
-    """The first track's name, printable and on one line, or the file's name without its suffix."""
+    """The first track's name, or the file's without its suffix."""
     names = (message.name for message in file.tracks[0] if message.type == "track_name")
-    name = next(names, "")
+    return _text(next(names, "")) or title_of(path)
+
+
+def _text(text: str) -> str:
+    """What a file says, printable and on one line; mido reads every text as Latin-1."""
     with suppress(UnicodeDecodeError):
-        name = name.encode("latin1").decode("utf-8")  # mido reads every text as Latin-1
-    return " ".join("".join(c if c.isprintable() else " " for c in name).split()) or path.stem
+        text = text.encode("latin1").decode("utf-8")
+    return printable(text)
 
 
 def _ticks(seconds: float) -> int:

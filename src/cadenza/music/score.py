@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cadenza.errors import CadenzaError
+from cadenza.music.tracks import Track
 
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
@@ -71,13 +72,15 @@ class PedalEvent:
 class Score:
     """Notes sorted by (start, pitch) and pedal events sorted by time (given in any order).
 
-    `remarks` lists in plain words what was repaired when the score was read.
+    `remarks` lists in plain words what was repaired when the score was read. `tracks` are those of
+    the file, chosen or not; they play no part in whether two scores are equal.
     """
 
     notes: tuple[Note, ...]
     pedal: tuple[PedalEvent, ...] = ()
     title: str = ""
     remarks: tuple[str, ...] = ()
+    tracks: tuple[Track, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
@@ -97,6 +100,7 @@ class Score:
             pedal=tuple(PedalEvent(**event) for event in plain["pedal"]),
             title=plain["title"],
             remarks=tuple(plain["remarks"]),
+            tracks=tuple(Track(**track) for track in plain.get("tracks", ())),
         )
 
     @property

@@ -1,0 +1,50 @@
+"""Music for many instruments, reduced to what two hands can play."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from cadenza.music.fingering import LETTING_GO, TOGETHER
+from cadenza.music.score import Note, Score
+
+
+def melody_and_bass(score: Score) -> Score:
+    """The highest and the lowest voice of `score`, at most one note each at a time.
+
+    Of the notes that begin together the highest goes on with the melody, unless one that is kept
+    sounds above it, and the lowest with the bass, unless one that is kept sounds below it. In
+    either voice a note ends where the next begins; one about to end does not sound any more. A
+    note that begins alone can be both melody and bass.
+    """
+    kept: list[Note] = []
+    voices = {"melody": -1, "bass": -1}  # where in `kept` their latest notes are
+    for notes in _onsets(score):
+        time = notes[0].start
+        latest = {i for i in voices.values() if i >= 0}
+        sounding = [kept[i].pitch for i in latest if kept[i].end > time + LETTING_GO]
+        high = max(notes, key=lambda note: note.pitch)
+        low = min(notes, key=lambda note: note.pitch)
+        begin = {}
+        if high.pitch >= max(sounding, default=high.pitch):
+            begin["melody"] = high
+        if low.pitch <= min(sounding, default=low.pitch):
+            begin["bass"] = low
+        for note in dict.fromkeys(begin.values()):
+            kept.append(note)
+            voices |= {voice: len(kept) - 1 for voice in begin if begin[voice] is note}
+        for i in latest - set(voices.values()):
+            kept[i] = replace(kept[i], end=min(kept[i].end, time))
+    return replace(score, notes=tuple(kept))
+
+
+def _onsets(score: Score) -> Iterator[list[Note]]:
+    """Notes that begin together."""
+    together: list[Note] = []
+    for note in score.notes:
+        if together and note.start > together[0].start + TOGETHER:
+            yield together
+            together = []
+        together.append(note)
+    if together:
+        yield together

@@ -1,0 +1,16 @@
+"""What a song is called: text that a terminal and a page can show."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def printable(text: str) -> str:
+    """`text` on one line and without what cannot be printed."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def title_of(path: Path) -> str:
+    """The file's name without its suffix, with a mark for each byte that is not UTF-8."""
+    return printable(os.fsencode(path.stem).decode("utf-8", "replace"))

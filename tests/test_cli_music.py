@@ -1,0 +1,89 @@
+"""Which music the commands play, as a person asks for it."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import mido
+import pytest
+
+from cadenza.cli import main
+
+QUICK = ("--agent", "zero", "--no-video")
+
+
+@pytest.fixture
+def trio(tmp_path: Path) -> Path:
+    """Three instruments play four quarters each."""
+    file = mido.MidiFile(ticks_per_beat=480)
+    for channel, (name, pitch) in enumerate((("Flute", 76), ("Harp", 60), ("Cello", 45))):
+        track = mido.MidiTrack([mido.MetaMessage("track_name", name=name)])
+        track.append(mido.Message("program_change", channel=channel, program=73 - channel))
+        for k in range(4):
+            track.append(mido.Message("note_on", channel=channel, note=pitch + k))
+            track.append(mido.Message("note_off", channel=channel, note=pitch + k, time=240))
+        file.tracks.append(track)
+    file.save(tmp_path / "trio.mid")
+    return tmp_path / "trio.mid"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The line with which the command exits with status 2."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert stop.value.code == 2
+    *remarks, message = capsys.readouterr().err.splitlines()
+    assert message.startswith("cadenza: ")
+    assert not [line for line in remarks if "Traceback" in line]
+    return message
+
+
+def test_info_lists_the_tracks(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["info", str(trio)])
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    heading = lines.index(["track", "notes", "range", "channel", "instrument", "name"])
+    assert lines[heading + 1] == ["1", "4", "MIDI", "76", "to", "79", "1", "flute", "Flute"]
+    assert lines[heading + 3] == ["3", "4", "MIDI", "45", "to", "48", "3", "clarinet", "Cello"]
+
+
+def test_info_tells_of_the_tracks_that_are_chosen(
+    trio: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["info", str(trio), "--tracks", "1", "3"])
+    said = capsys.readouterr().out
+    assert "MIDI 45 to 79" in said
+    assert "notes      8" in said
+
+
+def test_who_plays_many_tracks_at_once_is_told_of_the_choice(
+    trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", str(trio), *QUICK, "-o", str(tmp_path)])
+    said = capsys.readouterr().err
+    assert "all 3 tracks are played at once" in said
+    assert "--tracks 1 3" in said
+    assert "--reduce melody-bass" in said
+    main(["play", str(trio), *QUICK, "-o", str(tmp_path), "--reduce", "melody-bass"])
+    assert "at once" not in capsys.readouterr().err
+    settings = json.loads((tmp_path / "settings.json").read_text())
+    assert settings["arrangement"] == {"tracks": [], "reduce": "melody-bass"}
+
+
+def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
+    trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "trio.npz"
+    main(["plan", str(trio), "--tracks", "1", "3", "--planner.method", "none", "-o", str(plan)])
+    _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
+    assert arguments[-3:] == ["--tracks", "1", "3"]
+    main([*arguments, "--no-video", "-o", str(tmp_path)])
+    said = refused(capsys, *arguments[:-3], "-o", tmp_path)
+    assert "was planned with tracks [1, 3], here it is []" in said
+
+
+def test_a_track_that_is_not_there(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no track 4; the file has tracks 1 to 3" in refused(capsys, "info", trio, "--tracks", 4)
+    said = refused(capsys, "play", "OdeToJoy", "--tracks", 2)
+    assert "no track 2; the file has one track" in said
