@@ -6,7 +6,7 @@ gigabytes, so take a virtual environment of its own:
 
     pip install torch --index-url https://download.pytorch.org/whl/cpu
     pip install 'stable-baselines3>=2.7,<3'
-    python examples/stable_baselines3.py --steps 4000
+    python examples/train_with_stable_baselines3.py --steps 4000
 """
 
 from __future__ import annotations
