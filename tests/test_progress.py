@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from cadenza.cli.progress import QUIET, progress
+from cadenza.cli.progress import QUIET, progress, stages
 
 
 class Terminal(io.StringIO):
@@ -36,6 +36,34 @@ def test_a_log_gets_a_line_now_and_then(
     assert log.getvalue() == (
         "playing: 41 of 100 steps, 00:14 left\nplaying: 81 of 100 steps, 00:04 left, F1 0.5\n"
     )
+
+
+def test_stages_of_a_performance_have_clocks_of_their_own(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    with stages("song, seed 3") as tell:
+        for stage, of in (("fingers", 10), ("postures", 4), ("playing", 20)):
+            for done in range(1, of + 1):
+                tell(stage, done, of)
+                clock[0] += {"fingers": 2, "postures": 20, "playing": 4}[stage]
+                if (stage, done) == ("playing", 10):
+                    clock[0] += 10
+                    tell("postures", 1, 4)
+    assert log.getvalue().splitlines() == [
+        "fingers: 6 of 10 notes, 00:08 left",
+        "postures: 2 of 4 iterations, 00:40 left",
+        "postures: 3 of 4 iterations, 00:20 left",
+        "postures: 4 of 4 iterations",
+        "song, seed 3: 4 of 20 steps, 01:04 left",
+        "song, seed 3: 7 of 20 steps, 00:52 left",
+        "song, seed 3: 10 of 20 steps, 00:40 left",
+        "song, seed 3: 10 of 20 steps, 00:55 left, postures",
+        "song, seed 3: 14 of 20 steps, 00:28 left",
+        "song, seed 3: 17 of 20 steps, 00:13 left",
+        "song, seed 3: 20 of 20 steps",
+    ]
 
 
 def test_what_is_resumed_is_timed_from_where_it_goes_on(

@@ -194,9 +194,9 @@ def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
 
 
 def test_progress_counts_the_steps(right_hand: Scene) -> None:
-    told: list[tuple[int, int]] = []
+    told: list[tuple[str, int, int]] = []
     play(PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step))
-    assert told == [(step, STEPS) for step in range(1, STEPS + 1)]
+    assert told == [("playing", step, STEPS) for step in range(1, STEPS + 1)]
 
 
 def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -165,6 +166,34 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatc
     steps = perform(leaps, config, hands="right").metrics["steps"]
     full_search = 5 * 8 * 7  # for 0.35 s each
     assert 0.4 < sum(simulated) / steps / full_search < 0.6
+
+
+def test_planning_tells_how_far_it_has_come() -> None:
+    told: list[tuple[str, int, int]] = []
+    task = PianoTask([melody(60, 62, 64)], BUFFER, SceneConfig(hands="right"))
+    play(task, ScorePlanner(), progress=lambda *stage: told.append(stage))
+    assert [stage for stage, _ in groupby(told, lambda step: step[0])] == [
+        "fingers",
+        "postures",
+        "playing",
+    ]
+    assert [(done, of) for stage, done, of in told if stage == "fingers"] == [
+        (1, 3),
+        (2, 3),
+        (3, 3),
+    ]
+    assert all(0 <= done <= total for _, done, total in told)
+
+
+def test_planning_can_be_interrupted() -> None:
+    def interrupt(stage: str, *_: int) -> None:
+        if stage == "postures":
+            raise KeyboardInterrupt
+
+    task = PianoTask([melody(60, 62, 64)], BUFFER, SceneConfig(hands="right"))
+    with pytest.raises(KeyboardInterrupt):
+        play(task, ScorePlanner(), progress=interrupt)
+    assert task.sheets.steps_done[0] == 0
 
 
 # Presses

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,13 @@ from numpy.typing import NDArray
 from cadenza.tasks.piano_task import PianoTask
 
 Array = NDArray[np.float64]
+
+Progress = Callable[[str, int, int], None]
+"""Is told a stage of long work, such as "playing", how much of it is done, and how much it is."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Tells nobody."""
 
 
 class Agent(Protocol):
@@ -20,6 +28,16 @@ class Agent(Protocol):
 
     def act(self) -> Array:
         """(A,) the next action in actuator units, the pedal last."""
+
+
+@runtime_checkable
+class ReportingAgent(Agent, Protocol):
+    """One that thinks for long, in `reset` or in `act`, and says how far it has come.
+
+    `cadenza.agents.play` puts its own `progress` there before it resets the agent.
+    """
+
+    progress: Progress
 
 
 class ZeroAgent:

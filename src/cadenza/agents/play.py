@@ -6,13 +6,12 @@ import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from cadenza.agents.agent import Agent
+from cadenza.agents.agent import Agent, Progress, ReportingAgent, silent
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.model.drawing import body_poses, drawing
@@ -35,7 +34,7 @@ def play(
     task: PianoTask,
     agent: Agent,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Performance:
     """Plays one episode of `task`, which has one environment, from the beginning.
 
@@ -43,7 +42,8 @@ def play(
         task: what to play.
         agent: who plays.
         seed: of everything random, in the task and in the agent.
-        progress: called after every step with the steps done and in all.
+        progress: is told of "playing" after every step, with the steps done and in all, and before
+            and between of what else a `ReportingAgent` does.
 
     Raises:
         CadenzaError: the agent cannot play this task, or the seed is negative.
@@ -52,6 +52,8 @@ def play(
         raise CadenzaError(f"seed {seed}: choose 0 or more")
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
+    if isinstance(agent, ReportingAgent):
+        agent.progress = progress
     started = time.perf_counter()
     agent.reset(task, agent_rng)
     planning, playing = time.perf_counter() - started, 0.0
@@ -67,8 +69,7 @@ def play(
         record.add(action, transition.reward[0], {k: v[0] for k, v in transition.terms.items()})
         ended = bool(transition.terminated[0] or transition.truncated[0])
         unstable = bool(transition.unstable[0])
-        if progress:
-            progress(int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
+        progress("playing", int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
     scores = task.episode_metrics(0)  # JSON has no NaN
     metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
     metrics |= record.sums()

@@ -17,7 +17,7 @@ from cadenza.agents.planning.config import (
     TrackedPressesConfig,
 )
 from cadenza.cli.arrangement import Arrangement
-from cadenza.cli.progress import progress
+from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -139,11 +139,11 @@ def learnt_policy(agent: str, song: str) -> LearntPolicy | None:
 
 
 def perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performance:
-    """Plays one episode; `doing` stands at the progress bar."""
+    """Plays one episode; `doing` stands at its progress, after what has to be planned first."""
     from cadenza.agents.play import play as play_episode
 
-    with progress(doing, "steps") as advance:
-        return play_episode(task, agent, seed, advance)
+    with stages(doing) as tell:
+        return play_episode(task, agent, seed, tell)
 
 
 def print_scores(performance: Performance) -> None:

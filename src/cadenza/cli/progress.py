@@ -5,15 +5,19 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+    from cadenza.agents.agent import Progress
+
 QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 """Whether the command shows no progress."""
+
+_UNITS = {"fingers": "notes", "postures": "iterations"}  # of stages that do not count steps
 
 
 class Advance(Protocol):
@@ -31,7 +35,7 @@ def progress(doing: str, unit: str, seconds_between_lines: float = 10.0) -> Iter
     at most every `seconds_between_lines`, none for shorter work, and no carriage returns.
     """
     if QUIET.get():
-        yield lambda *_, **__: None
+        yield _mute
     elif sys.stderr.isatty():
         bar = _Bar(doing, unit)
         try:
@@ -40,6 +44,35 @@ def progress(doing: str, unit: str, seconds_between_lines: float = 10.0) -> Iter
             bar.close()
     else:
         yield _Lines(doing, unit, seconds_between_lines)
+
+
+@contextmanager
+def stages(playing: str) -> Iterator[Progress]:
+    """Shows one stage of a performance after the other; `playing` is what that stage is called.
+
+    What an agent does between its actions stands as a remark there.
+    """
+    stage, last = "", (0, 0)
+    advance: Advance = _mute
+    with ExitStack() as shown:
+
+        def tell(now: str, done: int, total: int) -> None:
+            nonlocal stage, last, advance
+            if stage == "playing" != now:
+                advance(*last, remark=now)
+                return
+            if now != stage:
+                shown.close()
+                stage, label = now, playing if now == "playing" else now
+                advance = shown.enter_context(progress(label, _UNITS.get(now, "steps")))
+            last = done, total
+            advance(*last)
+
+        yield tell
+
+
+def _mute(done: int, total: int, remark: str = "") -> None:
+    pass
 
 
 class _Bar:
@@ -58,9 +91,10 @@ class _Bar:
                 initial=done,
                 delay=1.0,
                 leave=False,
+                smoothing=0,  # the mean rate since the first call
             )
         self._bar.total = total
-        self._bar.set_postfix_str(remark, refresh=False)
+        self._bar.set_postfix_str(remark, refresh=bool(remark) and done == self._bar.n)
         self._bar.update(done - self._bar.n)
 
     def close(self) -> None:

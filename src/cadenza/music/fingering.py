@@ -31,7 +31,7 @@ cannot be played along with those taken before it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
@@ -113,22 +113,35 @@ class Solution:
     cost: float
 
 
-def find_fingering(score: Score, sides: Sequence[Side] = BOTH) -> tuple[Score, tuple[Dropped, ...]]:
+def find_fingering(
+    score: Score,
+    sides: Sequence[Side] = BOTH,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Score, tuple[Dropped, ...]]:
     """`score` with a finger on every note that the hands can play, -1 on those dropped.
 
     Fingers that the score gives are kept, and the others found to go with them. Where given
     fingers contradict each other or these hands, the others take no account of them.
+
+    Args:
+        score: with fingers or without.
+        sides: of the hands that are there.
+        progress: is told how many notes have been looked at, and how many there are.
 
     Returns:
         The score, and what was dropped in the order of the notes.
     """
     if all(note.finger != UNKNOWN_FINGER for note in score.notes):
         return score, ()
-    found = solve(score, sides)
+    found = solve(score, sides, progress)
     return found.score, found.dropped
 
 
-def solve(score: Score, sides: Sequence[Side] = BOTH) -> Solution:
+def solve(
+    score: Score,
+    sides: Sequence[Side] = BOTH,
+    progress: Callable[[int, int], None] | None = None,
+) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
     places = [_STANDS if side in sides else _ELSEWHERE for side in BOTH]
     moments = [_beginning(places)]
@@ -144,6 +157,8 @@ def solve(score: Score, sides: Sequence[Side] = BOTH) -> Solution:
             else:
                 fingers |= dict.fromkeys(press.notes, press.finger)
                 unheeded += press.notes
+        if progress:
+            progress(begin[-1].notes[-1] + 1, len(score.notes))
     fingers |= _cheapest(moments)
     notes = tuple(
         replace(note, finger=fingers.get(i, UNKNOWN_FINGER))

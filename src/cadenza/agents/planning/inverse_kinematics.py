@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.targets import Targets
 from cadenza.model.kinematics import TIP, Kinematics
@@ -84,6 +85,7 @@ def solve_postures(
     targets: Targets,
     guess: Array,
     mounted_apart: float,
+    progress: Progress = silent,
 ) -> Array:
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
 
@@ -95,12 +97,14 @@ def solve_postures(
         guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
             what the joints like best.
         mounted_apart: distance of the forearms when their slides are at 0 [m].
+        progress: is told of "postures", in iterations.
     """
     problem = _Problem(kinematics, servos, fingers, targets, guess, mounted_apart)
     postures = guess.copy()
     damping = np.ones(len(guess) - 1)
     now = problem.linearise(postures)
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
+        progress("postures", iteration, _ITERATIONS)
         band, gradient = problem.normal_equations(postures, now)
         for _ in range(8):
             trial = problem.step(postures, band, gradient, damping)

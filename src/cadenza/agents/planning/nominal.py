@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.targets import Targets, targets_of
@@ -43,6 +44,7 @@ def nominal_plan(
     fingers: NDArray[np.int8],
     hand_qpos: Array,
     dt: float,
+    progress: Progress = silent,
 ) -> Nominal:
     """Plans how to play `keys` (T, 88) with `fingers` (T, 88).
 
@@ -52,6 +54,7 @@ def nominal_plan(
         fingers: that should press them, -1 for none.
         hand_qpos: (J,) where the joints of the hands are.
         dt: control step [s].
+        progress: is told of "postures".
     """
     servos = servos_of(scene)
     kinematics = Kinematics(scene, servos)
@@ -65,7 +68,7 @@ def nominal_plan(
     guess = _guess(scene, servos, rest, presses, rest_y, states)
     guess[0] = hand_qpos @ np.linalg.pinv(servos.joints)
     apart = scene.config.hand_spacing
-    postures = solve_postures(kinematics, servos, scene.fingers, targets, guess, apart)
+    postures = solve_postures(kinematics, servos, scene.fingers, targets, guess, apart, progress)
     points, jacobian = kinematics.fingers(postures)
     force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers)
     force += reaction(scene, servos, postures, dt)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.box_ddp import Model, backward_pass
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.refinement import HandPart
@@ -114,12 +115,13 @@ class PressOptimisation:
         difference = _DIFFERENCE * self._unit
         self._lineariser = HandLineariser(scene, difference, dt, num_threads)
 
-    def optimise(self, hand_qpos: Array) -> Trajectory:
-        """From joints at rest at `hand_qpos` (J,) on."""
+    def optimise(self, hand_qpos: Array, progress: Progress = silent) -> Trajectory:
+        """From joints at rest at `hand_qpos` (J,) on; `progress` is told of "presses", in steps."""
         steps = len(self._tracking.ctrl)
         self._now.reset(hand_qpos=hand_qpos[None])
         ctrl, states = [], []
         for first, following in pairwise([*self._starts, steps]):
+            progress("presses", first, steps)
             last = min(following + _BEYOND, steps)
             window = self._improved(self._window(first, last))
             kept = following - first

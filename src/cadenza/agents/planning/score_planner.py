@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
@@ -19,15 +19,18 @@ class ScorePlanner:
 
     Attributes:
         plan: before refinement, after `reset`.
+        progress: is told of "fingers" and "postures".
     """
 
     plan: SongPlan
+    progress: Progress
 
     def __init__(self, config: ScorePlannerConfig | None = None) -> None:
         """Raises:
         CadenzaError: an option makes no sense.
         """
         self.config = config or ScorePlannerConfig()
+        self.progress = silent
         _check(self.config)
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
@@ -37,7 +40,8 @@ class ScorePlanner:
         self._task, self._step = task, 0
         score = task.sheets.songs[0]
         found = self.config.fingering == "found"
-        self.plan = plan_song(task, score.without_fingers() if found else score)
+        score = score.without_fingers() if found else score
+        self.plan = plan_song(task, score, self.progress)
         scene, dt = task.scene, task.config.control_timestep
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.refinement import HandPart
@@ -31,9 +31,11 @@ class TrackedPresses:
     Attributes:
         plan: before it is optimised, after `reset`.
         trajectories: what each hand is to do.
+        progress: is told of "fingers", "postures" and, a hand at a time, "presses".
     """
 
     plan: SongPlan
+    progress: Progress
 
     def __init__(self, config: TrackedPressesConfig | None = None) -> None:
         """Raises:
@@ -43,12 +45,13 @@ class TrackedPresses:
         if not 0 <= self.config.iterations < math.inf:
             raise CadenzaError(f"iterations {self.config.iterations}: choose 0 or more")
         self.trajectories: list[Trajectory] = []
+        self.progress = silent
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        self.plan = plan_song(task, task.sheets.songs[0].without_fingers())
+        self.plan = plan_song(task, task.sheets.songs[0].without_fingers(), self.progress)
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._task, self._step = task, 0
         self._hands, self.trajectories = list[HandAlone](), []
@@ -57,7 +60,7 @@ class TrackedPresses:
             with threadpool_limits(1):  # small matrices, and the same bits everywhere
                 optimisation = self._optimisation(task, side, hand)
                 start = task.state.hand_qpos[0, hand.joints]
-                self.trajectories.append(optimisation.optimise(start))
+                self.trajectories.append(optimisation.optimise(start, self.progress))
             self._hands.append(hand)
 
     def _optimisation(self, task: PianoTask, side: Side, hand: HandAlone) -> PressOptimisation:
