@@ -1,13 +1,50 @@
-"""Nobody ever sees half a file."""
+"""Nobody ever sees half a file, and what a broken one holds is said in one line."""
 
 from __future__ import annotations
 
+import io
+import json
+import os
 import stat
+import tracemalloc
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 
-from cadenza.files import write_atomically
+from cadenza.errors import CadenzaError
+from cadenza.files import (
+    ANY,
+    FLOATS,
+    TEXT,
+    ArrayOf,
+    check_arrays,
+    checked,
+    opened_in_place,
+    read_arrays,
+    read_json,
+    write_atomically,
+)
+
+# Writing
+
+
+@contextmanager
+def umask(mask: int) -> Iterator[None]:
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
 
 
 def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
@@ -16,7 +53,6 @@ def test_writes_into_folders_that_it_makes(tmp_path: Path) -> None:
         file.write(b"whole")
     assert path.read_bytes() == b"whole"
     assert [p.name for p in path.parent.iterdir()] == ["file.bin"]
-    assert stat.S_IMODE(path.stat().st_mode) == 0o644  # others may read it
 
 
 def test_the_old_file_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
@@ -46,3 +82,225 @@ def write_half(path: Path, error: type[BaseException]) -> None:
     with write_atomically(path) as file:
         file.write(b"half of")
         raise error
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_a_new_file_may_be_read_by_whom_the_umask_says(tmp_path: Path, mask: int) -> None:
+    with umask(mask), write_atomically(tmp_path / "new"):
+        pass
+    assert mode(tmp_path / "new") == 0o666 & ~mask
+
+
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "private"
+    path.touch()
+    path.chmod(0o600)
+    with write_atomically(path):
+        pass
+    assert mode(path) == 0o600
+
+
+def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("dear")
+    link.symlink_to(target)
+    with write_atomically(link) as file:
+        file.write(b"new")
+    assert target.read_text() == "dear"
+    assert link.read_text() == "new"
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize("name", ["x" * 255, "ü" * 127 + "x"])
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path, name: str) -> None:
+    with write_atomically(tmp_path / name) as file:
+        file.write(b"long")
+    assert (tmp_path / name).read_bytes() == b"long"
+
+
+def test_in_place_nothing_is_emptied_and_no_link_followed(tmp_path: Path) -> None:
+    path, link = tmp_path / "file", tmp_path / "link"
+    path.write_text("one\n")
+    link.symlink_to(path)
+    with opened_in_place(path) as file:
+        file.seek(0, os.SEEK_END)
+        file.write(b"two\n")
+    with pytest.raises(OSError, match="symbolic link"), opened_in_place(link):
+        pass
+    assert path.read_text() == "one\ntwo\n"
+
+
+# JSON
+
+
+@dataclass(frozen=True)
+class Part:
+    size: float = 1.0
+    sides: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Whole:
+    name: str
+    part: Part = field(default_factory=Part)
+    kind: Literal["a", "b"] = "a"
+    more: dict[str, Any] = field(default_factory=dict)
+
+
+def assert_refused(path: Path, saying: str) -> None:
+    with pytest.raises(CadenzaError, match=saying) as error:
+        read_json(path, Whole)
+    assert str(error.value).startswith(f"{path}: ")
+    assert str(error.value).isprintable()
+
+
+def test_json_becomes_what_was_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    path.write_text('{"name": "Für", "part": {"size": 2, "sides": [1, 2]}, "more": {"n": [null]}}')
+    assert read_json(path, Whole) == Whole("Für", Part(2.0, (1, 2)), more={"n": [None]})
+    path.write_text('{"name": ""}')
+    assert read_json(path, Whole) == Whole("")
+
+
+@pytest.mark.parametrize(
+    ("content", "saying"),
+    [
+        (b"", "not JSON"),
+        (b"{'name': 1}", "not JSON"),
+        (b"\xff\xfe\x00", "not JSON"),
+        (b"[" * 100_000, "not JSON"),
+        (b"1" * 5000, "not JSON"),
+        (b"[]", "Expected `object`, got `array`"),
+        (b"{}", "missing required field `name`"),
+        (b'{"name": 3}', r"Expected `str`, got `int` - at `\$\.name`"),
+        (b'{"name": "", "part": {"size": true}}', r"at `\$\.part\.size`"),
+        (b'{"name": "", "part": {"sides": [1, 2.5]}}', r"at `\$\.part\.sides\[1\]`"),
+        (b'{"name": "", "part": {"size": NaN}}', r"finite number, got nan - at `\$\.part\.size`"),
+        (b'{"name": "", "more": {"n": [1e999]}}', r"finite number, got inf - at `\$\.more\.n\[0\]"),
+        (b'{"name": "", "part": {"syze": 1}}', r"Unknown field 'syze' - at `\$\.part`"),
+        (b'{"name": "", "kind": "a\\nb"}', r"at `\$\.kind`"),
+        (b'{"name": "", "more": {"n": "\\ud800"}}', r"Expected text, got '\\ud800'"),
+    ],
+)
+def test_json_of_something_else_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, saying: str
+) -> None:
+    path = tmp_path / "file.json"
+    path.write_bytes(content)
+    assert_refused(path, saying)
+
+
+def test_json_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    assert_refused(tmp_path / "none", "there is no such file")
+    assert_refused(tmp_path, r"cannot be read \(Is a directory\)")
+
+
+def test_numbers_beyond_64_bits_are_kept() -> None:
+    """The state of a random generator has 128."""
+    assert checked({"n": 2**127 + 1}, dict[str, Any], "here") == {"n": 2**127 + 1}
+
+
+# Arrays
+
+EXPECTED = {
+    "a": ArrayOf(FLOATS, ("T", 3), needed=True, finite=True),
+    "b": ArrayOf(FLOATS, ("T",)),
+    "name": ArrayOf(TEXT),
+    "extra_*": ArrayOf(FLOATS, ("T",)),
+}
+ARRAYS = {"a": np.zeros((4, 3)), "b": np.ones(4, np.float32), "extra_x": np.zeros(4)}
+
+
+@pytest.mark.parametrize(
+    ("change", "saying"),
+    [
+        ({"a": np.zeros((4, 2))}, r"a is float64 of shape \(4, 2\); expected .* \(T, 3\)"),
+        ({"a": np.zeros((4, 3), complex)}, "a is complex128"),
+        ({"a": np.full((4, 3), np.inf)}, "a holds numbers that are not finite"),
+        ({"b": np.zeros(5)}, r"b is float64 of shape \(5,\); .* shape \(T\), here T 4"),
+        ({"b": np.array(["x"] * 4)}, "b is <U1"),
+        ({"name": np.array(3)}, "name is int64"),
+        ({"extra_x": np.zeros((4, 4))}, "extra_x is"),
+    ],
+)
+def test_arrays_of_something_else_are_refused(
+    tmp_path: Path, change: dict[str, np.ndarray], saying: str
+) -> None:
+    path = tmp_path / "file.npz"
+    np.savez(path, **ARRAYS)
+    assert read_arrays(path, EXPECTED).keys() == ARRAYS.keys()
+    np.savez(path, **(ARRAYS | change))
+    with pytest.raises(CadenzaError, match=saying) as error:
+        read_arrays(path, EXPECTED)
+    assert str(error.value).startswith(f"{path}: ")
+    with pytest.raises(CadenzaError, match="no array named a"):
+        check_arrays({}, EXPECTED, "here")
+
+
+def npz(**contents: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in contents.items():
+            file.writestr(f"{name}.npy", content)
+    return buffer.getvalue()
+
+
+def npy(shape: tuple[int, ...], data: bytes, dtype: str = "<f8") -> bytes:
+    """An array file whose header may lie."""
+    buffer = io.BytesIO()
+    header = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, header)
+    return buffer.getvalue() + data
+
+
+def lying_directory(size: int) -> bytes:
+    """A file whose directory says that its only member unpacks to `size` bytes."""
+    content = npz(a=npy((10**7,), bytes(8 * 10**7)))
+    at = content.index(b"PK\x01\x02") + 24
+    return content[:at] + size.to_bytes(4, "little") + content[at + 4 :]
+
+
+@pytest.mark.parametrize(
+    ("content", "saying"),
+    [
+        (npz(a=npy((10**7,), bytes(8 * 10**7))), "would take 76 MiB, .* no more than 1 MiB"),
+        (npz(**{f"a{i}": bytes(10**6) for i in range(100)}), "would take 95 MiB"),
+        (lying_directory(1000), "not a readable"),
+        (npz(a=npy((10**12,), b"")), "not a readable"),
+        (npz(a=npy((-1, -1), bytes(8))), "not a readable"),
+        (npz(a=npy((2**62, 4), b"")), "not a readable"),
+        (npz(a=npy((1,), bytes(8), "|O")), "not a readable"),
+        (npz(a=npy((1,), b"\xff" * 4, "<U1")), "not a readable"),
+        (npz(a=npy((1,), b"\x00\xd8\x00\x00", "<U1")), "not a readable"),
+        (npz(**{"a\nb": npy((1,), bytes(8))}), "not a readable"),
+    ],
+)
+def test_what_a_file_unpacks_to_is_bounded(tmp_path: Path, content: bytes, saying: str) -> None:
+    path = tmp_path / "file.npz"
+    path.write_bytes(content)
+    tracemalloc.start()
+    with pytest.raises(CadenzaError, match=saying):
+        read_arrays(path, ANY, 2**20)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2**22
+
+
+def test_what_is_not_asked_for_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "file.npz"
+    path.write_bytes(npz(b=npy((10**7,), bytes(8 * 10**7)), a=npy((3,), bytes(24))))
+    assert read_arrays(path, {"a": ArrayOf(FLOATS, ("T",))}, 100 + 128).keys() == {"a"}
+
+
+def test_a_file_that_is_not_compressed_holds_no_more_than_its_size(tmp_path: Path) -> None:
+    np.savez(tmp_path / "stored.npz", **ARRAYS)
+    assert read_arrays(tmp_path / "stored.npz", ANY).keys() == ARRAYS.keys()
+    np.savez_compressed(tmp_path / "packed.npz", a=np.zeros(10_000))
+    with pytest.raises(CadenzaError, match="would take"):
+        read_arrays(tmp_path / "packed.npz", ANY)
+
+
+def test_the_text_of_json_in_an_array_may_be_long(tmp_path: Path) -> None:
+    text = json.dumps(["ü"] * 10_000, ensure_ascii=False)
+    np.savez(tmp_path / "file.npz", text=np.str_(text))
+    assert str(read_arrays(tmp_path / "file.npz", {"text": ArrayOf(TEXT)})["text"]) == text

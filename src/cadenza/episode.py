@@ -11,13 +11,88 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays, write_atomically
+from cadenza.files import (
+    FLAGS,
+    INTEGERS,
+    NUMBERS,
+    TEXT,
+    ArrayOf,
+    checked,
+    parsed_json,
+    read_arrays,
+    write_atomically,
+)
+
+_NUM_KEYS = 88
+_LONGEST = 4 * 3600.0  # [s]
+_MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a quarter of it
+
+
+class _Geom(TypedDict):
+    body: int
+    finger: int | None
+    type: str
+    size: list[float]
+    pos: list[float]
+    quat: list[float]
+    rgba: list[float]
+
+
+class _Key(TypedDict):
+    pos: list[float]
+    size: list[float]
+    hinge: list[float]
+    axis: list[float]
+    travel: Annotated[float, Meta(gt=0)]
+    black: bool
+
+
+class _Joint(TypedDict):
+    type: str
+    axis: list[float]
+    index: int
+
+
+class _Jointed(TypedDict):
+    parent: int
+    pos: list[float]
+    quat: list[float]
+    joints: list[_Joint]
+
+
+_DRAWN: dict[str, Any] = {  # see `cadenza.model.drawing`
+    "bodies": list[str],
+    "skeleton": list[_Jointed],
+    "geoms": list[_Geom],
+    "keys": Annotated[list[_Key], Meta(min_length=_NUM_KEYS, max_length=_NUM_KEYS)],
+}
+
+_EXPECTED = {
+    "song": ArrayOf(TEXT, needed=True),
+    "dt": ArrayOf(NUMBERS, needed=True, finite=True),
+    "scene": ArrayOf(TEXT),
+    "action": ArrayOf(NUMBERS, ("T", "A"), needed=True),
+    "goal_keys": ArrayOf(FLAGS, ("T", _NUM_KEYS)),
+    "goal_fingers": ArrayOf(INTEGERS, ("T", _NUM_KEYS)),
+    "goal_sustain": ArrayOf(FLAGS, ("T",)),
+    "key_qpos": ArrayOf(NUMBERS, ("T", _NUM_KEYS)),
+    "key_activation": ArrayOf(FLAGS, ("T", _NUM_KEYS)),
+    "sustain_activation": ArrayOf(FLAGS, ("T",)),
+    "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
+    "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
+    "fingertip_xpos": ArrayOf(NUMBERS, ("T", 10, 3)),
+    "body_xpos": ArrayOf(NUMBERS, ("T", "B", 3)),
+    "body_xquat": ArrayOf(NUMBERS, ("T", "B", 4)),
+    "reward_*": ArrayOf(NUMBERS, ("T",)),
+    "*": ArrayOf(NUMBERS + TEXT, None),
+}
 
 
 @dataclass(frozen=True)
@@ -44,6 +119,9 @@ class Episode:
     scene: Mapping[str, Any]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
+        """Raises: CadenzaError: there is no such array."""
+        if name not in self.arrays:
+            raise CadenzaError(f"the episode of {self.song!r} holds no array named {name}")
         return self.arrays[name]
 
     @property
@@ -69,10 +147,14 @@ def load_episode(path: Path) -> Episode:
     Raises:
         CadenzaError: the file is not there or is not an episode.
     """
-    arrays = read_arrays(path)
-    try:
-        song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
-        scene = json.loads(str(arrays.pop("scene", "{}")))
-    except (ValueError, TypeError, KeyError) as error:
-        raise CadenzaError(f"{path}: not an episode recorded by cadenza ({error})") from error
+    arrays = read_arrays(path, _EXPECTED, _MOST)
+    song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
+    scene = parsed_json(str(arrays.pop("scene", "{}")), dict[str, Any], f"{path}, scene")
+    for name in scene.keys() & _DRAWN.keys():
+        checked(scene[name], _DRAWN[name], f"{path}, {name} of scene")
+    steps, bodies = len(arrays["action"]), len(scene.get("bodies", ()))
+    if not (dt > 0 and 0 < steps * dt <= _LONGEST):
+        raise CadenzaError(f"{path}: {steps} steps of {dt:g} s; such a file holds up to 4 hours")
+    if bodies != arrays.get("body_xpos", np.empty((0, bodies))).shape[1]:
+        raise CadenzaError(f"{path}: body_xpos is not of the {bodies} bodies in scene")
     return Episode(song, dt, arrays, scene)

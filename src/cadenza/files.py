@@ -1,48 +1,284 @@
-"""Writing files so that nobody ever sees half of one, and reading those that may be broken."""
+"""Writing files so that nobody ever sees half of one, and reading those that may be broken.
+
+Who reads a file says what it is to hold, as a type for JSON and as a table for arrays. Whatever
+else it holds is refused here, in one line.
+"""
 
 from __future__ import annotations
 
+import io
+import json
+import math
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import secrets
+import stat
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 
+T = TypeVar("T")
+
+TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_ANOTHER = "it is damaged, changed or of another version; take another copy"
+
+# Writing
+
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[IO[bytes]]:
-    """Yields a binary file that takes the place of `path` when the block ends without an error."""
+    """Yields a binary file that takes the place of `path` when the block ends without an error.
+
+    It keeps the permissions of the file that it replaces; a new one has those of any new file. A
+    symbolic link is replaced, not followed.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"  # short: `path` may be as long
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK  # as a name can be
     try:
-        with os.fdopen(handle, "wb") as file:
+        with os.fdopen(os.open(temporary, flags, 0o666), "wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
+        with suppress(FileNotFoundError):
+            if stat.S_ISREG(mode := path.lstat().st_mode):
+                os.chmod(temporary, stat.S_IMODE(mode) & 0o777)
         os.replace(temporary, path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz file by name; nothing that a file says is carried out.
+@contextmanager
+def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
+    """Yields a file that keeps what it holds, made if need be, to be read and written anywhere.
 
     Raises:
-        CadenzaError: the file is not there or is no such file.
+        OSError: it is a symbolic link, among others.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+    with os.fdopen(handle, "r+b") as file:
+        yield file
+
+
+# JSON
+
+
+def read_json(path: Path, kind: type[T]) -> T:
+    """What a JSON file holds, as `kind`; see `checked`.
+
+    Raises:
+        CadenzaError: it cannot be read, is no JSON, or holds something else.
+    """
+    return parsed_json(_content(path), kind, path)
+
+
+def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
+    """JSON as `kind`; see `checked`.
+
+    Raises:
+        CadenzaError: it is no JSON, or holds something else.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        value = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise CadenzaError(f"{where}: not JSON; {_ANOTHER}") from error
+    return checked(value, kind, where)
+
+
+def checked(value: Any, kind: type[T], where: object) -> T:
+    """`value`, made of what JSON has, as `kind`: a dataclass, a named tuple, a list of some.
+
+    Nothing is converted but lists to tuples and whole numbers to floats. Fields that are missing
+    get their defaults.
+
+    Raises:
+        CadenzaError: it is of another type, has fields that `kind` has not, or numbers that are not
+            finite; `where` and which value it is are named.
+    """
+    try:
+        result = msgspec.convert(value, kind)
+        _check_same(value, msgspec.to_builtins(result), "$")
+    except (msgspec.ValidationError, CadenzaError) as error:
+        wrong = " ".join(str(error).split())  # it may quote what it found
+        raise CadenzaError(f"{where}: {wrong}; {_ANOTHER}") from error
+    except RecursionError as error:
+        raise CadenzaError(f"{where}: too deeply nested; {_ANOTHER}") from error
+    return result
+
+
+def _check_same(given: Any, understood: Any, at: str) -> None:
+    """For what `msgspec.convert` leaves out or lets through."""
+    if isinstance(given, dict):
+        for name, part in given.items():
+            _check_same(name, name, at)
+            if name not in understood:
+                raise CadenzaError(f"Unknown field {name!r} - at `{at}`")
+            _check_same(part, understood[name], f"{at}.{name}")
+    elif isinstance(given, list):
+        for i, (part, other) in enumerate(zip(given, understood, strict=True)):
+            _check_same(part, other, f"{at}[{i}]")
+    elif isinstance(given, float) and not math.isfinite(given):
+        raise CadenzaError(f"Expected a finite number, got {given} - at `{at}`")
+    elif isinstance(given, str) and not _is_text(given):
+        raise CadenzaError(f"Expected text, got {given!a} - at `{at}`")
+
+
+def _is_text(value: str) -> bool:
+    """Whether it could be written to a file: JSON and numpy know halves of characters."""
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+# Arrays
+
+NUMBERS, FLOATS, INTEGERS, FLAGS, TEXT = "fiub", "f", "iu", "b", "U"  # numpy's kinds of types
+_WORDS = {
+    NUMBERS: "numbers",
+    FLOATS: "floating-point numbers",
+    INTEGERS: "whole numbers",
+    FLAGS: "truth values",
+    TEXT: "text",
+}
+
+
+class ArrayOf(NamedTuple):
+    """What an array is expected to be."""
+
+    kinds: str
+    """Of its type, as `numpy.dtype.kind`."""
+    shape: tuple[int | str, ...] | None = ()
+    """A name stands for any size, the same in all arrays of a file; None for any shape."""
+    needed: bool = False
+    finite: bool = False
+
+    def __str__(self) -> str:
+        sizes = "" if self.shape is None else f" of shape ({', '.join(map(str, self.shape))})"
+        return f"{_WORDS.get(self.kinds, 'numbers or text')}{sizes}"
+
+
+Expected = Mapping[str, ArrayOf]
+"""By name; the first that fits a name counts, and `*` stands for any part of one."""
+ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
+
+
+def read_arrays(
+    source: Path | bytes, expected: Expected, most: int | None = None, where: object = None
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file by name; nothing that a file says is carried out.
+
+    Args:
+        source: the file, or what it holds.
+        expected: others are not read.
+        most: bytes that all of them may take together; by default as many as the file, which is
+            what a file that is not compressed can hold.
+        where: named in errors; the file by default.
+
+    Raises:
+        CadenzaError: the file is not there, is no such file, holds more, or something else.
+    """
+    where = source if where is None else where
+    try:
+        size = len(source) if isinstance(source, bytes) else os.path.getsize(source)
+        with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as file:
+            members = {name: m for name, m in _members(file) if _of(name, expected)}
+            total = sum(member.file_size for member in members.values())
+            if total > (limit := size if most is None else most):
+                raise CadenzaError(
+                    f"{where}: its arrays would take {total / 2**20:,.0f} MiB, and such a file "
+                    f"needs no more than {limit / 2**20:,.0f} MiB; {_ANOTHER}"
+                )
+            arrays = {name: _array(file, member) for name, member in members.items()}
+    except FileNotFoundError as error:
+        raise CadenzaError(f"{where}: there is no such file") from error
+    except CadenzaError:
+        raise
+    except Exception as error:  # damage shows in many ways, down to numpy's tokenizer
+        raise CadenzaError(f"{where}: not a readable .npz file of plain arrays") from error
+    check_arrays(arrays, expected, where)
+    return arrays
+
+
+def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:
+    """Raises: CadenzaError: one is missing or something else; `where` and which one is named."""
+    for name, form in expected.items():
+        if form.needed and name not in arrays:
+            raise CadenzaError(f"{where}: holds no array named {name}, {form}; {_ANOTHER}")
+    sizes: dict[str, int] = {}
+    for name, array in arrays.items():
+        form = _of(name, expected) or ArrayOf("")
+        if array.dtype.kind not in form.kinds or not _fits(array.shape, form.shape, sizes):
+            known = [f"{n} {sizes[n]}" for n in form.shape or () if n in sizes]
+            raise CadenzaError(
+                f"{where}: {name} is {array.dtype} of shape {array.shape}; expected {form}"
+                f"{', here ' * bool(known)}{', '.join(known)}; {_ANOTHER}"
+            )
+        if form.finite and not np.isfinite(array).all():
+            raise CadenzaError(f"{where}: {name} holds numbers that are not finite; {_ANOTHER}")
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
     except FileNotFoundError as error:
         raise CadenzaError(f"{path}: there is no such file") from error
-    except Exception as error:  # damage shows in many ways, down to numpy's tokenizer
-        raise CadenzaError(f"{path}: not a readable .npz file of plain arrays") from error
+    except OSError as error:
+        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
+    for member in file.infolist():
+        if not member.filename.isprintable():
+            raise ValueError("no name that numpy gives")
+        yield member.filename.removesuffix(".npy"), member
+
+
+def _of(name: str, expected: Expected) -> ArrayOf | None:
+    return next((form for known, form in expected.items() if fnmatchcase(name, known)), None)
+
+
+def _fits(
+    shape: tuple[int, ...], form: tuple[int | str, ...] | None, sizes: dict[str, int]
+) -> bool:
+    if form is None:
+        return True
+    return len(shape) == len(form) and all(
+        size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
+        for size, want in zip(shape, form, strict=True)
+    )
+
+
+def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """One that takes as much as the file's directory says, which is never exceeded.
+
+    Raises:
+        ValueError: its header says something else, or it is packed in another way than numpy does.
+    """
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError("not packed by numpy")
+    headers = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    with file.open(member) as packed:
+        shape, _, dtype = headers[np.lib.format.read_magic(packed)](packed)
+        if math.prod(shape) * dtype.itemsize != member.file_size - packed.tell():
+            raise ValueError("not as long as its header says")
+        packed.seek(0)
+        array = np.lib.format.read_array(packed, allow_pickle=False)
+    if array.dtype.kind in TEXT and not all(map(_is_text, array.ravel().tolist())):
+        raise ValueError("no text")
+    return array

@@ -272,9 +272,9 @@ BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
     "lone array": (lone_array, "not a readable .npz"),
     "pickled": (lambda p: saved(p, action=np.array([{}, []], object)), "not a readable .npz"),
     "no action": (lambda p: saved(p, actions=np.zeros((3, 39))), "no array named action"),
-    "nan": (lambda p: saved(p, action=np.full((3, 39), np.nan)), "give finite numbers"),
+    "nan": (lambda p: saved(p, action=np.full((3, 39), np.nan)), "numbers that are not finite"),
     "1-D": (lambda p: saved(p, action=np.zeros(39)), r"of shape \(39,\)"),
-    "words": (lambda p: saved(p, action=np.array([["a", "b"]])), "give finite numbers"),
+    "words": (lambda p: saved(p, action=np.array([["a", "b"]])), "expected numbers of shape"),
     "complex": (lambda p: saved(p, action=np.zeros((3, 39), complex)), "complex128"),
 }
 

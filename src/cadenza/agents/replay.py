@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,17 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays, write_atomically
-from cadenza.model.config import SceneConfig
+from cadenza.files import (
+    FLAGS,
+    NUMBERS,
+    TEXT,
+    ArrayOf,
+    checked,
+    parsed_json,
+    read_arrays,
+    write_atomically,
+)
+from cadenza.model.config import Physics, SceneConfig
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -29,6 +38,13 @@ _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "forearm_term",
 }
 _TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
+_ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
+_ABOUT = {
+    "physics": ArrayOf(TEXT),
+    "sleeping_keys": ArrayOf(FLAGS),
+    "options": ArrayOf(TEXT),
+}
+_MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
 
 
 class ReplayAgent:
@@ -71,9 +87,10 @@ def physics_of(path: Path) -> dict[str, Any]:
     A plan is played in the physics it was made in, since a micrometre can decide whether a finger
     catches on a key. Recordings of the published system do not say; there, keys never sleep.
     """
-    arrays = read_arrays(path)
+    arrays = read_arrays(path, _ABOUT, _MOST)
+    physics = str(arrays.get("physics", "published"))
     return {
-        "physics": str(arrays.get("physics", "published")),
+        "physics": checked(physics, cast(Any, Physics), f"{path}, physics"),
         "sleeping_keys": bool(arrays.get("sleeping_keys", False)),
     }
 
@@ -96,11 +113,17 @@ def check_options(path: Path, options: Mapping[str, Any]) -> None:
     Raises:
         CadenzaError: they differ.
     """
-    made_with = json.loads(str(read_arrays(path).get("options", "{}")))
+    text = str(read_arrays(path, _ABOUT, _MOST).get("options", "{}"))
+    made_with = parsed_json(text, dict[str, Any], f"{path}, options")
     for name, value in made_with.items():
-        if options.get(name) != value:
+        if name not in options:
             raise CadenzaError(
-                f"{path}: was planned with {name} {value}, here it is {options.get(name)}; "
+                f"{path}: was planned with an option {name!a}, which this version of Cadenza does "
+                "not have; plan it anew"
+            )
+        if options[name] != value:
+            raise CadenzaError(
+                f"{path}: was planned with {name} {value!r}, here it is {options[name]!r}; "
                 "choose the same"
             )
 
@@ -139,13 +162,4 @@ def load_plan(path: Path) -> NDArray[np.float64]:
     Raises:
         CadenzaError: the file is not there or holds no such array.
     """
-    arrays = read_arrays(path)
-    if "action" not in arrays:
-        raise CadenzaError(f"{path}: holds no array named action, so it is not a plan")
-    plan = arrays["action"]
-    if plan.ndim != 2 or plan.dtype.kind not in "fiub" or not np.isfinite(plan).all():
-        raise CadenzaError(
-            f"{path}: action is {plan.dtype} of shape {plan.shape}; give finite numbers of shape "
-            "(steps, actions)"
-        )
-    return plan.astype(np.float64)
+    return read_arrays(path, _ACTION, _MOST)["action"].astype(np.float64)

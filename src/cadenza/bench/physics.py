@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.replay import load_plan
-from cadenza.files import read_arrays
+from cadenza.files import ANY, read_arrays
 from cadenza.model.config import Physics, SceneConfig
 from cadenza.model.scene import Scene, build_scene
 from cadenza.music.metrics import step_metrics
@@ -55,7 +55,7 @@ def main() -> None:
     print("| performance | physics | F1 | with noise: mean | least | most |")
     print("| --- | --- | --- | --- | --- | --- |")
     for path in options.episodes:
-        plan, about = load_plan(path), read_arrays(path)
+        plan, about = load_plan(path), read_arrays(path, ANY, 2**30)
         seen = np.concatenate([about["goal_obs0"][None], about["goal_obs"][:-1]])
         goal = seen[:, :NUM_KEYS].astype(bool)
         for physics in get_args(Physics):

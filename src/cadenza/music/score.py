@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.music.tracks import Track
@@ -87,21 +86,6 @@ class Score:
         pedal = tuple(sorted(self.pedal, key=lambda event: event.time))
         object.__setattr__(self, "notes", notes)
         object.__setattr__(self, "pedal", pedal)
-
-    @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> Score:
-        """The score of which `dataclasses.asdict`, or JSON of it, is `plain`.
-
-        Raises:
-            KeyError, TypeError, CadenzaError: it is not that of a score.
-        """
-        return cls(
-            notes=tuple(Note(**note) for note in plain["notes"]),
-            pedal=tuple(PedalEvent(**event) for event in plain["pedal"]),
-            title=plain["title"],
-            remarks=tuple(plain["remarks"]),
-            tracks=tuple(Track(**track) for track in plain.get("tracks", ())),
-        )
 
     @property
     def total_time(self) -> float:

@@ -14,9 +14,9 @@ from cadenza.agents.rl.config import (
     TrainingConfig,
     check,
     preset,
-    read_training_config,
 )
 from cadenza.errors import CadenzaError
+from cadenza.files import checked
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -84,7 +84,7 @@ def test_comes_back_from_json(name: str) -> None:
         task=TaskConfig(n_seconds_lookahead=1 / 3),
     )
     assert config.residual
-    assert read_training_config(json.loads(json.dumps(asdict(config)))) == config
+    assert checked(json.loads(json.dumps(asdict(config))), TrainingConfig, "here") == config
 
 
 def test_naming_the_options_does_not_load_what_learning_needs() -> None:

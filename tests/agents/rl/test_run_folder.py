@@ -116,7 +116,7 @@ def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -
     content = (run.path / "run.json").read_text()
     for changed in (content[:100], "[]", "{}", content.replace('"tau"', '"tao"')):
         (run.path / "run.json").write_text(changed)
-        with pytest.raises(CadenzaError, match=r"run\.json: damaged, or of another version"):
+        with pytest.raises(CadenzaError, match=r"run\.json: .* of another version"):
             run.settings()
 
 

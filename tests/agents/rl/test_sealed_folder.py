@@ -131,13 +131,13 @@ def test_nothing_that_a_file_says_is_carried_out(
     np.save(array, np.array([Bomb()], object))
     for content in (objects.getvalue(), array.getvalue(), pickle.dumps(Bomb()), b"", b"PK"):
         seal(folder, arrays=content)
-        assert_refused(folder, "is no thing that Cadenza wrote")
+        assert_refused(folder, r"arrays\.npz: not a readable \.npz file of plain arrays")
     assert not (tmp_path / "went off").exists()
 
 
 def test_facts_that_are_no_json_are_refused(folder: Path) -> None:
     seal(folder, facts=b"{'a': 1}")
-    assert_refused(folder, "is no thing that Cadenza wrote")
+    assert_refused(folder, r"facts\.json: not JSON")
 
 
 def test_digests_of_a_strange_shape_are_refused(folder: Path) -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
-Config = TypeVar("Config")
 Preset = Literal["fast", "paper", "published"]
 Activation = Literal["relu", "gelu"]
 
@@ -216,26 +215,3 @@ def check(config: TrainingConfig) -> None:
     for name in _BELOW_ONE:
         if not 0 <= values[name] < 1:
             raise CadenzaError(f"{name} {values[name]}: choose 0 or more, below 1")
-
-
-def read_config(kind: type[Config], plain: dict[str, Any]) -> Config:
-    """A configuration without nested ones from its fields as JSON has them.
-
-    Raises:
-        TypeError: it has no such field.
-    """
-    return kind(**{n: tuple(v) if isinstance(v, list) else v for n, v in plain.items()})
-
-
-def read_training_config(plain: dict[str, Any]) -> TrainingConfig:
-    """The same for a whole run.
-
-    Raises:
-        KeyError, TypeError: something is missing, or there is no such field.
-    """
-    parts = {
-        "learner": read_config(LearnerConfig, plain["learner"]),
-        "task": read_config(TaskConfig, plain["task"]),
-        "scene": read_config(SceneConfig, plain["scene"]),
-    }
-    return TrainingConfig(**plain | parts)

@@ -7,8 +7,9 @@ of it has to be kept for every transition.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,8 @@ _GOAL = NUM_KEYS + 1  # keys and pedal
 _ROW = _GOAL + NUM_FINGERS
 
 
-class Inputs(NamedTuple):
+@dataclass(frozen=True)
+class Inputs:
     """Which entries of what could be observed a network is given.
 
     Those that are always zero for a song can be left out: no weight of theirs would ever be used
@@ -36,6 +38,11 @@ class Inputs(NamedTuple):
     """Indices of those that are given, ascending."""
     total: int
     """How many there could be."""
+
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: indices that cannot be."""
+        if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
+            raise CadenzaError("inputs must be ascending indices below their total")
 
 
 class Scores:

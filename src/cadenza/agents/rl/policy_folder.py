@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.rl.config import Activation, read_config
+from cadenza.agents.rl.config import Activation
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_agent import PolicyAgent
@@ -17,6 +17,7 @@ from cadenza.agents.rl.ranges import Ranges
 from cadenza.agents.rl.residual import Plan
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
+from cadenza.files import FLOATS, ArrayOf, checked
 from cadenza.model.config import SceneConfig
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
@@ -25,6 +26,32 @@ _KIND = "policy"
 _FORMAT = 2
 _READ = (1, _FORMAT)  # the first had no ranges
 _PLAN, _RANGES = "plan/", "ranges/"  # what names of their arrays begin with
+_EXPECTED = {
+    "plan/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
+    "plan/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
+    "plan/expected": ArrayOf(FLOATS, ("steps + 1", "servos", 2), finite=True),
+    "plan/pedal": ArrayOf(FLOATS, ("steps",), finite=True),
+    "plan/reach": ArrayOf(FLOATS, ("servos",), finite=True),
+    "ranges/joints": ArrayOf(FLOATS, (2, "joints"), finite=True),
+    "ranges/actions": ArrayOf(FLOATS, (2, "actions"), finite=True),
+    "mean/bias": ArrayOf(FLOATS, ("actions",), finite=True),
+    "*": ArrayOf(FLOATS, None, finite=True),
+}
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What is written beside the arrays."""
+
+    format: int
+    activation: Activation
+    log_std_range: tuple[float, float]
+    inputs: Inputs
+    residual: bool
+    task: TaskConfig
+    scene: SceneConfig
+    score: Score
+    about: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -66,7 +93,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "about": about,
         "activation": learnt.activation,
         "log_std_range": learnt.log_std_range,
-        "inputs": learnt.inputs._asdict(),
+        "inputs": asdict(learnt.inputs),
         "residual": learnt.plan is not None,
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
@@ -85,21 +112,19 @@ def load_policy(folder: Path) -> LearntPolicy:
     """Raises:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
-    facts, arrays = read_sealed(folder, _KIND)
-    if facts.get("format") not in _READ:
+    plain, arrays = read_sealed(folder, _KIND, _EXPECTED)
+    if (number := plain.get("format")) not in _READ:
         raise CadenzaError(
-            f"{folder}: a policy of format {facts.get('format')}, and this version reads up to "
+            f"{folder}: a policy of format {number!r}, and this version reads up to "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
+    learnt = _learnt(checked(plain, _Facts, folder / "facts.json"), arrays, folder)
     try:
-        learnt = _learnt(facts, arrays)
         learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))  # layers that fit
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise CadenzaError(
             f"{folder}: not a policy as this version writes it ({error!r}); take another copy"
         ) from error
-    if not all(np.isfinite(array).all() for array in arrays.values()):
-        raise CadenzaError(f"{folder}: holds numbers that are not finite")
     return learnt
 
 
@@ -111,17 +136,22 @@ def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
-def _learnt(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> LearntPolicy:
+def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]], folder: Path) -> LearntPolicy:
     plan, ranges = _with(_PLAN, arrays), _with(_RANGES, arrays)
-    low, high = facts["log_std_range"]
+    for names, kind, wanted in ((plan, Plan, facts.residual), (ranges, Ranges, bool(ranges))):
+        if names.keys() != set(kind._fields if wanted else ()):
+            raise CadenzaError(
+                f"{folder}: not a policy as this version writes it (arrays of its plan or its "
+                "ranges are missing, or too many); take another copy"
+            )
     return LearntPolicy(
         weights={n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))},
-        activation=facts["activation"],
-        log_std_range=(low, high),
-        inputs=Inputs(tuple(facts["inputs"]["kept"]), facts["inputs"]["total"]),
-        plan=Plan(**plan) if facts["residual"] else None,
+        activation=facts.activation,
+        log_std_range=facts.log_std_range,
+        inputs=facts.inputs,
+        plan=Plan(**plan) if facts.residual else None,
         ranges=Ranges(**ranges) if ranges else None,
-        task=read_config(TaskConfig, facts["task"]),
-        scene=read_config(SceneConfig, facts["scene"]),
-        score=Score.from_plain(facts["score"]),
+        task=facts.task,
+        scene=facts.scene,
+        score=facts.score,
     )

@@ -16,7 +16,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.rl.config import TrainingConfig, read_training_config
+from cadenza.agents.rl.config import TrainingConfig
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays, write_atomically
+from cadenza.files import ANY, read_arrays, read_json, write_atomically
 from cadenza.music.score import Score
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
@@ -36,6 +36,15 @@ _KIND = "checkpoint"
 _KEPT = 2  # should the newest be damaged, there is the one before
 
 Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class _About:
+    """What run.json holds."""
+
+    config: TrainingConfig
+    score: Score
+    versions: dict[str, str]
 
 
 class Checkpoint(NamedTuple):
@@ -115,13 +124,10 @@ class RunFolder:
         Raises:
             CadenzaError: the folder holds no run.
         """
-        try:
-            about = json.loads(self._about.read_bytes())
-            return read_training_config(about["config"]), Score.from_plain(about["score"])
-        except FileNotFoundError as error:
-            raise CadenzaError(f"{self.path}: holds no run to go on with") from error
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise CadenzaError(f"{self._about}: damaged, or of another version") from error
+        if not self._about.exists():
+            raise CadenzaError(f"{self.path}: holds no run to go on with")
+        about = read_json(self._about, _About)
+        return about.config, about.score
 
     # Figures
 
@@ -189,7 +195,9 @@ class RunFolder:
         for folder in reversed(saved):
             try:
                 facts, arrays = read_sealed(folder, _KIND)
-                replay = [read_arrays(self._replay / chunk["file"]) for chunk in facts["replay"]]
+                replay = [
+                    read_arrays(self._replay / chunk["file"], ANY) for chunk in facts["replay"]
+                ]
             except CadenzaError as error:
                 print(f"{error}: going back to the checkpoint before it", file=sys.stderr)
                 continue

@@ -13,15 +13,20 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
+from cadenza.files import ANY, Expected, parsed_json, read_arrays, read_json, write_atomically
 
 _MANIFEST = "manifest.json"
+
+
+class _Manifest(TypedDict):
+    kind: str
+    sha256: dict[str, str]
 
 
 def write_sealed(
@@ -59,44 +64,31 @@ def write_sealed(
     shutil.rmtree(old, ignore_errors=True)
 
 
-def read_sealed(folder: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Facts and arrays as they were written.
+def read_sealed(
+    folder: Path, kind: str, expected: Expected = ANY
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Facts and arrays as they were written; of the arrays those that are `expected`.
 
     Raises:
         CadenzaError: the folder is not there, of another kind, or was changed or damaged.
     """
     if not folder.exists() and _beside(folder, "old").exists():
         folder = _beside(folder, "old")  # whoever writes is between two renames, or stopped there
-    manifest = _manifest(folder)
-    if manifest.get("kind") != kind:
+    if not (folder / _MANIFEST).exists():
+        raise CadenzaError(f"{folder}: there is no {_MANIFEST} to say what it is")
+    manifest = read_json(folder / _MANIFEST, _Manifest)
+    if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is no {kind} that Cadenza wrote")
     try:
-        digests = manifest["sha256"]
         contents = {name: (folder / name).read_bytes() for name in ("facts.json", "arrays.npz")}
-        changed = [n for n, c in contents.items() if digests[n] != hashlib.sha256(c).hexdigest()]
-    except (OSError, KeyError, TypeError) as error:
-        raise CadenzaError(f"{folder}: the {kind} is not whole; take another copy") from error
-    if changed:
-        raise CadenzaError(f"{folder / changed[0]}: damaged or changed; take another copy")
-    try:
-        return json.loads(contents["facts.json"]), _arrays(contents["arrays.npz"])
-    except Exception as error:  # not what `write_sealed` writes, though sealed: see `read_arrays`
-        raise CadenzaError(f"{folder}: is no {kind} that Cadenza wrote") from error
-
-
-def _arrays(content: bytes) -> dict[str, NDArray[Any]]:
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
-
-
-def _manifest(folder: Path) -> dict[str, Any]:
-    try:
-        manifest = json.loads((folder / _MANIFEST).read_bytes())
     except OSError as error:
-        raise CadenzaError(f"{folder}: there is no {_MANIFEST} to say what it is") from error
-    except ValueError as error:
-        raise CadenzaError(f"{folder / _MANIFEST}: damaged or changed") from error
-    return manifest if isinstance(manifest, dict) else {}
+        raise CadenzaError(f"{folder}: the {kind} is not whole; take another copy") from error
+    for name, content in contents.items():
+        if manifest["sha256"].get(name) != hashlib.sha256(content).hexdigest():
+            raise CadenzaError(f"{folder / name}: damaged or changed; take another copy")
+    facts = parsed_json(contents["facts.json"], dict[str, Any], folder / "facts.json")
+    arrays = read_arrays(contents["arrays.npz"], expected, where=folder / "arrays.npz")
+    return facts, arrays
 
 
 def _beside(folder: Path, suffix: str) -> Path:
