@@ -236,9 +236,10 @@ def test_results_go_below_the_working_folder_by_default(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     main(["play", str(tune), *QUICK])
-    assert (tmp_path / "played" / "tune" / "report.html").exists()
+    folder = tmp_path / "played" / "tune" / "zero"
+    assert (folder / "report.html").exists()
     main(["play", str(tune), *QUICK])  # takes the place of the first
-    assert len(list((tmp_path / "played" / "tune").iterdir())) == 5
+    assert len(list(folder.iterdir())) == 5
 
 
 def test_task_and_scene_options_arrive(tune: Path, tmp_path: Path) -> None:
@@ -291,8 +292,7 @@ def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> N
     main(["play", str(tune), *options, "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
     assert settings["predictive_sampling"]["num_candidates"] == 3
-    assert settings["ilqg"]["iterations"] == 2
-    assert settings["planner"]["method"] == "none"
+    assert not settings.keys() & {"planner", "ilqg"}  # of who plays only
     assert not (tmp_path / "misses.json").exists()  # they do not say what they had in mind
 
 

@@ -22,7 +22,8 @@ STANDS_ON: dict[str, set[str]] = {
     "agents": {"tasks"},
     "report": {"music"},
     "bench": {"music", "model", "sim", "tasks", "agents", "report"},
-    "cli": {"music", "model", "sim", "tasks", "agents", "report"},
+    "performing": {"agents", "report"},
+    "cli": {"performing"},
 }
 LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "mido", "mir_eval"},

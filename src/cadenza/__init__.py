@@ -1,10 +1,73 @@
 """Two simulated Shadow Hands play the piano from any MIDI file.
 
-Importing the package registers its environments with Gymnasium as `cadenza/<Song>-v0`.
+Importing the package registers its environments with Gymnasium as `cadenza/<Song>-v0`. What is
+named here is imported when it is first used.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from cadenza.tasks.registration import register_envs
 
+if TYPE_CHECKING:
+    from cadenza.agents.agent import Agent
+    from cadenza.agents.named import make_agent
+    from cadenza.episode import Episode, load_episode
+    from cadenza.errors import CadenzaError, CadenzaWarning
+    from cadenza.model.config import SceneConfig
+    from cadenza.music.library import songs
+    from cadenza.music.score import Note, PedalEvent, Score
+    from cadenza.performing.casting import load_song
+    from cadenza.performing.performance import Performance, play
+    from cadenza.performing.planning import Plan, plan
+    from cadenza.tasks.config import TaskConfig
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Agent",
+    "CadenzaError",
+    "CadenzaWarning",
+    "Episode",
+    "Note",
+    "PedalEvent",
+    "Performance",
+    "Plan",
+    "SceneConfig",
+    "Score",
+    "TaskConfig",
+    "load_episode",
+    "load_song",
+    "make_agent",
+    "plan",
+    "play",
+    "songs",
+]
+
+_MODULES = {
+    "agents.agent": ("Agent",),
+    "agents.named": ("make_agent",),
+    "episode": ("Episode", "load_episode"),
+    "errors": ("CadenzaError", "CadenzaWarning"),
+    "model.config": ("SceneConfig",),
+    "music.library": ("songs",),
+    "music.score": ("Note", "PedalEvent", "Score"),
+    "performing.casting": ("load_song",),
+    "performing.performance": ("Performance", "play"),
+    "performing.planning": ("Plan", "plan"),
+    "tasks.config": ("TaskConfig",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]
+
 
 register_envs()

@@ -282,3 +282,30 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     if array.dtype.kind in TEXT and not all(map(_is_text, array.ravel().tolist())):
         raise ValueError("no text")
     return array
+
+
+def write_json(path: Path, content: Any) -> None:
+    """As a whole or not at all."""
+    with write_atomically(path) as file:
+        file.write((json.dumps(plain(content), indent=2, allow_nan=False) + "\n").encode())
+
+
+def plain(value: Any) -> Any:
+    """The same as JSON has it: paths as text, null for what is not a number."""
+    if isinstance(value, dict):
+        return {name: plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(part) for part in value]
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def folder_name(text: str) -> str:
+    """One name for a folder that says `text`, whatever that holds.
+
+    It leads nowhere else and can be shown: separators, what no file system of ours takes, and what
+    cannot be printed become `_`; dots and spaces at the ends go, and what exceeds 255 bytes.
+    """
+    safe = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in text)
+    return safe.encode()[:255].decode(errors="ignore").strip(". ") or "_"

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cadenza.cli.arrangement import Arrangement
 from cadenza.errors import CadenzaError
+from cadenza.music.arrangement import Arrangement
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -11,20 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.cli.performing import (
-    WithOtherPlanners,
-    agent_named,
-    build_task,
-    perform,
-    score_of,
-    seconds_of_music,
-)
-from cadenza.cli.results import check_writable, write_json
+from cadenza.cli.performing import Again, WithOtherPlanners, as_cast, cast_of, default_folder
+from cadenza.cli.progress import stages
+from cadenza.cli.results import check_writable
 from cadenza.errors import CadenzaError
+from cadenza.files import write_json
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
-    from cadenza.agents.play import Performance
+    from cadenza.performing.performance import Performance
 
 
 @dataclass(frozen=True)
@@ -42,22 +36,26 @@ class Compare(WithOtherPlanners):
     """Folder for compare.html and compare.json; played/SONG by default."""
 
 
-def compare(command: Compare) -> None:
+def compare(command: Compare, again: Again[Compare]) -> None:
+    from cadenza.performing.casting import set_up
+    from cadenza.performing.performance import perform
     from cadenza.report.comparison import Run, in_text, means, write_comparison
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
-    score = score_of(command.song, command.arrangement)
-    agents = {name: agent_named(name, command) for name in command.agents}
-    task = build_task(score, command)
-    folder = command.output or command.default_folder
+    castings = {name: cast_of(command, name) for name in command.agents}
+    commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
+    folder = command.output or default_folder(castings[command.agents[0]])
     check_writable(folder)
     runs = []
-    with closing(task):
-        for (name, agent), seed in product(agents.items(), dict.fromkeys(command.seeds)):
-            performance = perform(task, agent, seed, f"{name}, seed {seed}")
-            figures = _figures(performance, command.task)
-            runs.append(Run(name, seed, figures, performance.episode))
+    for (name, casting), seed in product(castings.items(), dict.fromkeys(command.seeds)):
+        own = commands[name]
+        with (
+            set_up(casting, own.task, own.scene, seed) as setup,
+            stages(f"{name}, seed {seed}") as progress,
+        ):
+            performance = perform(setup, progress)
+        runs.append(Run(name, seed, _figures(performance, own.task), performance.episode))
     content = {
         "means": means(runs),
         "runs": [{"agent": run.agent, "seed": run.seed, **run.figures} for run in runs],
@@ -80,5 +78,5 @@ def _figures(performance: Performance, config: TaskConfig) -> dict[str, float]:
     return figures | {
         "timing_error": math.nan if error is None else error,
         "energy": energy,
-        "planning": metrics["planning_seconds"] / seconds_of_music(performance),
+        "planning": metrics["planning_seconds"] / performance.seconds,
     }

@@ -1,50 +1,42 @@
-"""What the commands that perform a song share: options, score, task, agents, scores."""
+"""What the commands that perform a song share: options, who plays, scores."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
+from cadenza.agents.named import AGENTS, PRETRAINED, REPLAY
 from cadenza.agents.planning.config import (
     ILQGConfig,
     PredictiveSamplingConfig,
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
-from cadenza.cli.arrangement import Arrangement
-from cadenza.cli.progress import stages
-from cadenza.errors import CadenzaError
+from cadenza.files import folder_name
 from cadenza.model.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.tasks.config import TaskConfig, with_time_to_begin
 
 if TYPE_CHECKING:
-    from cadenza.agents.agent import Agent
-    from cadenza.agents.planning.misses import Miss
-    from cadenza.agents.planning.song_plan import SongPlan
-    from cadenza.agents.play import Performance
-    from cadenza.agents.rl.policy_folder import LearntPolicy
-    from cadenza.music.score import Score
-    from cadenza.tasks.piano_task import PianoTask
+    from cadenza.performing.casting import Casting
+    from cadenza.performing.performance import Performance
 
-_AGENTS = (
-    "planner",
-    "predictive-sampling",
-    "ilqg",
-    "tracked-presses",
-    "zero",
-    "random",
-    "pretrained",
+Command = TypeVar("Command", bound="Performing")
+Again = Callable[[Command], Command]
+"""Reads the same command line again, with what it does not say taken from a command."""
+
+AGENTS_HELP = (
+    "Who plays: "
+    + "; ".join(f"{name}: {agent.about}" for name, agent in AGENTS.items())
+    + f"; {PRETRAINED}: the policy that comes with the song; {REPLAY}: the actions of --plan; the "
+    "folder of a policy; or module:Class, an agent of your own. By default the planner, or the "
+    "policy whose folder is SONG."
 )
-
-
-def with_time_to_begin() -> TaskConfig:
-    """From where they start, the hands cannot sound a note at time 0."""
-    return TaskConfig(initial_buffer_time=0.5)
 
 
 @dataclass(frozen=True)
@@ -60,8 +52,9 @@ class Performing:
     planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
 
     @property
-    def default_folder(self) -> Path:
-        return Path("played") / Path(self.song).stem
+    def configs(self) -> dict[str, Any]:
+        """Agent -> its options."""
+        return {"planner": self.planner}
 
 
 @dataclass(frozen=True)
@@ -72,78 +65,39 @@ class WithOtherPlanners(Performing):
     ilqg: ILQGConfig = field(default_factory=ILQGConfig)
     tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
 
-
-def score_of(song: str, arrangement: Arrangement) -> Score:
-    """What SONG names, with remarks on it for whoever gave it."""
-    from cadenza.agents.rl.policy_folder import load_policy
-
-    if Path(song).is_dir():
-        if arrangement.chosen:
-            raise CadenzaError(f"{song}: holds its song as it was learnt; give no tracks of it")
-        return load_policy(Path(song)).score
-    score = arrangement.score(song)
-    for remark in score.remarks:
-        print(f"{song}: {remark}", file=sys.stderr)
-    if len(score.tracks) > 2 and not arrangement.chosen:
-        print(
-            f"{song}: all {len(score.tracks)} tracks are played at once; choose some of those that "
-            f'"cadenza info" lists, as in --tracks 1 3, or --reduce melody-bass',
-            file=sys.stderr,
-        )
-    return score
+    @property
+    def configs(self) -> dict[str, Any]:
+        """Agent -> its options."""
+        return {
+            "planner": self.planner,
+            "predictive-sampling": self.predictive_sampling,
+            "ilqg": self.ilqg,
+            "tracked-presses": self.tracked_presses,
+        }
 
 
-def build_task(score: Score, command: Performing) -> PianoTask:
-    """The score in the scene of the command."""
-    from cadenza.tasks.piano_task import PianoTask
+def cast_of(command: Performing, agent: str | None, plan: Path | None = None) -> Casting:
+    """The song of a command, and whoever plays it with the options of the command."""
+    from cadenza.performing.casting import cast
 
-    return PianoTask([score], command.task, command.scene)
-
-
-def agent_named(name: str, command: WithOtherPlanners) -> Agent:
-    """With the options of the command."""
-    from cadenza.agents.agent import RandomAgent, ZeroAgent
-    from cadenza.agents.planning.ilqg import ILQG
-    from cadenza.agents.planning.predictive_sampling import PredictiveSampling
-    from cadenza.agents.planning.score_planner import ScorePlanner
-    from cadenza.agents.planning.tracked_presses import TrackedPresses
-
-    match name:
-        case "planner":
-            return ScorePlanner(command.planner)
-        case "predictive-sampling":
-            return PredictiveSampling(command.predictive_sampling)
-        case "ilqg":
-            return ILQG(command.ilqg)
-        case "tracked-presses":
-            return TrackedPresses(command.tracked_presses)
-        case "zero":
-            return ZeroAgent()
-        case "random":
-            return RandomAgent()
-    if (learnt := learnt_policy(name, command.song)) is not None:
-        return learnt.agent
-    raise CadenzaError(
-        f"no agent {name!r}: choose from {', '.join(_AGENTS)}, or give the folder of a policy"
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # where `module:Class` is looked for: in the working folder first
+    return cast(
+        command.song, agent, arrangement=command.arrangement, configs=command.configs, plan=plan
     )
 
 
-def learnt_policy(agent: str, song: str) -> LearntPolicy | None:
-    """The policy that `agent` names, None where it names another agent."""
-    from cadenza.agents.rl.policy_folder import load_policy
-    from cadenza.agents.rl.pretrained import pretrained_folder
-
-    if agent == "pretrained":
-        return load_policy(pretrained_folder(song))
-    return load_policy(Path(agent)) if Path(agent).is_dir() else None
+def as_cast(command: Command, casting: Casting, again: Again[Command]) -> Command:
+    """The command with the casting's own task and scene where the command line says no other."""
+    return again(replace(command, task=casting.task, scene=casting.scene))
 
 
-def perform(task: PianoTask, agent: Agent, seed: int, doing: str) -> Performance:
-    """Plays one episode; `doing` stands at its progress, after what has to be planned first."""
-    from cadenza.agents.play import play as play_episode
+def default_folder(casting: Casting) -> Path:
+    """Where results of a song go."""
+    from cadenza.performing.casting import is_policy
 
-    with stages(doing) as tell:
-        return play_episode(task, agent, seed, tell)
+    song = casting.score.title if is_policy(casting.song) else Path(casting.song).stem
+    return Path("played") / folder_name(song)
 
 
 def print_scores(performance: Performance) -> None:
@@ -157,24 +111,21 @@ def print_scores(performance: Performance) -> None:
         f"{metrics['steps']} steps, return {metrics['return']:.1f}, "
         f"planned in {metrics['planning_seconds']:.1f} s and "
         f"simulated in {metrics['playing_seconds']:.1f} s for "
-        f"{seconds_of_music(performance):.1f} s of music"
+        f"{performance.seconds:.1f} s of music"
     )
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
 
 
-def seconds_of_music(performance: Performance) -> float:
-    """What was played of it, where an episode ended early."""
-    return performance.episode.num_steps * performance.episode.dt
-
-
-def print_what_was_lost(plan: SongPlan, performance: Performance, misses: Sequence[Miss]) -> None:
-    """How many notes, and why."""
+def print_what_was_lost(performance: Performance) -> None:
+    """How many notes, and why, if there was a plan."""
     from collections import Counter
 
     from cadenza.agents.planning.misses import in_a_line
 
-    print(in_a_line(misses, performance.episode))
-    reasons = Counter(reason for _, reason in plan.dropped)
+    if performance.plan is None or performance.misses is None:
+        return
+    print(in_a_line(performance.misses, performance.episode))
+    reasons = Counter(reason for _, reason in performance.plan.dropped)
     for reason, count in reasons.most_common():
         print(f"{count} of them have no finger: {reason}")

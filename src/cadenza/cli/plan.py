@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cadenza.cli.arrangement import Arrangement
+from cadenza.agents.named import PLANNER
 from cadenza.cli.performing import (
+    Again,
     Performing,
-    build_task,
-    perform,
+    cast_of,
+    default_folder,
     print_scores,
     print_what_was_lost,
-    score_of,
-    with_time_to_begin,
 )
+from cadenza.cli.progress import stages
 from cadenza.cli.results import check_name, check_writable
-from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.tasks.config import with_time_to_begin
 
 
 @dataclass(frozen=True)
@@ -39,35 +39,22 @@ class Plan(Performing):
     """Of everything random; the same seed plans the same."""
 
 
-def plan(command: Plan) -> None:
-    from cadenza.agents.planning.misses import misses_of
-    from cadenza.agents.planning.score_planner import ScorePlanner
-    from cadenza.agents.replay import options_of, save_plan
-    from cadenza.music.fingering_file import SUFFIX, write_fingering
+def plan(command: Plan, _: Again[Plan]) -> None:
+    from cadenza.music.fingering_file import SUFFIX
+    from cadenza.performing.casting import set_up
+    from cadenza.performing.planning import make_plan
 
-    path = command.output or command.default_folder / "plan.npz"
-    check_name(path, ".npz", "a plan is a .npz file")
-    score = score_of(command.song, command.arrangement)
-    agent = ScorePlanner(command.planner)
-    task = build_task(score, command)
-    check_writable(path.parent)
-    with closing(task):
-        performance = perform(task, agent, command.seed, "planning")
-    if performance.episode.num_steps < task.sheets.num_steps[0]:
-        raise CadenzaError(
-            f"{command.song}: ended after {performance.episode.num_steps} of "
-            f"{task.sheets.num_steps[0]} steps, at a wrong key or an unstable simulation, so that "
-            "there is no whole plan to keep; try another seed"
-        )
-    # The notes are the same in the same order; times and pitches are again those of the file.
-    notes = zip(score.notes, agent.plan.score.notes, strict=True)
-    fingered = replace(score, notes=tuple(replace(n, finger=m.finger) for n, m in notes))
-    options = options_of(command.task, command.scene, command.seed, **asdict(command.arrangement))
-    save_plan(path, performance.episode, performance.metrics, options, fingered)
-    write_fingering(fingered, path.with_suffix(SUFFIX))
-    print_scores(performance)
-    misses = misses_of(performance.episode, agent.plan)
-    print_what_was_lost(agent.plan, performance, misses)
+    if command.output is not None:
+        check_name(command.output, ".npz", "a plan is a .npz file")
+    casting = cast_of(command, PLANNER)
+    path = command.output or default_folder(casting) / "plan.npz"
+    with set_up(casting, command.task, command.scene, command.seed) as setup:
+        check_writable(path.parent)
+        with stages("planning") as progress:
+            planned = make_plan(setup, progress)
+    planned.save(path)
+    print_scores(planned.performance)
+    print_what_was_lost(planned.performance)
     print(f"\nFingers in {path.with_suffix(SUFFIX)}; to see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 

@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 """Whether the command shows no progress."""
 
-_UNITS = {"fingers": "notes", "postures": "iterations"}  # of stages that do not count steps
+_UNITS = {  # of stages that do not count steps
+    "fingers": "notes",
+    "postures": "iterations",
+    "writing sound and page": "files",
+    "drawing": "frames",
+}
 
 
 class Advance(Protocol):

@@ -1,11 +1,8 @@
-"""Where results go: whether files can be written there, and what JSON has of them."""
+"""Where results go: whether files can be written there."""
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
-from typing import Any
 
 from cadenza.errors import CadenzaError
 
@@ -28,22 +25,3 @@ def check_writable(folder: Path) -> None:
             f"{folder}: results cannot be written there ({error.strerror}); "
             "choose another folder with --output"
         ) from error
-
-
-def write_json(path: Path, content: Any) -> None:
-    """As a whole or not at all."""
-    from cadenza.files import write_atomically
-
-    with write_atomically(path) as file:
-        file.write((json.dumps(plain(content), indent=2, allow_nan=False) + "\n").encode())
-
-
-def plain(value: Any) -> Any:
-    """The same as JSON has it: paths as text, null for what is not a number."""
-    if isinstance(value, dict):
-        return {name: plain(part) for name, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in value]
-    if isinstance(value, float) and math.isnan(value):
-        return None
-    return str(value) if isinstance(value, Path) else value

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import tyro
 
 from cadenza.agents.rl.config import Preset, TrainingConfig, preset
-from cadenza.cli.arrangement import Arrangement
-from cadenza.cli.performing import score_of
-from cadenza.cli.play import Play, play
-from cadenza.cli.progress import progress
-from cadenza.cli.results import check_name, check_writable, plain
+from cadenza.cli.play import keep
+from cadenza.cli.progress import progress, stages
+from cadenza.cli.results import check_name, check_writable
 from cadenza.errors import CadenzaError
+from cadenza.files import folder_name, plain
+from cadenza.music.arrangement import Arrangement
 
 if TYPE_CHECKING:
     from cadenza.agents.rl.training import Training
@@ -96,7 +96,9 @@ def train(command: Train) -> None:
         raise CadenzaError(f"{command.resume}: goes on with its own song; give no tracks")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
-    folder = command.resume or command.output or Path("runs") / Path(str(command.song)).stem
+    folder = (
+        command.resume or command.output or Path("runs") / folder_name(Path(str(command.song)).stem)
+    )
     with claimed_cores(command.num_cores) as cores:
         if not cores:
             print("all cores are claimed by other runs: sharing one", file=sys.stderr)
@@ -109,10 +111,12 @@ def _train(command: Train, folder: Path) -> None:
     except ImportError as error:
         raise CadenzaError(f"training needs more ({error}): pip install '.[train]'") from error
     from cadenza.agents.rl.run_folder import RunFolder
+    from cadenza.performing.casting import load_song
+    from cadenza.performing.performance import play
 
     run = RunFolder(folder)
     if command.song is not None:
-        score = score_of(command.song, command.arrangement)
+        score = load_song(command.song, command.arrangement)
         check_writable(folder)
         run.begin(command.training, score)
     with run.locked():
@@ -121,8 +125,9 @@ def _train(command: Train, folder: Path) -> None:
         with closing(Training(config, score, run)) as training:
             finished = _train_on(training, command, folder)
     if finished:
-        best = str(folder / "best")
-        play(Play(best, agent=best, output=folder / "best_played", video=command.video))
+        with stages("playing") as tell:
+            performance = play(folder / "best", progress=tell)
+        keep(performance, folder / "best_played", command.video)
     _write_curves(folder, score.title, config)
     print(f"Learning curves in {folder / 'report.html'}")
     if not finished:

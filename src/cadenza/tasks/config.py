@@ -48,3 +48,11 @@ class TaskConfig:
     """Draw a transposition per episode, up to this many octaves."""
     randomization_probability: float = 1.0
     """How likely each of the random changes of the score happens."""
+
+
+def with_time_to_begin() -> TaskConfig:
+    """What is played unless something else is chosen: half a second of silence comes first.
+
+    From where they start, the hands cannot sound a note at time 0.
+    """
+    return TaskConfig(initial_buffer_time=0.5)

@@ -26,6 +26,22 @@ _KIND = "policy"
 _FORMAT = 2
 _READ = (1, _FORMAT)  # the first had no ranges
 _PLAN, _RANGES = "plan/", "ranges/"  # what names of their arrays begin with
+_CHANGE_THE_PLAN = (
+    "control_timestep",
+    "trim_silence",
+    "stretch",
+    "transpose",
+    "initial_buffer_time",
+    "random_hand_position",
+    "random_stretch",
+    "random_pitch_shift",
+    "random_octave_shift",
+    "hands",
+    "reduced_action_space",
+    "forearm_dofs",
+    "hand_spacing",
+    "attachment_yaw",
+)
 _EXPECTED = {
     "plan/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
     "plan/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
@@ -80,6 +96,23 @@ class LearntPolicy:
     def agent(self) -> PolicyAgent:
         """For one that is played."""
         return PolicyAgent(self.policy, self.inputs, self.plan, self.ranges)
+
+    def has_learnt(self, score: Score) -> bool:
+        """Whether it was trained to play the notes and the pedal of `score`."""
+        notes = score.without_fingers().notes
+        return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
+
+    def check_plan(self, name: str, task: TaskConfig, scene: SceneConfig) -> None:
+        """Raises: CadenzaError: `name`, as it is known, corrects a plan, which options change."""
+        if self.plan is None:
+            return
+        learnt, here = vars(self.task) | vars(self.scene), vars(task) | vars(scene)
+        for option in _CHANGE_THE_PLAN:
+            if here[option] != learnt[option]:
+                raise CadenzaError(
+                    f"{name}: learnt the song with {option} {learnt[option]}, here it is "
+                    f"{here[option]}; leave out that option, or train anew"
+                )
 
 
 def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> None:

@@ -8,16 +8,17 @@ from cadenza.errors import CadenzaError
 
 
 def pretrained_folder(song: str) -> Path:
-    """Of the policy that plays a bundled song.
+    """Of the policy that plays a bundled song (upper or lower case).
 
     Raises:
         CadenzaError: there is none.
     """
     here = Path(__file__).parent
     names = sorted(path.parent.name for path in here.glob("*/manifest.json"))
-    if song not in names:
-        raise CadenzaError(
-            f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or have one "
-            "learn it with cadenza train"
-        )
-    return here / song
+    for name in names:
+        if name.lower() == song.lower():
+            return here / name
+    raise CadenzaError(
+        f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or have one learn it "
+        "with cadenza train"
+    )

@@ -1,4 +1,4 @@
-"""Which notes of a song the commands play."""
+"""Which notes of a song are played. Imports nothing heavy: the command line shows it."""
 
 from __future__ import annotations
 

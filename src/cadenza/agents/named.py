@@ -1,0 +1,111 @@
+"""Agents by name: those that come with Cadenza, and classes of anybody's.
+
+Imports nothing heavy: the command line shows the names. Learnt policies are folders, see
+`cadenza.agents.rl.policy_folder`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+    TrackedPressesConfig,
+)
+from cadenza.errors import CadenzaError
+
+if TYPE_CHECKING:
+    from cadenza.agents.agent import Agent
+
+PLANNER, PRETRAINED, REPLAY = "planner", "pretrained", "replay"
+
+
+@dataclass(frozen=True)
+class NamedAgent:
+    """An agent that comes with Cadenza."""
+
+    about: str
+    """Who that is, in a line."""
+    place: str
+    """Its class, as `module:Class`."""
+    config: type | None = None
+    """What its class is called with."""
+
+
+_PLANNING = "cadenza.agents.planning"
+AGENTS = {
+    PLANNER: NamedAgent(
+        "inverse kinematics of the whole song, refined by sampling",
+        f"{_PLANNING}.score_planner:ScorePlanner",
+        ScorePlannerConfig,
+    ),
+    "predictive-sampling": NamedAgent(
+        "the paper's planner without derivatives",
+        f"{_PLANNING}.predictive_sampling:PredictiveSampling",
+        PredictiveSamplingConfig,
+    ),
+    "ilqg": NamedAgent(
+        "the paper's planner with derivatives", f"{_PLANNING}.ilqg:ILQG", ILQGConfig
+    ),
+    "tracked-presses": NamedAgent(
+        "presses optimised beforehand and tracked by LQR",
+        f"{_PLANNING}.tracked_presses:TrackedPresses",
+        TrackedPressesConfig,
+    ),
+    "zero": NamedAgent("hands that stay where they are", "cadenza.agents.agent:ZeroAgent"),
+    "random": NamedAgent("uniformly random actions", "cadenza.agents.agent:RandomAgent"),
+}
+"""Name -> agent, of all that need nothing but a task."""
+NAMES = (*AGENTS, PRETRAINED, REPLAY)
+
+
+def make_agent(name: str, config: Any = None) -> Agent:
+    """An agent that plays any task.
+
+    Args:
+        name: one of `AGENTS`, or `module:Class`, a class of your own with the methods of
+            `cadenza.Agent`, which is called without arguments.
+        config: the options of a planner, see `cadenza.agents.planning.config`; its defaults where
+            there are none.
+
+    Raises:
+        CadenzaError: there is no such agent, it has not the methods of one, or an option makes no
+            sense.
+    """
+    if name in AGENTS:
+        kind = _class_at(AGENTS[name].place)
+        return kind() if config is None else kind(config)
+    if ":" in name:
+        return _checked(_class_at(name)(), name)
+    close = get_close_matches(name, NAMES, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    raise CadenzaError(
+        f"no agent {name!r}: {hint}choose from {', '.join(NAMES)}, or give the folder of a policy "
+        "or module:Class"
+    )
+
+
+def _class_at(place: str) -> Any:
+    module, _, name = place.partition(":")
+    try:
+        found = importlib.import_module(module)
+    except (ImportError, ValueError) as error:  # a name that is empty, or begins with a dot
+        raise CadenzaError(f"agent {place}: cannot import {module!r} ({error})") from error
+    kind = getattr(found, name, None)
+    if not isinstance(kind, type):
+        raise CadenzaError(f"agent {place}: there is no class {name!r} in {found.__file__}")
+    return kind
+
+
+def _checked(agent: Any, place: str) -> Agent:
+    if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
+        raise CadenzaError(
+            f"agent {place}: has no method {' and no method '.join(lacking)}; "
+            "give it reset(task, rng) and act(), as cadenza.Agent says"
+        )
+    return agent

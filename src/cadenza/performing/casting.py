@@ -1,0 +1,193 @@
+"""Which song, who plays it, in which task: from names and options to objects that fit."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cadenza.agents.agent import Agent
+from cadenza.agents.named import AGENTS, PLANNER, PRETRAINED, REPLAY, make_agent
+from cadenza.agents.replay import ReplayAgent, check_options, load_plan, options_of, physics_of
+from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy
+from cadenza.agents.rl.pretrained import pretrained_folder
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.model.config import SceneConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.library import songs
+from cadenza.music.score import Score
+from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.piano_task import PianoTask
+
+Song = str | Path | Score
+SomeAgent = str | Path | Agent
+
+
+@dataclass(frozen=True)
+class Casting:
+    """A song and who is to play it."""
+
+    song: str
+    score: Score
+    name: str
+    """The agent's."""
+    agent: Agent
+    task: TaskConfig = field(default_factory=with_time_to_begin)
+    """What holds unless other options are chosen: for a policy, what it was trained with."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    """The same; for a plan, with the physics that it was made in."""
+    learnt: LearntPolicy | None = None
+    plan: Path | None = None
+    arrangement: Arrangement = field(default_factory=Arrangement)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that is needed to play once, and what was chosen."""
+
+    score: Score
+    """As the song has it; the task may stretch and transpose it."""
+    agent: Agent
+    task: PianoTask
+    seed: int
+    settings: dict[str, Any]
+    """What was chosen, by name, as JSON has it."""
+    options: dict[str, Any]
+    """What of it has to be the same for a plan to play the same."""
+
+
+def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
+    """The score that a name or a path stands for; what was repaired in it is a warning.
+
+    Args:
+        song: a bundled song, see `cadenza.songs`; the path of a MIDI file; or the folder of a
+            policy, which holds the song that it has learnt. A folder of the same name as a bundled
+            song wants a path with a separator, such as `./OdeToJoy`.
+        arrangement: which notes of it; all by default.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read.
+    """
+    arrangement = arrangement or Arrangement()
+    if is_policy(song):
+        if arrangement.chosen:
+            raise CadenzaError(f"{song}: holds its song as it was learnt; give no tracks of it")
+        return load_policy(Path(song)).score
+    score = arrangement.score(str(song))
+    for remark in score.remarks:
+        warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
+    if len(score.tracks) > 2 and not arrangement.chosen:
+        warnings.warn(
+            f"{song}: all {len(score.tracks)} tracks are played at once; choose some of those that "
+            f'"cadenza info" lists, as in --tracks 1 3, or --reduce melody-bass',
+            CadenzaWarning,
+            stacklevel=2,
+        )
+    return score
+
+
+def is_policy(song: str | Path) -> bool:
+    """Whether a song is named by a folder, as that of a policy."""
+    text = str(song)
+    bundled = text.lower() in {piece.name.lower() for piece in songs()}
+    return Path(song).is_dir() and not (bundled and isinstance(song, str))
+
+
+def cast(
+    song: Song,
+    agent: SomeAgent | None = None,
+    *,
+    arrangement: Arrangement | None = None,
+    configs: Mapping[str, Any] | None = None,
+    plan: str | Path | None = None,
+) -> Casting:
+    """Loads a song and whoever is to play it.
+
+    Args:
+        song: see `load_song`, or a score.
+        agent: a name of `cadenza.agents.named`, the folder of a policy, `module:Class`, or an
+            agent. Where there is none, the policy whose folder is the song plays, or the planner.
+        arrangement: which notes of a song that is not a score yet.
+        configs: agent's name -> its options, see `make_agent`.
+        plan: the file whose actions "replay" plays.
+
+    Raises:
+        CadenzaError: the song or the agent is not there, or cannot be used.
+    """
+    arrangement = arrangement or Arrangement()
+    score = song if isinstance(song, Score) else load_song(song, arrangement)
+    title = score.title if isinstance(song, Score) else str(song)
+    casting = partial(Casting, song=title, score=score, arrangement=arrangement)
+    if agent is None:
+        agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
+    if not isinstance(agent, str | Path):
+        return casting(name=type(agent).__name__, agent=agent)
+    name = str(agent)
+    if (name == REPLAY) != (plan is not None):
+        raise CadenzaError("--agent replay and --plan FILE.npz go together: give both or neither")
+    if plan is not None:
+        scene, player = replace(SceneConfig(), **physics_of(Path(plan))), load_plan(Path(plan))
+        return casting(name=name, agent=ReplayAgent(player), scene=scene, plan=Path(plan))
+    if (learnt := _policy(name, title)) is not None:
+        return _with_policy(casting(name=name, agent=learnt.agent), learnt)
+    return casting(name=name, agent=make_agent(name, (configs or {}).get(name)))
+
+
+def _policy(agent: str, song: str) -> LearntPolicy | None:
+    """The policy that `agent` names, None where it names another agent."""
+    if agent == PRETRAINED:
+        return load_policy(pretrained_folder(song))
+    return load_policy(Path(agent)) if agent not in AGENTS and Path(agent).is_dir() else None
+
+
+def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:
+    """In the task and scene that it has learnt in."""
+    if not learnt.has_learnt(casting.score):
+        what = f"{casting.name}: has learnt {learnt.score.title!r}"
+        if learnt.plan is not None:
+            raise CadenzaError(f"{what} by correcting its plan, and plays nothing else")
+        warnings.warn(f"{what}, not {casting.song}", CadenzaWarning, stacklevel=4)
+    # A plan is made for fingers that are found.
+    score = casting.score if learnt.plan is None else casting.score.without_fingers()
+    return replace(casting, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
+
+
+@contextmanager
+def set_up(
+    casting: Casting,
+    task: TaskConfig | None = None,
+    scene: SceneConfig | None = None,
+    seed: int = 0,
+) -> Iterator[Setup]:
+    """Yields what to play, in the task and scene of the casting unless others are chosen.
+
+    Raises:
+        CadenzaError: an option makes no sense, or the agent cannot play with it.
+    """
+    task, scene = task or casting.task, scene or casting.scene
+    options = options_of(task, scene, seed, **asdict(casting.arrangement))
+    if casting.learnt is not None:
+        casting.learnt.check_plan(casting.name, task, scene)
+    if casting.plan is not None:
+        check_options(casting.plan, options)
+        if scene.physics != casting.scene.physics:
+            made = f"{casting.plan}: made in the {casting.scene.physics} physics"
+            warnings.warn(f"{made}, played in the {scene.physics}", CadenzaWarning, stacklevel=3)
+    settings = {
+        "song": casting.song,
+        "agent": casting.name,
+        "seed": seed,
+        "plan": None if casting.plan is None else str(casting.plan),
+        "arrangement": asdict(casting.arrangement),
+        "task": asdict(task),
+        "scene": asdict(scene),
+    }
+    config = getattr(casting.agent, "config", None)
+    if is_dataclass(config) and not isinstance(config, type):
+        settings[casting.name.replace("-", "_")] = asdict(config)
+    with closing(PianoTask([casting.score], task, scene)) as piano_task:
+        yield Setup(casting.score, casting.agent, piano_task, seed, settings, options)

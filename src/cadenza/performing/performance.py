@@ -1,0 +1,169 @@
+"""Has an agent play a song; what became of it, and the files that it leaves."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.planning.misses import Miss, misses_of
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.play import play as play_episode
+from cadenza.episode import Episode
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.files import write_json
+from cadenza.model.config import SceneConfig
+from cadenza.model.scene import Scene
+from cadenza.music.midi import write_midi
+from cadenza.music.performance import performed_score
+from cadenza.music.score import Score
+from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
+from cadenza.report.page import write_report
+from cadenza.report.sound import SAMPLE_RATE, synthesize
+from cadenza.report.video import write_video
+from cadenza.sim.render import Renderer
+from cadenza.tasks.config import TaskConfig
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A song as an agent has played it."""
+
+    score: Score
+    """What was to be played, as the song has it."""
+    episode: Episode
+    """All that happened, step by step."""
+    metrics: dict[str, Any]
+    """How well: see `cadenza.agents.play.Performance`."""
+    settings: dict[str, Any]
+    """Who played, in which task and scene."""
+    scene: Scene
+    """The hands and the keys."""
+    plan: SongPlan | None
+    """What the agent followed, if it plans the whole song."""
+    misses: list[Miss] | None
+    """Notes that were missed or let go early, and why; None without a plan to tell by."""
+
+    @property
+    def played(self) -> Score:
+        """The notes and the pedal that sounded."""
+        episode = self.episode
+        return performed_score(
+            episode["key_activation"],
+            episode["sustain_activation"],
+            episode.dt,
+            episode["key_qpos"],
+        )
+
+    @property
+    def seconds(self) -> float:
+        """How much of the music was played [s]; less than all where the episode ended early."""
+        return self.episode.num_steps * self.episode.dt
+
+    def save(self, folder: str | Path, video: bool = False, progress: Progress = silent) -> None:
+        """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
+
+        Args:
+            folder: files of an earlier performance are replaced.
+            video: video.mp4 too, with a warning instead where this machine cannot draw.
+            progress: is told how far each stage is.
+        """
+        folder, played = Path(folder), self.played
+        lost = [asdict(miss) for miss in self.misses or ()]
+        self.episode.save(folder / "episode.npz")
+        write_json(folder / "metrics.json", self.metrics)
+        write_json(folder / "settings.json", self.settings)
+        if self.misses is not None:
+            write_json(folder / "misses.json", lost)
+        write_midi(played, folder / "played.mid")
+        progress("writing sound and page", 0, 2)
+        audio = synthesize(played)
+        progress("writing sound and page", 1, 2)
+        page = folder / "report.html"
+        write_report(page, self.episode, self.metrics, self.settings, audio, misses=lost)
+        if video:
+            self._write_video(folder / "video.mp4", audio, progress)
+
+    def _write_video(self, path: Path, audio: NDArray[np.floating], progress: Progress) -> None:
+        try:
+            renderer = closing(Renderer(self.scene))
+        except CadenzaError as error:
+            warnings.warn(f"no video: {error}", CadenzaWarning, stacklevel=3)
+            return
+        episode = self.episode
+        names = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
+        rows = zip(*(episode[name] for name in names), strict=True)
+        with renderer as draw:
+
+            def frames() -> Iterator[NDArray[np.uint8]]:
+                for done, row in enumerate(rows, start=1):
+                    yield draw.frame(*row)
+                    progress("drawing", done, episode.num_steps)
+
+            write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
+
+
+def play(
+    song: Song,
+    agent: SomeAgent | None = None,
+    seed: int = 0,
+    *,
+    task: TaskConfig | None = None,
+    scene: SceneConfig | None = None,
+    plan: str | Path | None = None,
+    progress: Progress = silent,
+) -> Performance:
+    """Has an agent play a song, as `cadenza play` does.
+
+        performance = cadenza.play("OdeToJoy")
+        print(performance.metrics["f1"])
+        performance.save("played/joy")
+
+    Args:
+        song: a bundled song (see `cadenza.songs`), the path of a MIDI file, the folder of a policy,
+            which holds the song that it has learnt, or a `Score`.
+        agent: "planner", "predictive-sampling" and so on, see `cadenza.agents.named`; "pretrained";
+            the folder of a policy; "module:Class"; "replay"; or an `Agent`. None is the policy
+            where the song is its folder, and the planner everywhere else.
+        seed: of everything random; the same seed plays the same.
+        task: what is played, observed and rewarded. None is what the policy was trained with, and
+            for other agents `TaskConfig(initial_buffer_time=0.5)`, time for the hands to get into
+            place.
+        scene: hands and keys; None is what the policy was trained with, or `SceneConfig()`.
+        plan: the file whose actions "replay" plays: a plan or an episode.
+        progress: is told how far each stage is, `progress(stage, done, total)`.
+
+    Raises:
+        CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
+            go together.
+    """
+    casting = cast(song, agent, plan=plan)
+    with set_up(casting, task, scene, seed) as setup:
+        return perform(setup, progress)
+
+
+def perform(setup: Setup, progress: Progress = silent) -> Performance:
+    """Plays one episode.
+
+    Raises:
+        CadenzaError: the agent cannot play this task, or the seed is negative.
+    """
+    result = play_episode(setup.task, setup.agent, setup.seed, progress)
+    plan = getattr(setup.agent, "plan", None)
+    plan = plan if isinstance(plan, SongPlan) else None
+    return Performance(
+        score=setup.score,
+        episode=result.episode,
+        metrics=result.metrics,
+        settings=setup.settings,
+        scene=setup.task.scene,
+        plan=plan,
+        misses=None if plan is None else misses_of(result.episode, plan),
+    )

@@ -1,0 +1,99 @@
+"""How to play a song, as actions and fingers to keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.named import PLANNER, make_agent
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.replay import save_plan
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.music.fingering_file import SUFFIX, write_fingering
+from cadenza.music.score import Score
+from cadenza.performing.casting import Setup, Song, cast, set_up
+from cadenza.performing.performance import Performance, perform
+from cadenza.tasks.config import TaskConfig
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A song planned from beginning to end."""
+
+    score: Score
+    """The song, with the fingers that play it."""
+    performance: Performance
+    """How it went."""
+    options: dict[str, Any]
+    """What has to be the same for the plan to play the same."""
+
+    @property
+    def actions(self) -> NDArray[np.float64]:
+        """(T, A) in actuator units, the pedal last."""
+        return self.performance.episode["action"]
+
+    @property
+    def fingering(self) -> tuple[int, ...]:
+        """Who plays each note of the score: 0..4 right thumb to little, 5..9 left, -1 no finger."""
+        return tuple(note.finger for note in self.score.notes)
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """How well the plan plays: see `cadenza.agents.play.Performance`."""
+        return self.performance.metrics
+
+    def save(self, path: str | Path) -> None:
+        """Writes the actions to `path`, a .npz file, and the fingers beside it as .fingering.
+
+        `cadenza.play(song, "replay", plan=path)` plays them.
+        """
+        path = Path(path)
+        save_plan(path, self.performance.episode, self.metrics, self.options, self.score)
+        write_fingering(self.score, path.with_suffix(SUFFIX))
+
+
+def plan(
+    song: Song,
+    seed: int = 0,
+    *,
+    task: TaskConfig | None = None,
+    scene: SceneConfig | None = None,
+    config: ScorePlannerConfig | None = None,
+    progress: Progress = silent,
+) -> Plan:
+    """Plans how to play a song, as `cadenza plan` does.
+
+    Args:
+        song, seed, task, scene, progress: as for `cadenza.play`.
+        config: options of the planner.
+
+    Raises:
+        CadenzaError: the song is not there, an option makes no sense, or the hands could not play
+            to the end.
+    """
+    casting = cast(song, make_agent(PLANNER, config))
+    with set_up(casting, task, scene, seed) as setup:
+        return make_plan(setup, progress)
+
+
+def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
+    """See `plan`; the agent of `setup` plans the whole song."""
+    performance = perform(setup, progress)
+    steps, wanted = performance.episode.num_steps, int(setup.task.sheets.num_steps[0])
+    if steps < wanted:
+        raise CadenzaError(
+            f"{setup.settings['song']}: ended after {steps} of {wanted} steps, at a wrong key or "
+            "an unstable simulation, so that there is no whole plan to keep; try another seed"
+        )
+    assert isinstance(performance.plan, SongPlan)
+    # The notes are the same in the same order; times and pitches are again those of the song.
+    notes = zip(setup.score.notes, performance.plan.score.notes, strict=True)
+    fingered = tuple(replace(note, finger=planned.finger) for note, planned in notes)
+    return Plan(replace(setup.score, notes=fingered), performance, setup.options)
