@@ -32,8 +32,8 @@ class VecEnvAdapter(VecEnv):
     """Gymnasium's vector environment, made with `AutoresetMode.SAME_STEP`, as a `VecEnv`."""
 
     def __init__(self, envs: VectorEnv) -> None:
+        self._envs = envs  # the constructor below asks for its attributes
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
-        self._envs = envs
 
     def reset(self) -> np.ndarray:
         seed = self._seeds[0]
