@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from cadenza.agents.planning import refinement
+from cadenza.agents.planning import nominal, refinement
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.sampling import UPDATES, Around
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import track
 from cadenza.agents.play import Performance, play
@@ -196,6 +197,56 @@ def test_planning_can_be_interrupted() -> None:
     assert task.sheets.steps_done[0] == 0
 
 
+# Windows
+
+
+@pytest.fixture
+def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nominal, "_WINDOW", 60)
+    monkeypatch.setattr(nominal, "_OVERLAP", 30)
+
+
+def whole_plan(score: Score) -> SongPlan:
+    task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
+    task.reset([np.random.default_rng(0)], [0])
+    return plan_song(task, score)
+
+
+def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:
+    held = (Note(0.0, 1.9, 60), Note(2.4, 4.8, 67))
+    score = Score((*held, *melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3).notes))
+    at_once = whole_plan(score).nominal
+    request.getfixturevalue("short_windows")
+    windows = whole_plan(score).nominal
+    assert windows.num_steps == at_once.num_steps > 90
+    assert windows.presses == at_once.presses
+    holding = np.zeros(windows.fingertips.shape[:2], bool)
+    for press in windows.presses:
+        holding[press.first : press.last, press.finger] = True
+    apart = np.linalg.norm(windows.fingertips - at_once.fingertips, axis=2)
+    assert np.median(apart[holding]) < 0.0005
+    ways = [np.linalg.norm(np.diff(n.fingertips, n=2, axis=0), axis=2) for n in (windows, at_once)]
+    assert ways[0][29::30].max() <= ways[1].max()  # no jerk where windows meet
+
+
+@pytest.mark.usefixtures("short_windows")
+def test_a_long_song_is_planned_as_it_is_played() -> None:
+    score = melody(*[60, 62, 64, 65, 67] * 5, length=0.3)
+    task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
+    agent, planned = ScorePlanner(ScorePlannerConfig(method="none")), []
+
+    def progress(stage: str, done: int, _: int) -> None:
+        if stage == "playing":
+            planned.append(agent.plan.nominal.num_steps - done)
+
+    performance = play(task, agent, progress=progress)
+    assert planned[0] == 29
+    assert min(planned[:-10]) > 7  # what the search looks ahead
+    assert max(planned) < 60
+    assert agent.plan.complete
+    assert performance.metrics["f1"] > 0.9
+
+
 # Presses
 
 
@@ -290,7 +341,8 @@ def test_servos_follow_as_their_figures_say() -> None:
     sway = 0.1 * (servos.high - servos.low) * np.sin(np.arange(41) * 0.3)[:, None]
     sway[:, [name.startswith("forearm") for name in servos.names]] *= 0.1
     reference = np.clip(middle + sway - sway[0], servos.low, servos.high)
-    tracking = track(servos, reference, np.zeros((40, len(servos.low))), 0.05)
+    start = np.stack([reference[0], np.zeros(len(servos.low))], axis=1)
+    tracking = track(servos, reference, start, np.zeros((40, len(servos.low))), 0.05)
     assert np.abs(tracking.expected[5:, :, 0] - reference[5:]).max() < 0.01
     assert (servos.low <= tracking.ctrl).all()
     assert (tracking.ctrl <= servos.high).all()

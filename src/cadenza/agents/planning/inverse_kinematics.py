@@ -1,9 +1,9 @@
-"""Postures of the hands for a whole song, as one sparse least-squares problem.
+"""Postures of the hands for a stretch of music, as one sparse least-squares problem.
 
 The unknowns are all postures at once. Every residual belongs to one posture (fingertips in their
 boxes, fingers out of each other, forearms apart, joints near rest) or to three in a row (smooth
 motion), so that the normal equations are banded, and a Gauss-Newton step costs a time linear in
-the song's length. Levenberg-Marquardt damping is kept for each posture by itself: one that is hard
+the music's length. Levenberg-Marquardt damping is kept for each posture by itself: one that is hard
 to find does not hold up the others.
 """
 
@@ -84,6 +84,7 @@ def solve_postures(
     fingers: NDArray[np.intp],
     targets: Targets,
     guess: Array,
+    before: Array,
     mounted_apart: float,
     progress: Progress = silent,
 ) -> Array:
@@ -96,10 +97,11 @@ def solve_postures(
         targets: of all ten fingers in S states.
         guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
             what the joints like best.
+        before: (A,) the posture before that.
         mounted_apart: distance of the forearms when their slides are at 0 [m].
         progress: is told of "postures", in iterations.
     """
-    problem = _Problem(kinematics, servos, fingers, targets, guess, mounted_apart)
+    problem = _Problem(kinematics, servos, fingers, targets, guess, before, mounted_apart)
     postures = guess.copy()
     damping = np.ones(len(guess) - 1)
     now = problem.linearise(postures)
@@ -142,6 +144,7 @@ class _Problem:
         fingers: NDArray[np.intp],
         targets: Targets,
         guess: Array,
+        before: Array,
         mounted_apart: float,
     ) -> None:
         self._kinematics, self._servos = kinematics, servos
@@ -149,7 +152,7 @@ class _Problem:
         self._sigma = targets.sigma[1:, fingers]
         self._wall = targets.wall[1:, fingers]
         self._links = LinkCollisions(len(fingers))
-        self._rest = guess[1:]
+        self._rest, self._before = guess[1:], before
         comforts = [_comfort(name) for name in servos.names]
         self._stiffness = np.array([c.sigma for c in comforts]) ** -2.0
         self._inertia = np.array([c.change for c in comforts]) ** -2.0
@@ -162,7 +165,7 @@ class _Problem:
     def _smoothness_band(self, count: int) -> Array:
         """The constant part of the normal equations, in the upper form of `solveh_banded`.
 
-        Differences x[s+1] - 2 x[s] + x[s-1], the first with the hands at rest before they start.
+        Differences x[s+1] - 2 x[s] + x[s-1], the first with the posture before the problem begins.
         """
         servos = len(self._stiffness)
         diagonal = np.tile(self._stiffness, (count, 1))
@@ -213,7 +216,7 @@ class _Problem:
 
     def _second_differences(self, postures: Array) -> Array:
         """(S - 1, A)"""
-        return np.diff(np.concatenate([postures[:1], postures]), n=2, axis=0)
+        return np.diff(np.concatenate([self._before[None], postures]), n=2, axis=0)
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
         """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""

@@ -1,16 +1,22 @@
-"""How the hands would play the whole song if everything went as modelled.
+"""How the hands would play a song if everything went as modelled.
 
 Presses, fingertips, postures, controls: inverse kinematics of the song, and what makes the servos
 follow. No simulation is needed for it; `refinement` makes up for what is not modelled.
+
+A song is planned in windows, one after the other, so that the first action does not wait for the
+last note. A window begins with the posture, the motion and the presses that the one before has
+come to, and looks further ahead than it is kept.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
@@ -20,33 +26,42 @@ from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.model.kinematics import TIP, Kinematics
 from cadenza.model.piano import KEY_CENTRE
 from cadenza.model.scene import Scene
-from cadenza.model.servos import Servos, reaction, servos_of
+from cadenza.model.servos import reaction, servos_of
 
 Array = NDArray[np.float64]
 
 _LEAD = 3  # steps before a press in which the first guess has the hand there
+_WINDOW = 600  # steps that are planned at once: 30 s, in which all bundled pieces fit
+_OVERLAP = 80  # of these that the next window plans again
+_SETTLED = 10  # steps before a window in which presses have ended that do not matter to it
 
 
 class Nominal(NamedTuple):
-    """A plan for T steps of a scene with A servos and F fingers."""
+    """A plan for the first T steps of a song, of a scene with A servos and F fingers."""
 
     presses: list[Press]
+    """That begin in these steps, by time."""
     postures: Array
     """(T + 1, A) in the servos' coordinates."""
     fingertips: Array
     """(T + 1, F, 3) [m]"""
     tracking: Tracking
 
+    @property
+    def num_steps(self) -> int:
+        """T"""
+        return len(self.postures) - 1
 
-def nominal_plan(
+
+def nominal_plans(
     scene: Scene,
     keys: NDArray[np.bool_],
     fingers: NDArray[np.int8],
     hand_qpos: Array,
     dt: float,
     progress: Progress = silent,
-) -> Nominal:
-    """Plans how to play `keys` (T, 88) with `fingers` (T, 88).
+) -> Iterator[Nominal]:
+    """Plans how to play `keys` (T, 88) with `fingers` (T, 88), a window more each time.
 
     Args:
         scene: with one hand or two.
@@ -55,51 +70,143 @@ def nominal_plan(
         hand_qpos: (J,) where the joints of the hands are.
         dt: control step [s].
         progress: is told of "postures".
+
+    Yields:
+        The plan so far; the last one is the whole.
     """
-    servos = servos_of(scene)
-    kinematics = Kinematics(scene, servos)
-    rest = rest_posture(servos)
-    rest_y = np.zeros(10)
-    rest_y[scene.fingers] = kinematics.fingers(rest[None])[0][0, :, TIP, 1]
-    wanted = presses_of(keys, np.where(np.isin(fingers, scene.fingers), fingers, -1))
-    presses = let_go_in_time(wanted, rest_y, dt)
-    states = len(keys) + 1
-    targets = targets_of(presses, states)
-    guess = _guess(scene, servos, rest, presses, rest_y, states)
-    guess[0] = hand_qpos @ np.linalg.pinv(servos.joints)
-    apart = scene.config.hand_spacing
-    postures = solve_postures(kinematics, servos, scene.fingers, targets, guess, apart, progress)
-    points, jacobian = kinematics.fingers(postures)
-    force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers)
-    force += reaction(scene, servos, postures, dt)
-    tracking = track(servos, postures, force / servos.stiffness, dt)
-    return Nominal(presses, postures, points[:, :, TIP], tracking)
+    hands = _Hands(scene, dt)
+    asked = np.where(keys & np.isin(fingers, scene.fingers), fingers, np.int8(-1))
+    plan = hands.at_rest(hand_qpos)
+    while plan.num_steps < len(asked):
+        # BLAS shares small products among threads, which takes longer, and other bits come out.
+        with threadpool_limits(1):
+            plan = hands.go_on(plan, asked, progress)
+        yield plan
 
 
-def _guess(
-    scene: Scene,
-    servos: Servos,
-    rest: Array,
-    presses: list[Press],
-    rest_y: Array,
-    states: int,
-) -> Array:
-    """(S, A) hands at rest over the keys that they press or will press next."""
-    guess = np.tile(rest, (states, 1))
-    slides = servos.along_keyboard
-    for side, slide in zip(scene.sides, slides, strict=bool(slides)):
-        place, count = np.zeros(states), np.zeros(states)
-        for press in presses:
-            if press.side == side:
-                there = slice(max(press.first - _LEAD, 0), press.last)
-                place[there] += KEY_CENTRE[press.key, 1] - rest_y[press.finger]
-                count[there] += 1
-        if count.any():
-            known = np.flatnonzero(count)
-            path = np.interp(np.arange(states), known, place[known] / count[known])
-            smooth = gaussian_filter1d(path, 2.0, mode="nearest")
-            guess[:, slide] = np.clip(smooth, servos.low[slide], servos.high[slide])
-    return guess
+class _Hands:
+    """What is planned for: the hands of a scene, in control steps of `dt` [s]."""
+
+    def __init__(self, scene: Scene, dt: float) -> None:
+        self._scene, self._dt = scene, dt
+        self._servos = servos_of(scene)
+        self._kinematics = Kinematics(scene, self._servos)
+        self._rest = rest_posture(self._servos)
+        self._rest_y = np.zeros(10)
+        self._rest_y[scene.fingers] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
+
+    def at_rest(self, hand_qpos: Array) -> Nominal:
+        """A plan of no steps, of hands that are still."""
+        posture = hand_qpos @ np.linalg.pinv(self._servos.joints)
+        still = np.stack([posture, np.zeros_like(posture)], axis=1)[None]
+        tracking = Tracking(ctrl=still[:0, :, 0], gain=still[:0], expected=still)
+        return Nominal([], posture[None], np.zeros((1, len(self._scene.fingers), 3)), tracking)
+
+    def go_on(self, plan: Nominal, asked: NDArray[np.int8], progress: Progress) -> Nominal:
+        """`plan` and what is kept of another window.
+
+        Args:
+            plan: of the first steps.
+            asked: (T, 88) fingers that should press the keys, -1 for none.
+            progress: is told of "postures".
+        """
+        first = plan.num_steps
+        last = min(first + _WINDOW, len(asked))
+        kept = last - first if last == len(asked) else _WINDOW - _OVERLAP
+        since = _begin_of_presses(asked, first)
+        wanted = presses_of(asked[since:last] >= 0, asked[since:last])
+        presses = let_go_in_time(wanted, self._rest_y, self._dt)
+        window = self._window(plan, presses, first - since, last - since, progress)
+        presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
+        return _join(plan, window._replace(presses=presses), kept)
+
+    def _window(
+        self, plan: Nominal, presses: list[Press], first: int, last: int, progress: Progress
+    ) -> Nominal:
+        """A plan for the steps from `first` to `last`, as `presses` count them, after `plan`."""
+        scene, servos = self._scene, self._servos
+        targets = Targets._make(rows[first:] for rows in targets_of(presses, last + 1))
+        guess = self._guess(plan, presses, first, last)
+        postures = solve_postures(
+            self._kinematics,
+            servos,
+            scene.fingers,
+            targets,
+            guess,
+            plan.postures[-2:][0],
+            scene.config.hand_spacing,
+            progress,
+        )
+        points, jacobian = self._kinematics.fingers(postures)
+        force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers)
+        earlier = plan.postures[-2:-1]
+        moving = np.concatenate([earlier, postures])
+        force += reaction(scene, servos, moving, self._dt)[len(earlier) :]
+        start = plan.tracking.expected[-1]
+        tracking = track(servos, postures, start, force / servos.stiffness, self._dt)
+        return Nominal(presses, postures, points[:, :, TIP], tracking)
+
+    def _guess(self, plan: Nominal, presses: list[Press], first: int, last: int) -> Array:
+        """(S, A) hands at rest over the keys that they press or will press next, from `first` on.
+
+        Its first row is where they are.
+        """
+        servos, states, here = self._servos, last + 1, plan.postures[-1]
+        guess = np.tile(self._rest, (states, 1))
+        slides = servos.along_keyboard
+        for side, slide in zip(self._scene.sides, slides, strict=bool(slides)):
+            place, count = np.zeros(states), np.zeros(states)
+            for press in presses:
+                if press.side == side:
+                    there = slice(max(press.first - _LEAD, 0), press.last)
+                    place[there] += KEY_CENTRE[press.key, 1] - self._rest_y[press.finger]
+                    count[there] += 1
+            if plan.num_steps and not count[first]:
+                place[first], count[first] = here[slide], 1
+            if count.any():
+                known = np.flatnonzero(count)
+                path = np.interp(np.arange(states), known, place[known] / count[known])
+                smooth = gaussian_filter1d(path, 2.0, mode="nearest")
+                guess[:, slide] = np.clip(smooth, servos.low[slide], servos.high[slide])
+        guess[first] = here
+        return guess[first:]
+
+
+def _begin_of_presses(asked: NDArray[np.int8], first: int) -> int:
+    """Before which row of `asked` no press began that matters from row `first` on."""
+    settled = max(first - _SETTLED, 0)
+    held = asked[settled] >= 0
+    changes = asked[:settled, held] != asked[settled, held]
+    begins = [int(rows[-1]) + 1 if len(rows) else 0 for rows in map(np.flatnonzero, changes.T)]
+    return max(min(begins, default=settled) - 1, 0)
+
+
+def _join(plan: Nominal, window: Nominal, steps: int) -> Nominal:
+    """`plan` and the first steps of the window that follows."""
+    first = plan.num_steps
+    known = {(press.first, press.key): press for press in plan.presses}
+    later = [
+        press for press in window.presses if press.first <= first + steps and press.last > first
+    ]
+    known |= {(press.first, press.key): press for press in later}
+
+    def states(before: Array, after: Array) -> Array:
+        return np.concatenate([before[:-1], after[: steps + 1]])
+
+    def rows(before: Array, after: Array) -> Array:
+        return np.concatenate([before, after[:steps]])
+
+    was, then = plan.tracking, window.tracking
+    return Nominal(
+        [known[begin] for begin in sorted(known)],
+        states(plan.postures, window.postures),
+        states(plan.fingertips, window.fingertips),
+        Tracking(
+            rows(was.ctrl, then.ctrl),
+            rows(was.gain, then.gain),
+            states(was.expected, then.expected),
+        ),
+    )
 
 
 def _pressing(sinking: Array, targets: Targets, fingers: NDArray[np.intp]) -> Array:

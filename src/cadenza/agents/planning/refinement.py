@@ -45,19 +45,20 @@ _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within three times the music on two cores where every step fails.
 _SUSTAINED = 0.55
+_ABOUT_TO_PRESS = 2  # steps before a press
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
 
 
 class HandPart:
-    """What one hand has to do over T steps.
+    """What one hand has to do over T steps, of which the first P are planned.
 
     Attributes:
         mine: (T, 88) keys that this hand should hold down.
-        planned: (T, 88) those of them that the plan holds down.
+        planned: (T, 88) those of them that the plan holds down, where it goes.
         wrong: (T, 88) keys that it should not.
-        fingertips: (T + 1, 5, 3) where its fingertips should be [m].
+        fingertips: (P + 1, 5, 3) where its fingertips should be [m].
         fingers: of the ten.
-        playing: (T + 1, 5) whether they are about to press, press, or let go.
+        playing: (T + 1, 5) whether they are about to press, press, or let go, where the plan goes.
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
@@ -77,7 +78,8 @@ class HandPart:
         for press in nominal.presses:
             if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
-                self.playing[max(press.first - 2, 0) : press.last + 1, press.finger % 5] = True
+                about = max(press.first - _ABOUT_TO_PRESS, 0)
+                self.playing[about : press.last + 1, press.finger % 5] = True
 
 
 class HandRefinement:
@@ -96,13 +98,15 @@ class HandRefinement:
         """Args:
         scene: with this hand only.
         part: what it has to do.
-        tracking: the controls of the plan, of this hand's servos.
+        tracking: the controls of the plan, of this hand's servos. Where it goes less far than a
+            step looks, it is taken for the end of the song; see `follow`.
         config: how to sample.
         dt: control step [s].
         num_threads: that share the rollouts.
         rng: what is random.
         """
-        self._part, self._tracking, self._rng = part, tracking, rng
+        self.follow(part, tracking)
+        self._rng = rng
         self._servos = servos_of(scene)
         self._to_posture = np.linalg.pinv(self._servos.joints)
         self._update = UPDATES[config.method] if config.method != "none" else None
@@ -118,6 +122,15 @@ class HandRefinement:
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self._step = 0
+
+    @property
+    def steps_seen(self) -> int:
+        """How many steps of the plan a step looks at, and of those who press soon after."""
+        return self._horizon + _ABOUT_TO_PRESS
+
+    def follow(self, part: HandPart, tracking: Tracking) -> None:
+        """From now on, by a plan that goes further than the one before."""
+        self._part, self._tracking = part, tracking
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
         """(A,) the controls of this hand from the state that it is in now.

@@ -7,7 +7,7 @@ import numpy as np
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.errors import CadenzaError
 from cadenza.model.scene import hand_alone
 from cadenza.sim.simulation import available_cores
@@ -15,10 +15,10 @@ from cadenza.tasks.piano_task import PianoTask
 
 
 class ScorePlanner:
-    """Plans the whole song when an episode begins, and refines the plan as it goes.
+    """Plans a song a window ahead of where it plays, and refines the plan as it goes.
 
     Attributes:
-        plan: before refinement, after `reset`.
+        plan: before refinement, as far as it goes; all of it when the song is over.
         progress: is told of "fingers" and "postures".
     """
 
@@ -41,7 +41,8 @@ class ScorePlanner:
         score = task.sheets.songs[0]
         found = self.config.fingering == "found"
         score = score.without_fingers() if found else score
-        self.plan = plan_song(task, score, self.progress)
+        self._plans = song_plans(task, score, self.progress)
+        self.plan = next(self._plans)
         scene, dt = task.scene, task.config.control_timestep
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
@@ -53,6 +54,7 @@ class ScorePlanner:
             self._hands.append((hand, servos, joints))
 
     def act(self) -> Array:
+        self._plan_ahead()
         state = self._task.state
         action = np.zeros(self._task.action_size)
         action[-1] = self._pedal[self._step]
@@ -62,6 +64,14 @@ class ScorePlanner:
             )
         self._step += 1
         return action
+
+    def _plan_ahead(self) -> None:
+        """Plans another window before what a hand looks at from here ends."""
+        seen = self._step + max(hand.steps_seen for hand, _, _ in self._hands)
+        while not self.plan.complete and self.plan.nominal.num_steps < seen:
+            self.plan = next(self._plans)
+            for (hand, servos, _), side in zip(self._hands, self._task.scene.sides, strict=True):
+                hand.follow(HandPart(self.plan, side), self.plan.nominal.tracking.of(servos))
 
 
 def _check(config: ScorePlannerConfig) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-from threadpoolctl import threadpool_limits
-
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.nominal import Nominal, nominal_plan
+from cadenza.agents.planning.nominal import Nominal, nominal_plans
 from cadenza.errors import CadenzaError
 from cadenza.model.scene import build_scene
 from cadenza.music.fingering import Dropped, find_fingering
@@ -19,18 +18,30 @@ from cadenza.tasks.piano_task import PianoTask
 
 
 class SongPlan(NamedTuple):
-    """How the hands of a scene are to play a song."""
+    """How the hands of a scene are to play a song, as far as that has been planned."""
 
     score: Score
     """With the fingers that play it."""
     dropped: tuple[Dropped, ...]
     """Notes that no finger is there for."""
     goals: Goals
-    """That score per control step."""
+    """That score per control step, all of it."""
     nominal: Nominal
+    """Of the first steps."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps have been planned."""
+        return self.nominal.num_steps == self.goals.num_steps
 
 
 def plan_song(task: PianoTask, score: Score, progress: Progress = silent) -> SongPlan:
+    """The last of `song_plans`: all of the song."""
+    *_, whole = song_plans(task, score, progress)
+    return whole
+
+
+def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> Iterator[SongPlan]:
     """Plans `score` for the hands of a task, from where those of its first environment are.
 
     The scene that is planned with is the one that the task's configuration describes: where the
@@ -41,6 +52,10 @@ def plan_song(task: PianoTask, score: Score, progress: Progress = silent) -> Son
         score: as the task plays it.
         progress: is told of "fingers" and "postures".
 
+    Yields:
+        The plan as far as it goes, every time a few more seconds of music; the last one is the
+        whole.
+
     Raises:
         CadenzaError: there are no hands in the scene.
     """
@@ -49,8 +64,6 @@ def plan_song(task: PianoTask, score: Score, progress: Progress = silent) -> Son
     score, dropped = find_fingering(score, task.scene.sides, partial(progress, "fingers"))
     goals = goals_of(score, task.config)
     scene, dt = build_scene(task.scene.config), task.config.control_timestep
-    # BLAS shares small products among threads, which takes longer, and other bits come out.
-    with threadpool_limits(1):
-        start = task.state.hand_qpos[0]
-        nominal = nominal_plan(scene, goals.keys, goals.fingers, start, dt, progress)
-    return SongPlan(score, dropped, goals, nominal)
+    start = task.state.hand_qpos[0]
+    for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
+        yield SongPlan(score, dropped, goals, nominal)

@@ -36,7 +36,7 @@ class Tracking(NamedTuple):
 _CONTROL_WEIGHT = 0.02
 
 
-def track(servos: Servos, reference: Array, offset: Array, dt: float) -> Tracking:
+def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: float) -> Tracking:
     """Follows `reference` (T + 1, A), of which the first row is where the servos are.
 
     Each servo by itself is a mass on a damped spring whose other end is the control, held for
@@ -47,6 +47,7 @@ def track(servos: Servos, reference: Array, offset: Array, dt: float) -> Trackin
     Args:
         servos: what has to follow.
         reference: positions after each step.
+        start: (A, 2) their position and speed.
         offset: (T, A) what forces from outside add to each control.
         dt: time between steps [s].
     """
@@ -69,7 +70,7 @@ def track(servos: Servos, reference: Array, offset: Array, dt: float) -> Trackin
         value = np.einsum("aji,ajk->aik", step, value @ closed)
         value = (value + value.transpose(0, 2, 1)) / 2
     expected = np.zeros((steps + 1, count, 2))
-    expected[0, :, 0] = reference[0]
+    expected[0] = start
     ctrl = np.zeros((steps, count))
     for t in range(steps):
         wanted = towards[t] - np.einsum("ai,ai->a", gain[t], expected[t])
