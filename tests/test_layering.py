@@ -30,7 +30,17 @@ LIBRARIES: dict[str, set[str]] = {
     "model": {"numpy", "mujoco"},
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
-    "agents": {"numpy", "scipy", "threadpoolctl", "jax", "flax", "optax", "tensorboardX"},
+    "agents": {
+        "numpy",
+        "scipy",
+        "threadpoolctl",
+        "jax",
+        "flax",
+        "optax",
+        "tensorboardX",
+        "filelock",
+        "msgspec",
+    },
     "report": {"numpy", "scipy", "av", "tensorboardX", "wandb"},
 }
 

@@ -22,6 +22,7 @@ from cadenza.files import folder_name, plain
 from cadenza.music.arrangement import Arrangement
 
 if TYPE_CHECKING:
+    from cadenza.agents.rl.run_folder import RunFolder
     from cadenza.agents.rl.training import Training
     from cadenza.report.training import Curve
 
@@ -99,9 +100,7 @@ def train(command: Train) -> None:
     folder = (
         command.resume or command.output or Path("runs") / folder_name(Path(str(command.song)).stem)
     )
-    with claimed_cores(command.num_cores) as cores:
-        if not cores:
-            print("all cores are claimed by other runs: sharing one", file=sys.stderr)
+    with claimed_cores(command.num_cores):
         _train(command, folder)
 
 
@@ -118,30 +117,43 @@ def _train(command: Train, folder: Path) -> None:
     if command.song is not None:
         score = load_song(command.song, command.arrangement)
         check_writable(folder)
-        run.begin(command.training, score)
     with run.locked():
+        if command.song is not None:
+            run.begin(command.training, score)
         run.set_end(command.training)
-        config, score = run.settings()
-        with closing(Training(config, score, run)) as training:
-            finished = _train_on(training, command, folder)
-    if finished:
-        with stages("playing") as tell:
-            performance = play(folder / "best", progress=tell)
-        keep(performance, folder / "best_played", command.video)
-    _write_curves(folder, score.title, config)
-    print(f"Learning curves in {folder / 'report.html'}")
-    if not finished:
+        with _saying_how_to_go_on(folder):
+            config, score = run.settings()
+            with closing(Training(config, score, run)) as training:
+                finished = _train_on(training, command, run)
+            if finished:
+                with stages("playing") as tell:
+                    performance = play(folder / "best", progress=tell)
+                keep(performance, folder / "best_played", command.video)
+            if run.rows():
+                _write_curves(folder, score.title, config)
+                print(f"Learning curves in {folder / 'report.html'}")
+            if not finished:
+                raise KeyboardInterrupt
+
+
+@contextmanager
+def _saying_how_to_go_on(folder: Path) -> Iterator[None]:
+    """Whenever it is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
         print(f"to go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
-        raise KeyboardInterrupt
+        raise
 
 
-def _train_on(training: Training, command: Train, folder: Path) -> bool:
+def _train_on(training: Training, command: Train, run: RunFolder) -> bool:
     """Trains until all is done, and then is true, or until someone asks to stop."""
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
-    shown: list[Scalars] = [TensorBoard(folder / "tensorboard", training.step)]
+    shown: list[Scalars] = [TensorBoard(run.path / "tensorboard", training.step)]
     if command.wandb:
-        shown.append(WeightsAndBiases(command.wandb, folder, asdict(training.config)))
+        settings = asdict(training.config)
+        shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
     scores = ""
     with progress("learning", "steps", 30.0) as advance, _asked_to_stop() as stop:
 

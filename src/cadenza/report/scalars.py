@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,7 +33,9 @@ class TensorBoard:
             from tensorboardX import SummaryWriter
         except ImportError as error:
             raise CadenzaError("training needs more: pip install 'cadenza[train]'") from error
-        self._writer = SummaryWriter(str(folder), purge_step=step or None)
+        # A name that nobody can know before: the file is opened through links.
+        suffix = f".{secrets.token_hex(4)}"
+        self._writer = SummaryWriter(str(folder), purge_step=step or None, filename_suffix=suffix)
 
     def add(self, row: Mapping[str, float]) -> None:
         for name, value in _shown(row).items():
@@ -45,8 +48,14 @@ class TensorBoard:
 class WeightsAndBiases:
     """A run on wandb.ai, or wherever its environment variables say."""
 
-    def __init__(self, project: str, run: Path, settings: Mapping[str, Any]) -> None:
-        """A run of the same folder goes on.
+    def __init__(self, project: str, folder: Path, run: str, settings: Mapping[str, Any]) -> None:
+        """Goes on with the run of that id in the project, if there is one.
+
+        Args:
+            project: there.
+            folder: for files of wandb's own.
+            run: its id.
+            settings: of the run.
 
         Raises:
             CadenzaError: wandb is not installed.
@@ -57,8 +66,8 @@ class WeightsAndBiases:
             raise CadenzaError("--wandb needs more: pip install 'cadenza[wandb]'") from error
         self._run = wandb.init(
             project=project,
-            dir=str(run),
-            id=run.resolve().name,
+            dir=str(folder),
+            id=run,
             resume="allow",
             config=dict(settings),
         )

@@ -51,6 +51,62 @@ def test_no_two_runs_claim_the_same_core() -> None:
         process.wait()
 
 
+def spoil(tmp_path: Path, how: str) -> None:
+    folder = tmp_path / f"cadenza-cores-{os.getuid()}"
+    match how:
+        case "link to a folder":
+            (tmp_path / "elsewhere").mkdir()
+            folder.symlink_to(tmp_path / "elsewhere")
+        case "link to nothing":
+            folder.symlink_to(tmp_path / "elsewhere")
+        case "file":
+            folder.touch()
+        case "others may write":
+            folder.mkdir()
+            folder.chmod(0o777)
+        case "links within":
+            folder.mkdir(mode=0o700)
+            for core in os.sched_getaffinity(0):
+                (folder / f"{core}.0").symlink_to(tmp_path / "dear")
+
+
+@pytest.mark.parametrize(
+    "how", ["link to a folder", "link to nothing", "file", "others may write", "links within"]
+)
+def test_where_others_could_write_nothing_is_claimed(
+    how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "dear").write_text("dear")
+    spoil(tmp_path, how)
+    before = os.sched_getaffinity(0)
+    with claimed_cores(1) as cores:
+        assert cores == set()
+        assert os.sched_getaffinity(0) == before
+    said = capsys.readouterr().err
+    assert said.startswith("runs side by side may share cores (")
+    assert said.count("\n") == 1
+    assert (tmp_path / "dear").read_text() == "dear"
+    assert not list((tmp_path / "elsewhere").glob("*"))
+
+
+def test_a_folder_of_another_user_is_not_used(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with claimed_cores(1):
+        pass
+    real = Path.lstat
+
+    def of_another(path: Path) -> os.stat_result:
+        there = list(real(path))
+        there[4] += 1  # st_uid
+        return os.stat_result(there)
+
+    monkeypatch.setattr(Path, "lstat", of_another)
+    with claimed_cores(1) as cores:
+        assert cores == set()
+    assert "may share cores (not a folder that you alone can write to" in capsys.readouterr().err
+
+
 def test_a_killed_run_gives_its_cores_back() -> None:
     process, mine, _ = claim(10_000)
     assert mine == sorted(os.sched_getaffinity(0))

@@ -19,7 +19,14 @@ from rl_examples import random_batches
 from scipy.stats import norm
 
 from cadenza.agents.rl.config import LearnerConfig
-from cadenza.agents.rl.droq import Learner, LearnerState, from_arrays, to_arrays, weights_of
+from cadenza.agents.rl.droq import (
+    Learner,
+    LearnerState,
+    falling,
+    from_arrays,
+    to_arrays,
+    weights_of,
+)
 from cadenza.agents.rl.observation import Inputs
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.replay import Batch
@@ -384,3 +391,63 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: Learner) -> None:
     shown = np.asarray(batch.observation[0])
     best = Policy(weights_of(state.actor), "relu", (-20, 2)).best(shown)
     assert_allclose(Policy(theirs, "relu", (-20, 2)).best(shown[:, kept]), best, atol=1e-4)
+
+
+# Learning rates that fall
+
+
+def rates(last: float, ends: tuple[tuple[int, int], ...], updates: int) -> np.ndarray:
+    schedule = falling(2e-3, last, ends)
+    return np.array([schedule(update) for update in range(updates)])  # type: ignore[operator]
+
+
+def test_learning_rates_fall_evenly_to_the_end() -> None:
+    expected = 2e-3 * np.interp(np.arange(150), [0, 100], [1, 0.1])
+    assert_allclose(rates(0.1, ((0, 100),), 150), expected, rtol=1e-5)
+    assert falling(2e-3, 1.0, ((0, 100),)) == 2e-3
+
+
+@pytest.mark.parametrize(
+    ("ends", "corners"),
+    [
+        (((0, 100), (60, 200)), [(60, 0.46), (200, 0.1)]),
+        (((0, 100), (100, 200)), [(100, 0.1), (200, 0.1)]),
+        (((0, 100), (50, 80)), [(50, 0.55), (80, 0.1)]),
+        (((0, 100), (60, 200), (130, 250)), [(60, 0.46), (130, 0.28), (250, 0.1)]),
+        (((0, 0), (40, 90)), [(1, 0.1), (90, 0.1)]),
+    ],
+)
+def test_another_end_makes_no_jump_of_the_learning_rates(
+    ends: tuple[tuple[int, int], ...], corners: list[tuple[int, float]]
+) -> None:
+    """They go on from what they are."""
+    x, y = zip((0, 1.0), *corners, strict=True)
+    fall = rates(0.1, ends, 300)
+    if ends[0][1]:
+        assert_allclose(fall, 2e-3 * np.interp(np.arange(300), x, y), rtol=1e-5)
+    assert np.diff(fall[1:]).max() < 1e-9
+    assert fall[-1] == pytest.approx(2e-4)
+
+
+# Threads
+
+
+def test_says_with_how_many_threads_jax_was_started() -> None:
+    """Also where that was not here, and the learner can no longer choose."""
+    program = """
+import os, sys
+os.environ["NPROC"] = "3"
+import jax
+if sys.argv[1] == "before":
+    jax.devices()
+from cadenza.agents.rl.config import LearnerConfig
+from cadenza.agents.rl.droq import Learner, num_threads
+from cadenza.agents.rl.observation import Inputs
+Learner(LearnerConfig(), Inputs((0, 1), 2), 1)
+print(num_threads())
+"""
+    for when, threads in (("before", "3"), ("not", "2")):
+        done = subprocess.run(
+            [sys.executable, "-c", program, when], capture_output=True, text=True, check=True
+        )
+        assert done.stdout.strip() in (threads, "None"), when

@@ -15,6 +15,7 @@ from rl_examples import melody
 
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.replay import Batch, Replay
+from cadenza.errors import CadenzaError
 from cadenza.tasks.piano_task import PianoTask
 
 REST, ACTIONS = 2, 3
@@ -233,6 +234,77 @@ def check_chunks(playing: Playing, pauses: list[int]) -> None:
         held = playing.held()
         assert len(again) == len(held)
         assert set(as_tuples(again.sample(np.random.default_rng(2), (40 * len(held),)))) == held
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    num_envs=st.integers(1, 3),
+    length=st.integers(4, 30),
+    pauses=st.lists(st.integers(0, 30), min_size=1, max_size=6),
+    lost=st.sets(st.integers(0, 5), min_size=1),
+    seed=st.integers(0, 2**31),
+)
+def test_goes_on_without_chunks_that_are_lost(
+    num_envs: int, length: int, pauses: list[int], lost: set[int], seed: int
+) -> None:
+    """With transitions that were held, and no others: none that reaches over a gap."""
+    playing, chunks = Playing(num_envs, length, seed), []
+    for steps in pauses:
+        for _ in range(steps):
+            playing.step()
+        chunks.append(playing.replay.since(chunks[-1]["to"] if chunks else 0))
+    again = playing.new_replay()
+    for number, chunk in enumerate(chunks):
+        if number not in lost:
+            again.restore(chunk)
+    again.skip(chunks[-1]["to"])
+    again.observe(*playing.newest)
+    found = len(again)
+    if lost.isdisjoint(range(len(chunks))):
+        assert found == len(playing.replay)
+    if found:
+        drawn = as_tuples(again.sample(np.random.default_rng(1), (30 * found,)))
+        assert set(drawn) <= playing.held()
+        assert len(set(drawn)) > 0.9 * found
+
+
+def test_what_is_left_of_much_is_found() -> None:
+    """Ten transitions among a hundred thousand places."""
+    playing = Playing(num_envs=1, length=100_000, seed=0, ending=0.0)
+    for _ in range(10):
+        playing.step()
+    left = playing.new_replay()
+    left.restore(playing.replay.since(0))
+    left.skip(np.array([99_990]))
+    drawn = left.sample(np.random.default_rng(0), (1000,))
+    assert set(as_tuples(drawn)) < playing.held()
+    assert len(set(as_tuples(drawn))) == 9  # without the one that led to the gap
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"row": np.zeros((6, 2), np.int32)},
+        {"row": np.zeros(5, np.int32)},
+        {"rest": np.zeros((6, REST + 1), np.float32)},
+        {"reward": np.array(["x"] * 6)},
+        {"complete": np.ones(6, np.float32)},
+        {"from": np.array([-1])},
+        {"to": np.array([5])},
+        {"to": np.array([10**12])},
+        {"to": np.array([5, 6])},
+        {"to": np.array([6.0])},
+    ],
+)
+def test_a_chunk_of_something_else_is_refused(change: dict[str, np.ndarray]) -> None:
+    playing = Playing(num_envs=1, length=10, seed=0, ending=0.0)
+    for _ in range(6):
+        playing.step()
+    chunk = playing.replay.since(0)
+    with pytest.raises(CadenzaError, match="experience"):
+        playing.new_replay().restore(chunk | change)
+    with pytest.raises(CadenzaError, match="no array named rest"):
+        playing.new_replay().restore({n: a for n, a in chunk.items() if n != "rest"})
 
 
 def test_chunks_that_the_ring_has_overwritten_are_not_needed() -> None:

@@ -43,7 +43,8 @@ class LearnerConfig:
     temperature_learning_rate: float = 3e-4
     """Adam's, of the logarithm of the temperature."""
     final_learning_rates: float = 1.0
-    """Share of all three that is left at the end of a run; they fall evenly."""
+    """Share of all three that is left at the end of a run; they fall evenly. If a run is given
+    another end, they fall from what they are then."""
     adam_beta1: float = 0.9
     """Adam's decay of the mean gradient."""
     adam_beta2: float = 0.999
@@ -98,11 +99,10 @@ class TrainingConfig:
     seed: int = 0
     """Of everything random."""
 
-    @property
-    def num_updates(self) -> int:
-        """Updates that a whole run makes."""
-        rounds = (self.num_steps - self.seed_steps) / (self.steps_per_round * self.num_envs)
-        return max(math.ceil(rounds * self.updates_per_round), 1)
+    def updates_by(self, step: int) -> int:
+        """Updates that a run makes until it has done so many steps."""
+        rounds = (step - self.seed_steps) / (self.steps_per_round * self.num_envs)
+        return max(math.ceil(rounds * self.updates_per_round), 0)
 
 
 def preset(name: Preset, residual: bool = False) -> TrainingConfig:
@@ -188,6 +188,7 @@ _AT_LEAST: dict[str, float] = {
     "actor_update_period": 1,
     "batch_size": 1,
 }
+_AT_MOST = 2**53
 _SHARES = ("discount", "tau", "actor_average", "final_learning_rates")
 _BELOW_ONE = ("dropout", "adam_beta1", "adam_beta2")
 _ABOVE_ZERO = (
@@ -204,6 +205,8 @@ def check(config: TrainingConfig) -> None:
     for name, least in _AT_LEAST.items():
         if not values[name] >= least:
             raise CadenzaError(f"{name} {values[name]}: choose {least:g} or more")
+        if isinstance(values[name], int) and values[name] > _AT_MOST:
+            raise CadenzaError(f"{name} {values[name]}: choose {_AT_MOST:g} or less")
     for name in _SHARES:
         if not 0 <= values[name] <= 1:
             raise CadenzaError(f"{name} {values[name]}: choose 0 to 1")

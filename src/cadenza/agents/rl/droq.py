@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +26,8 @@ from cadenza.errors import CadenzaError
 
 Params = Any  # nested dictionaries of arrays
 
-_NUM_THREADS = 2
+NUM_THREADS = 2
+Ends = tuple[tuple[int, int], ...]
 
 
 class LearnerState(NamedTuple):
@@ -51,11 +53,45 @@ def _start_jax() -> None:
     of all that is learnt. This variable is the only way to tell it, and it asks when it starts.
     """
     before = os.environ.get("NPROC")
-    os.environ["NPROC"] = str(_NUM_THREADS)
+    os.environ["NPROC"] = str(NUM_THREADS)
     jax.devices()
     del os.environ["NPROC"]
     if before is not None:
         os.environ["NPROC"] = before
+
+
+def num_threads() -> int | None:
+    """With how many JAX adds numbers up, if it has been started and the system tells."""
+    threads = Path("/proc/self/task")
+    if not threads.exists():
+        return None
+    names = [_name(thread) for thread in threads.iterdir()]
+    return names.count("tf_XLAEigen") or None
+
+
+def _name(thread: Path) -> str:
+    try:
+        return (thread / "comm").read_text().strip()
+    except OSError:  # it has just ended
+        return ""
+
+
+def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
+    """A learning rate that falls evenly from `rate` to its share `last`, by updates.
+
+    `ends` is since which update at which one it is to have fallen; the first is since 0. From each
+    of the others on it falls from what it is then.
+    """
+    if last == 1:
+        return rate
+    (since, end), *moved = ends
+    falls = [optax.linear_schedule(rate, rate * last, end)]
+    share = 1.0
+    for begin, new_end in moved:
+        share = last + (share - last) * max(1 - (begin - since) / max(end - since, 1), 0.0)
+        since, end = begin, new_end
+        falls.append(optax.linear_schedule(rate * share, rate * last, max(end - begin, 1)))
+    return optax.join_schedules(falls, [begin for begin, _ in moved])
 
 
 def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:
@@ -81,8 +117,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]], like: LearnerState) -> LearnerS
         CadenzaError: it is not that of such a learner.
     """
     leaves, structure = jax.tree_util.tree_flatten_with_path(like)
-    shapes = {jax.tree_util.keystr(path): leaf.shape for path, leaf in leaves}
-    if shapes != {name: array.shape for name, array in arrays.items()}:
+    kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}
+    if kinds != {name: (array.shape, array.dtype) for name, array in arrays.items()}:
         raise CadenzaError(
             "the checkpoint is of a learner that this version of Cadenza does not have; go on with "
             "the version that run.json names"
@@ -96,18 +132,18 @@ class Learner:
     """Improves a `LearnerState` by batches of transitions."""
 
     def __init__(
-        self, config: LearnerConfig, inputs: Inputs, action_size: int, num_updates: int = 1
+        self, config: LearnerConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Args:
         config: what can be chosen.
         inputs: those of the actor; the critics get the actions besides.
         action_size: A.
-        num_updates: over which the learning rates fall, where they do.
+        ends: of the learning rates, see `falling`.
         """
         _start_jax()
         actions = tuple(range(inputs.total, inputs.total + action_size))
         self._config = config
-        self._action_size, self._num_updates = action_size, num_updates
+        self._action_size, self._ends = action_size, ends
         self._num_inputs = len(inputs.kept)
         self._actor = Actor(config, inputs, action_size)
         self._critic = Critic(config, Inputs(inputs.kept + actions, inputs.total + action_size))
@@ -155,10 +191,8 @@ class Learner:
         return self._update_all(state, batches)
 
     def _adam(self, learning_rate: float) -> optax.GradientTransformation:
-        config, rate = self._config, learning_rate
-        if config.final_learning_rates < 1:
-            last = learning_rate * config.final_learning_rates
-            rate = optax.linear_schedule(learning_rate, last, self._num_updates)
+        config = self._config
+        rate = falling(learning_rate, config.final_learning_rates, self._ends)
         return optax.adam(rate, config.adam_beta1, config.adam_beta2)
 
     def _update(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, dict[str, Any]]:

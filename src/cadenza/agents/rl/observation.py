@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.rl.ranges import Ranges
 from cadenza.errors import CadenzaError
+from cadenza.files import INTEGERS, ArrayOf, check_arrays
 from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
@@ -96,7 +97,18 @@ class Scores:
         """To keep; see `restore`."""
         return {"rows": self._rows, "first": np.array(sorted(self._first.values()), np.int64)}
 
+    @property
+    def num_rows(self) -> int:
+        """Rows in which an observation may begin."""
+        return len(self._rows) - len(self._ahead) + 1
+
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Raises: CadenzaError: it is not what `arrays` returned."""
+        expected = {
+            "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
+            "first": ArrayOf(INTEGERS, ("scores",), needed=True),
+        }
+        check_arrays(arrays, expected, "scores")
         self._rows = arrays["rows"]
         ends = [*arrays["first"].tolist(), len(self._rows)]
         self._first = {self._rows[first:last].tobytes(): first for first, last in pairwise(ends)}

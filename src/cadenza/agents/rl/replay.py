@@ -12,8 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.rl.observation import Floats, Observer
+from cadenza.errors import CadenzaError
+from cadenza.files import INTEGERS, ArrayOf, check_arrays
 
 Rows = NDArray[np.int64]
+
+_FEW = 1 / 8  # of the frames; where fewer are complete, drawing from all takes too many attempts
 
 
 class Batch(NamedTuple):
@@ -92,6 +96,10 @@ class Replay:
     def _draw(self, rng: np.random.Generator, number: int) -> tuple[Rows, Rows]:
         num_envs, length = self._shape
         written = int(min(self._count.max(), length))
+        if self._size < _FEW * num_envs * written:  # much was lost
+            complete = np.flatnonzero(self._frames["complete"][:, :written])
+            drawn = rng.choice(complete, number)
+            return drawn // written, drawn % written
         drawn = np.zeros(0, np.int64)
         while len(drawn) < number:
             flat = rng.integers(num_envs * written, size=number - len(drawn))
@@ -144,21 +152,51 @@ class Replay:
         """
         length, to = self._shape[1], self.complete_counts()
         start = np.maximum(counts, to - length)
-        env = np.repeat(np.arange(len(to)), to - start)
-        number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
-        at = (env, number % length)
+        at = self._places(start, to)
         return {name: values[at] for name, values in self._frames.items()} | {
             "from": start,
             "to": to,
         }
 
     def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
-        """Adds what `since` returned, in its order. The newest frame is to be observed again."""
-        start, to = chunk["from"], chunk["to"]
-        env = np.repeat(np.arange(len(to)), to - start)
-        number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
-        at = (env, number % self._shape[1])
+        """Adds what `since` returned, in its order. The newest frame is to be observed again.
+
+        Raises:
+            CadenzaError: it is not that of such environments.
+        """
+        check_arrays(chunk, self._expected(), "experience")
+        start, to, there = chunk["from"], chunk["to"], len(chunk["row"])
+        if ((start < self._count) | (to < start) | (to > start + self._shape[1])).any():
+            raise CadenzaError("experience: does not follow on what came before; start a new run")
+        if there != (to - start).sum():
+            raise CadenzaError(f"experience: {there} frames, and it is said to have others")
+        gap = np.flatnonzero(self._count < start)
+        self.skip(start)
+        at = self._places(start, to)
         for name, values in self._frames.items():
             values[at] = chunk[name]
-        self._count = to.copy()
-        self._size = int(self._frames["complete"].sum())
+        after = (gap, start[gap] % self._shape[1])
+        self._frames["complete"][after] &= self._frames["first"][after]
+        self._count, self._size = to.copy(), int(self._frames["complete"].sum())
+
+    def skip(self, counts: Rows) -> None:
+        """Goes on as if there were `counts` (N,) frames; those that are not there are lost."""
+        length, complete = self._shape[1], self._frames["complete"]
+        # The last before a gap lacks the one after it.
+        last = np.where(self._count < counts, self._count - 1, counts)
+        complete[self._places(np.maximum(last, counts - length), counts)] = False
+        self._count, self._size = counts.copy(), int(complete.sum())
+
+    def _places(self, start: Rows, to: Rows) -> tuple[Rows, Rows]:
+        """Where the frames from `start` (N,) up to `to` (N,) are."""
+        env = np.repeat(np.arange(len(to)), to - start)
+        number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
+        return env, number % self._shape[1]
+
+    def _expected(self) -> dict[str, ArrayOf]:
+        counts = ArrayOf(INTEGERS, (self._shape[0],), needed=True)
+        frames = {
+            name: ArrayOf(values.dtype.kind, ("frames", *values.shape[2:]), needed=True)
+            for name, values in self._frames.items()
+        }
+        return frames | {"from": counts, "to": counts}

@@ -4,37 +4,57 @@ RUN/run.json              what was asked for, and the versions of the libraries
 RUN/checkpoints/N/        learner, environments, random generators after N control steps
 RUN/replay/N.I.npz        the experience gathered up to N since the file before
 RUN/metrics.jsonl         figures, a row a line
+RUN/lock                  held by the process that trains it
 RUN/best/, RUN/last/      the policy that played best, and that of the last checkpoint
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
+import math
 import os
+import re
+import secrets
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from filelock import FileLock, Timeout
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from cadenza.agents.rl.config import TrainingConfig
 from cadenza.agents.rl.sealed_folder import read_sealed, write_sealed
 from cadenza.errors import CadenzaError
-from cadenza.files import ANY, read_arrays, read_json, write_atomically
+from cadenza.files import (
+    ANY,
+    TEMPORARY,
+    Expected,
+    checked,
+    opened_in_place,
+    parsed_json,
+    read_arrays,
+    read_json,
+    write_atomically,
+)
 from cadenza.music.score import Score
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 _KIND = "checkpoint"
 _KEPT = 2  # should the newest be damaged, there is the one before
+# Names that are written here; whatever else lies there is nobody's business.
+_CHECKPOINT, _CHUNK = r"\d{12,}", r"\d{12,}\.\d+\.npz"
+_UNFINISHED = rf"\.{_CHECKPOINT}\.(new|old)|\.{_CHUNK}\..*|{re.escape(TEMPORARY)}.*"
 
+Count = Annotated[int, Meta(ge=0, le=2**53)]
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -45,16 +65,49 @@ class _About:
     config: TrainingConfig
     score: Score
     versions: dict[str, str]
+    id: str = ""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Experience in a file of its own."""
+
+    file: Annotated[str, Meta(pattern=f"^{_CHUNK}$")]
+    to: tuple[Count, ...]
+    """How many frames each environment has had at its end."""
+
+    @property
+    def frames(self) -> int:
+        """Of all environments, since they began."""
+        return sum(self.to)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Where a run has got to, but for arrays."""
+
+    step: Count
+    seconds: float
+    best: dict[str, float | None]
+    """The row of the best evaluation."""
+    sample_rng: dict[str, Any]
+    collector: dict[str, Any]
+    finished: tuple[tuple[float | None, float | None], ...]
+    replay: tuple[Chunk, ...]
+    ends: tuple[tuple[Count, Count], ...] = ()
+    """From which step on it was to end at which."""
+    threads: int | None = None
+    """With how many the learner added numbers up, if that is known."""
+    metrics_size: Count = 0
 
 
 class Checkpoint(NamedTuple):
-    """Where a run has got to."""
+    """All that was kept."""
 
-    facts: dict[str, Any]
-    """`step`, `replay` and `metrics_size` among them."""
+    facts: Facts
     arrays: Arrays
-    replay: list[Arrays]
-    """What was gathered, in order."""
+    replay: list[Arrays | None]
+    """Of each chunk what was gathered, None where it is lost."""
 
 
 class RunFolder:
@@ -73,12 +126,19 @@ class RunFolder:
         CadenzaError: another process trains this run.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        with open(self.path / "lock", "w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise CadenzaError(f"{self.path}: another process is training this run") from error
+        lock = FileLock(self.path / "lock")
+        try:
+            lock.acquire(blocking=False)
+        except Timeout as error:
+            raise CadenzaError(f"{self.path}: another process is training this run") from error
+        except OSError as error:
+            raise CadenzaError(
+                f"{self.path / 'lock'}: cannot be locked ({error.strerror}); remove it"
+            ) from error
+        try:
             yield
+        finally:
+            lock.release()
 
     # What it is
 
@@ -93,12 +153,8 @@ class RunFolder:
                 f"{self.path}: holds a run already; go on with --resume {self.path}, or choose "
                 "another folder with --output"
             )
-        about = {
-            "config": asdict(config),
-            "score": asdict(score),
-            "versions": {name: version(name) for name in _VERSIONS},
-        }
-        self._write(about)
+        versions = {name: version(name) for name in _VERSIONS}
+        self._write(_About(config, score, versions, secrets.token_hex(8)))
 
     def set_end(self, config: TrainingConfig) -> None:
         """Has the run end as `config` says.
@@ -106,17 +162,22 @@ class RunFolder:
         Raises:
             CadenzaError: it differs in something else too.
         """
-        begun, _ = self.settings()
-        if replace(config, num_steps=begun.num_steps) != begun:
+        about = self._read()
+        if replace(config, num_steps=about.config.num_steps) != about.config:
             raise CadenzaError(
                 f"{self.path}: goes on with its own options; leave out all others but --num-steps"
             )
-        if config != begun:
-            self._write(json.loads(self._about.read_bytes()) | {"config": asdict(config)})
+        if config != about.config:
+            self._write(replace(about, config=config))
 
-    def _write(self, about: dict[str, Any]) -> None:
+    def _write(self, about: _About) -> None:
         with write_atomically(self._about) as file:
-            file.write((json.dumps(about, indent=1) + "\n").encode())
+            file.write((json.dumps(asdict(about), indent=1) + "\n").encode())
+
+    def _read(self) -> _About:
+        if not self._about.exists():
+            raise CadenzaError(f"{self.path}: holds no run to go on with")
+        return read_json(self._about, _About)
 
     def settings(self) -> tuple[TrainingConfig, Score]:
         """What was asked for.
@@ -124,24 +185,38 @@ class RunFolder:
         Raises:
             CadenzaError: the folder holds no run.
         """
-        if not self._about.exists():
-            raise CadenzaError(f"{self.path}: holds no run to go on with")
-        about = read_json(self._about, _About)
+        about = self._read()
         return about.config, about.score
+
+    @property
+    def id(self) -> str:
+        """Told apart by it from all other runs, wherever they lie."""
+        return self._read().id or self.path.resolve().name  # as before there were any
 
     # Figures
 
     def add_row(self, row: dict[str, float]) -> None:
-        """Appends a row of figures; a number that is none becomes null."""
-        plain = {name: None if value != value else value for name, value in row.items()}
-        with self._room(), open(self._metrics, "a") as file:
-            file.write(json.dumps(plain) + "\n")
+        """Appends a row of figures; a number that is not finite becomes null."""
+        plain = {name: finite(value) for name, value in row.items()}
+        with self._room(), opened_in_place(self._metrics) as file:
+            file.seek(0, os.SEEK_END)
+            file.write((json.dumps(plain) + "\n").encode())
             file.flush()
             os.fsync(file.fileno())  # a checkpoint counts on all rows before it
 
     def rows(self) -> list[dict[str, Any]]:
         """All rows so far."""
         return read_rows(self.path)
+
+    def _cut_rows(self, size: int) -> None:
+        """Leaves the whole rows within the first `size` bytes."""
+        if not self._metrics.exists():
+            return
+        with self._room(), opened_in_place(self._metrics) as file:
+            there = file.read(size)
+            file.truncate(there.rfind(b"\n") + 1)
+        if len(there) < size:
+            print(f"{self._metrics}: rows of figures are missing", file=sys.stderr)
 
     # Checkpoints
 
@@ -154,12 +229,11 @@ class RunFolder:
             np.savez(file, allow_pickle=False, **gathered)
         return name
 
-    def save(self, facts: dict[str, Any], arrays: Arrays) -> None:
+    def save(self, facts: Facts, arrays: Arrays) -> None:
         """Keeps a checkpoint, and drops what no checkpoint needs any more.
 
         Args:
-            facts: as JSON has them, among them `step` and under `replay` a list of dictionaries
-                with the `file` that `save_gathered` returned.
+            facts: with the chunks that `save_gathered` named; `metrics_size` is found here.
             arrays: of the run.
 
         Raises:
@@ -167,59 +241,89 @@ class RunFolder:
         """
         size = self._metrics.stat().st_size if self._metrics.exists() else 0
         with self._room():
-            folder = self._checkpoints / f"{facts['step']:012}"
-            write_sealed(folder, _KIND, facts | {"metrics_size": size}, arrays)
+            folder = self._checkpoints / f"{facts.step:012}"
+            write_sealed(folder, _KIND, asdict(replace(facts, metrics_size=size)), arrays)
         for old in self._saved()[:-_KEPT]:
-            shutil.rmtree(old)
+            shutil.rmtree(old, ignore_errors=True)
         needed: set[str] = set()
         for folder in self._saved():
             try:
-                needed |= _files(read_sealed(folder, _KIND)[0])
+                needed |= {chunk.file for chunk in _facts(folder)[0].replay}
             except CadenzaError:
                 return  # what a damaged one needs is not known
-        for path in self._replay.glob("*.npz"):
+        for path in self._named(self._replay, _CHUNK):
             if path.name not in needed:
                 path.unlink()
 
-    def load(self) -> Checkpoint | None:
-        """The newest checkpoint that is whole, None if there never was one.
+    def load(self, expected: Expected = ANY) -> Checkpoint | None:
+        """Of the checkpoints that are whole the one from which least is lost, as a rule the newest.
 
-        Figures that were written after it are dropped. A damaged checkpoint is named on standard
-        error.
+        Lost is what was done since, or experience whose file is lost; both are counted in control
+        steps. All that is damaged is named on standard error. Figures that were written later are
+        dropped. None if there never was a checkpoint.
 
         Raises:
             CadenzaError: there are only damaged ones.
         """
         self._drop_unfinished()
         saved = self._saved()
+        found: dict[Path, Checkpoint] = {}
+        loss: dict[Path, int] = {}
+        chunks: dict[str, Arrays | None] = {}
         for folder in reversed(saved):
             try:
-                facts, arrays = read_sealed(folder, _KIND)
-                replay = [
-                    read_arrays(self._replay / chunk["file"], ANY) for chunk in facts["replay"]
-                ]
+                facts, arrays = _facts(folder, expected)
             except CadenzaError as error:
-                print(f"{error}: going back to the checkpoint before it", file=sys.stderr)
+                print(error, file=sys.stderr)
                 continue
-            for later in saved[saved.index(folder) + 1 :]:
-                shutil.rmtree(later)
-            if self._metrics.exists():
-                os.truncate(self._metrics, facts["metrics_size"])
-            return Checkpoint(facts, arrays, replay)
-        if saved:
-            raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
-        self._metrics.unlink(missing_ok=True)
-        return None
+            for chunk in facts.replay:
+                if chunk.file not in chunks:
+                    chunks[chunk.file] = self._chunk(chunk.file)
+            found[folder] = Checkpoint(
+                facts, arrays, [chunks[chunk.file] for chunk in facts.replay]
+            )
+            loss[folder] = int(saved[-1].name) - facts.step + _lost(found[folder])
+            if not _lost(found[folder]):
+                break
+        if not found:
+            if saved:
+                raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
+            self._metrics.unlink(missing_ok=True)
+            return None
+        best = min(reversed(found), key=loss.__getitem__)  # the older one if they lose the same
+        for later in saved[saved.index(best) + 1 :]:
+            shutil.rmtree(later, ignore_errors=True)
+        if best != saved[-1]:
+            print(f"{self.path}: going back to step {found[best].facts.step}", file=sys.stderr)
+        if lost := _lost(found[best]):
+            print(f"{self.path}: going on without {lost} transitions", file=sys.stderr)
+        self._cut_rows(found[best].facts.metrics_size)
+        return found[best]
+
+    def _chunk(self, name: str) -> Arrays | None:
+        try:
+            return read_arrays(self._replay / name, ANY)
+        except CadenzaError as error:
+            print(error, file=sys.stderr)
+            return None
 
     def _drop_unfinished(self) -> None:
         """Drops what was being written when the process was killed."""
-        for folder in self._checkpoints.glob(".*"):
-            shutil.rmtree(folder)
-        for path in self._replay.glob(".*"):
-            path.unlink()
+        for folder in (self.path, self._checkpoints, self._replay):
+            for path in self._named(folder, _UNFINISHED):
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    with suppress(OSError):
+                        path.unlink()
 
     def _saved(self) -> list[Path]:
-        return sorted(p for p in self._checkpoints.glob("*") if p.name.isdigit())
+        return sorted(path for path in self._named(self._checkpoints, _CHECKPOINT) if path.is_dir())
+
+    @staticmethod
+    def _named(folder: Path, pattern: str) -> list[Path]:
+        there = folder.iterdir() if folder.is_dir() else ()
+        return [path for path in there if re.fullmatch(pattern, path.name, re.ASCII)]
 
     @contextmanager
     def _room(self) -> Iterator[None]:
@@ -228,18 +332,52 @@ class RunFolder:
         except OSError as error:
             raise CadenzaError(
                 f"{self.path}: could not be written ({error.strerror}); the last checkpoint "
-                f"still loads. Make room, then: cadenza train --resume {self.path}"
+                f"still loads. When there is room: cadenza train --resume {self.path}"
             ) from error
 
 
-def _files(facts: dict[str, Any]) -> set[str]:
-    return {chunk["file"] for chunk in facts["replay"]}
+def _facts(folder: Path, expected: Expected = MappingProxyType({})) -> tuple[Facts, Arrays]:
+    plain, arrays = read_sealed(folder, _KIND, expected)
+    return checked(plain, Facts, folder / "facts.json"), arrays
+
+
+def _lost(checkpoint: Checkpoint) -> int:
+    """Frames in chunks that are lost."""
+    ends = [0, *(chunk.frames for chunk in checkpoint.facts.replay)]
+    return sum(
+        end - start
+        for (start, end), chunk in zip(pairwise(ends), checkpoint.replay, strict=True)
+        if chunk is None
+    )
+
+
+def finite(value: float) -> float | None:
+    """As JSON has it."""
+    return value if math.isfinite(value) else None
+
+
+_Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
 
 
 def read_rows(run: Path) -> list[dict[str, Any]]:
-    """The rows of figures of a run so far; half a line at its end is left out."""
+    """The rows of figures of a run so far, each with `step` and `seconds`.
+
+    Half a row at the end is left out, and with a remark on standard error what is no row.
+    """
+    path, rows, others = run / "metrics.jsonl", [], 0
     try:
-        text = (run / "metrics.jsonl").read_text()
+        lines = path.read_bytes().split(b"\n")[:-1]
     except FileNotFoundError:
         return []
-    return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+    for line in lines:
+        try:
+            row = parsed_json(line.strip(b"\0"), _Row, path)
+        except CadenzaError:
+            row = {}
+        if {"step", "seconds"} <= {name for name, value in row.items() if value is not None}:
+            rows.append(row)
+        else:
+            others += 1
+    if others:
+        print(f"{path}: {others} lines are no rows of figures and are left out", file=sys.stderr)
+    return rows

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -17,20 +19,35 @@ from cadenza.agents.play import play
 from cadenza.agents.rl.collector import Collector, Finished
 from cadenza.agents.rl.config import TrainingConfig, check
 from cadenza.agents.rl.control import control_of
-from cadenza.agents.rl.droq import Learner, from_arrays, to_arrays, weights_of
+from cadenza.agents.rl.droq import (
+    NUM_THREADS,
+    Learner,
+    from_arrays,
+    num_threads,
+    to_arrays,
+    weights_of,
+)
 from cadenza.agents.rl.observation import Observer, Scores, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_folder import LearntPolicy, save_policy
 from cadenza.agents.rl.ranges import ranges_of
 from cadenza.agents.rl.replay import Replay
 from cadenza.agents.rl.residual import plan_of
-from cadenza.agents.rl.run_folder import Checkpoint, RunFolder
+from cadenza.agents.rl.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite
+from cadenza.errors import CadenzaError
+from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
 
 Row = dict[str, float]
 
 _EPISODES_SHOWN = 100  # a row of figures holds the mean of the last so many episodes
+_EXPECTED = {  # arrays of a checkpoint; their sizes are checked by whose they are
+    "learner:*": ArrayOf(NUMBERS, None),
+    "collector:*": ArrayOf(FLOATS, None),
+    "scores:*": ArrayOf(INTEGERS, None),
+    "figures:*": ArrayOf(FLOATS, ("updates",)),
+}
 
 
 class Training:
@@ -74,7 +91,20 @@ class Training:
         self._collector = Collector(
             self._task, self._scores, observer, self._replay, control.ctrl, rng
         )
-        self._learner = Learner(config.learner, inputs, actions, config.num_updates)
+        checkpoint = folder.load(_EXPECTED)
+        self._ends = _ends(config, checkpoint)
+        ends = tuple(
+            (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
+        )
+        self._learner = Learner(config.learner, inputs, actions, ends)
+        self._threads = num_threads()
+        if self._threads not in (None, NUM_THREADS):
+            print(
+                f"JAX was started before this run, with {self._threads} threads instead of "
+                f"{NUM_THREADS}: what is learnt differs in its last digits from other runs with "
+                "the same seed",
+                file=sys.stderr,
+            )
         self._state = self._learner.initial_state(config.seed)
         self._policy = self._latest_policy()
         self._background = ThreadPoolExecutor(1)
@@ -82,14 +112,19 @@ class Training:
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
         self._figures: list[dict[str, NDArray[Any]]] = []
         self._finished = deque[Finished](maxlen=_EPISODES_SHOWN)
-        self._chunks: list[dict[str, Any]] = []
+        self._chunks: list[Chunk] = []
         self._seconds = 0.0
-        checkpoint = folder.load()
         with threadpool_limits(1):
             if checkpoint is None:
                 self._collector.begin()
             else:
-                self._restore(checkpoint)
+                try:
+                    self._restore(checkpoint)
+                except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+                    raise CadenzaError(
+                        f"{folder.path}: its checkpoint is not one of this run ({error!r}); "
+                        "take another copy, or start a new run"
+                    ) from error
 
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
@@ -222,21 +257,23 @@ class Training:
 
     def _save(self) -> None:
         self._take_evaluation()
-        since = np.array(self._chunks[-1]["to"]) if self._chunks else 0
+        since = np.array(self._chunks[-1].to) if self._chunks else 0
         gathered = self._replay.since(since)
         name = self._folder.save_gathered(self.step, gathered)
-        chunk = {"file": name, "to": gathered["to"].tolist()}
-        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c["to"]))] + [chunk]
+        chunk = Chunk(name, tuple(gathered["to"].tolist()))
+        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
         plain, arrays = self._collector.state()
-        facts = {
-            "step": self.step,
-            "seconds": self._seconds,
-            "best": self.best,
-            "sample_rng": self._sample_rng.bit_generator.state,
-            "collector": plain,
-            "finished": list(self._finished),
-            "replay": self._chunks,
-        }
+        facts = Facts(
+            step=self.step,
+            seconds=self._seconds,
+            best={name: finite(value) for name, value in self.best.items()},
+            sample_rng=dict(self._sample_rng.bit_generator.state),
+            collector=plain,
+            finished=tuple((finite(f1), finite(total)) for f1, total in self._finished),
+            replay=tuple(self._chunks),
+            ends=self._ends,
+            threads=self._threads,
+        )
         parts = {"learner": to_arrays(self._state), "collector": arrays}
         parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
         self._folder.save(facts, _joined(parts))
@@ -247,18 +284,29 @@ class Training:
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         facts, parts = checkpoint.facts, _parted(checkpoint.arrays)
-        self.step, self._seconds, self.best = facts["step"], facts["seconds"], facts["best"]
-        self._finished += [Finished(*episode) for episode in facts["finished"]]
-        self._sample_rng.bit_generator.state = facts["sample_rng"]
-        self._chunks = facts["replay"]
+        self.step, self._seconds = facts.step, facts.seconds
+        self.best = {name: _number(value) for name, value in facts.best.items()}
+        self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
+        self._sample_rng.bit_generator.state = facts.sample_rng
         self._state = from_arrays(parts["learner"], self._state)
         self._policy = self._latest_policy()
         self._scores.restore(parts["scores"])
         self._figures = [parts["figures"]] if "figures" in parts else []
-        for gathered in checkpoint.replay:
-            self._replay.restore(gathered)
-        self._collector.restore(facts["collector"], parts["collector"])
+        self._restore_replay(checkpoint)
+        self._collector.restore(facts.collector, parts["collector"])
         self._save_last()  # a kill may have come before it
+
+    def _restore_replay(self, checkpoint: Checkpoint) -> None:
+        for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
+            if gathered is None:
+                continue
+            rows = gathered["row"]
+            if len(rows) and not 0 <= rows.min() <= rows.max() < self._scores.num_rows:
+                raise CadenzaError(f"{self._folder.path}: {chunk.file} is of other scores")
+            self._replay.restore(gathered)
+            self._chunks.append(chunk)
+        if checkpoint.facts.replay:
+            self._replay.skip(np.array(checkpoint.facts.replay[-1].to))
 
     def close(self) -> None:
         """Stops the threads."""
@@ -266,6 +314,20 @@ class Training:
             stack.callback(self._task.close)
             stack.callback(self._background.shutdown)
             stack.callback(self._learning.shutdown)
+
+
+def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
+    """Since which step the run was to end at which, with the end that it has now."""
+    ends = checkpoint.facts.ends if checkpoint else ()
+    if not ends:
+        return ((0, config.num_steps),)
+    if checkpoint and ends[-1][1] != config.num_steps:
+        return (*ends, (checkpoint.facts.step, config.num_steps))
+    return ends
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _one_after_another(figures: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
