@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, NotRequired, TypedDict
 
 import numpy as np
 from msgspec import Meta
@@ -38,6 +38,7 @@ _MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a quarter of it
 class _Geom(TypedDict):
     body: int
     finger: int | None
+    palm: NotRequired[bool]
     type: str
     size: list[float]
     pos: list[float]

@@ -60,7 +60,7 @@ def _bodies(number: int) -> list[dict]:
 
 def make_episode(steps: int = STEPS, hands: int = 2, song: str = "A made-up walk") -> Episode:
     time = np.arange(steps)
-    middle = np.array([0.25, -0.25])[:hands] + 0.1 * np.sin(time / 12)[:, None]  # (T, hands)
+    middle = np.array([0.12, -0.17])[:hands] + 0.05 * np.sin(time / 12)[:, None]  # (T, hands)
     bodies = hands * (1 + FINGERS)
 
     goal, played = np.zeros((steps, 88), bool), np.zeros((steps, 88), bool)

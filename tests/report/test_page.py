@@ -1,3 +1,5 @@
+import base64
+import re
 from html.parser import HTMLParser
 
 import numpy as np
@@ -5,7 +7,7 @@ import pytest
 from conftest import make_episode
 
 from cadenza.episode import Episode
-from cadenza.report.page import write_report
+from cadenza.report.page import asset, write_report
 
 SILENCE = np.zeros((0, 2), np.float32)
 
@@ -126,3 +128,66 @@ def test_a_minute_is_small(write):
     short = make_episode(steps=1200)
     joints = {"hand_qpos": np.random.default_rng(0).normal(0, 0.01, (1200, 46)).cumsum(axis=0)}
     assert write(Episode("a minute", 0.05, {**short.arrays, **joints}, short.scene)).size < 2e6
+
+
+def test_there_are_at_most_four_headlines_and_the_rest_is_folded(write, episode):
+    metrics = {"f1": 0.9, "precision": 0.9, "recall": 0.9, "note_onset_f1": 0.8, "return": 12.5}
+    page = write(episode, metrics | {"timing_error": 0.0125, "unstable": False})
+    assert sum(a.get("class") == "score" for _, a in page.elements) == 4
+    assert page.words.count("0.900") == 3
+    folded = page.words.index("All other figures")
+    assert {"Return", "12.5", "Timing error", "0.013 s", "Unstable", "no"} < set(
+        page.words[folded:]
+    )
+
+
+def test_no_pedal_no_scores_of_it(write, episode):
+    metrics = {"f1": 0.5, "sustain_f1": 0.123}
+    assert "0.123" in write(episode, metrics).words
+    episode.arrays["goal_sustain"][:] = False
+    assert "0.123" not in write(episode, metrics).words
+
+
+def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
+    words = write(episode, settings={"output": str(tmp_path / "joy"), "song": "OdeToJoy"}).words
+    assert {"joy", "OdeToJoy"} <= set(words)
+    assert not any(str(tmp_path) in word for word in words)
+
+
+def test_midi_and_video_can_be_downloaded(tmp_path, episode):
+    path = tmp_path / "a.html"
+    write_report(path, episode, {}, {}, SILENCE, midi=b"MThd\0", video="video.mp4")
+    links = {a["download"]: a["href"] for tag, a in Page(path).elements if tag == "a"}
+    kind, content = links["played.mid"].split(";base64,")
+    assert (kind, base64.b64decode(content)) == ("data:audio/midi", b"MThd\0")
+    assert links["video.mp4"] == "video.mp4"
+
+
+TEXT = [
+    *(("ink", ground) for ground in ("page", "card", "row", "line")),
+    *(("soft", ground) for ground in ("page", "card", "row")),
+    ("accent", "card"),
+    ("card", "accent"),
+    *((f"{verdict}-text", "card") for verdict in ("hit", "wrong", "missed")),
+]
+SIGNS = [*((verdict, "card") for verdict in ("hit", "wrong", "missed")), ("edge", "card")]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_contrast_enough(scheme):
+    """WCAG 2.1 AA: 4.5 for text (1.4.3), 3 for what else one has to see (1.4.11)."""
+    light, dark = (
+        dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6});", part))
+        for part in asset("page.css").split("@media (prefers-color-scheme: dark)")
+    )
+    colours = light if scheme == "light" else dark
+
+    def luminance(name):
+        rgb = np.array([int(colours[name][i : i + 2], 16) / 255 for i in (1, 3, 5)])
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        return linear @ [0.2126, 0.7152, 0.0722]
+
+    for pairs, enough in ((TEXT, 4.5), (SIGNS, 3.0)):
+        for pair in pairs:
+            low, high = sorted(luminance(name) for name in pair)
+            assert (high + 0.05) / (low + 0.05) >= enough, (scheme, pair)

@@ -24,6 +24,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
+    from cadenza.sim.render import Picture
 
 
 @dataclass(frozen=True)
@@ -44,12 +45,19 @@ class Play(WithOtherPlanners):
     (T, A) in actuator units."""
     video: bool = True
     """Write video.mp4 too, where this machine can draw."""
+    video_size: tuple[int, int] = (1280, 720)
+    """Width and height of the video [px], up to 1920 1080."""
+    video_camera: str = "player"
+    """From where the video looks: player, close over the keys of the song, or one of the published
+    cameras, closeup, left, right, back, egocentric, topdown."""
 
 
 def play(command: Play, again: Again[Play]) -> None:
     from cadenza.performing.casting import set_up
     from cadenza.performing.performance import perform
+    from cadenza.sim.render import Picture
 
+    picture = Picture(*command.video_size, command.video_camera)
     casting = cast_of(command, command.agent, command.plan)
     command = as_cast(command, casting, again)
     folder = command.output or default_folder(casting) / _name_of(casting.name)
@@ -57,7 +65,7 @@ def play(command: Play, again: Again[Play]) -> None:
         check_writable(folder)
         with stages("playing") as progress:
             performance = perform(setup, progress)
-    keep(performance, folder, command.video)
+    keep(performance, folder, command.video, picture)
 
 
 def _name_of(agent: str) -> str:
@@ -65,10 +73,12 @@ def _name_of(agent: str) -> str:
     return folder_name("-".join(Path(agent).parts[-2:]))
 
 
-def keep(performance: Performance, folder: Path, video: bool) -> None:
+def keep(
+    performance: Performance, folder: Path, video: bool, picture: Picture | None = None
+) -> None:
     """Writes the results of a performance, and says how it went."""
     with stages("playing") as progress:
-        performance.save(folder, video, progress)
+        performance.save(folder, video, progress, picture)
     print_scores(performance)
     print_what_was_lost(performance)
     print(f"\nOpen {folder / 'report.html'}")

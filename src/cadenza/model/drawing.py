@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.model.hand import COLLIDING_GROUP
+from cadenza.model.hand import COLLIDING_GROUP, PALM_LINKS
 from cadenza.model.piano import IS_BLACK, KEY_CENTRE, KEY_HALF_SIZE, KEY_TRAVEL, NUM_KEYS
 from cadenza.model.scene import Scene
 
@@ -29,7 +29,8 @@ def drawing(scene: Scene) -> dict[str, Any]:
         (w x y z) in the parent's frame while all joints are at 0, and its joints, one after the
         other: type (slide or hinge), axis in the body's frame, index among the J joints.
     geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
-        [m] and quat (w x y z) in the body's frame, rgba, finger (0..9 for a fingertip, or None).
+        [m] and quat (w x y z) in the body's frame, rgba, finger (0..9 for a fingertip, or None),
+        and whether it is part of a palm, which hides keys.
     keys: for each of the 88 its box at rest, pos and half size [m], a point on the hinge, the
         hinge's axis, travel [rad], and whether it is black.
     """
@@ -43,7 +44,8 @@ def drawing(scene: Scene) -> dict[str, Any]:
         body = int(model.geom_bodyid[g])
         if model.geom_group[g] == COLLIDING_GROUP or _is_key(model, body):
             continue
-        geom = {"body": index.get(body, -1), "finger": fingertip.get(body)}
+        palm = model.body(body).name.endswith(PALM_LINKS)
+        geom = {"body": index.get(body, -1), "finger": fingertip.get(body), "palm": palm}
         geoms.append(geom | _shape(model, g, fixed=body not in index))
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],

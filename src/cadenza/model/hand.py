@@ -20,16 +20,12 @@ _GEOM_TYPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
 }
 DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
+PALM_LINKS = ("palm", "lfmetacarpal")
+"""What hides the keys from above: drawn so that one sees through it."""
 
 _BODY_RGBA = (0.27, 0.30, 0.35, 1.0)
 _LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
-FINGERTIP_RGBA = {
-    "th": (0.90, 0.35, 0.30, 1.0),
-    "ff": (0.95, 0.65, 0.25, 1.0),
-    "mf": (0.40, 0.72, 0.40, 1.0),
-    "rf": (0.30, 0.60, 0.88, 1.0),
-    "lf": (0.65, 0.45, 0.85, 1.0),
-}
+FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey: colours are for what became of a key
 
 
 def prefix(side: Side) -> str:
@@ -148,7 +144,7 @@ def _add_joint(body: mujoco.MjsBody, side: Side, joint: Joint, config: SceneConf
 
 def _add_geoms(body: mujoco.MjsBody, side: Side, link: Link, config: SceneConfig) -> None:
     finger = link.name.removesuffix("distal")
-    tip = FINGERTIP_RGBA.get(finger) if link.name.endswith("distal") else None
+    tip = link.name.endswith("distal")
     drawn = figures.DRAWN.get(link.name)
     for geom in link.geoms:
         if tip and not config.primitive_fingertips:
@@ -156,7 +152,7 @@ def _add_geoms(body: mujoco.MjsBody, side: Side, link: Link, config: SceneConfig
         _add_geom(
             body, side, geom,
             group=COLLIDING_GROUP if drawn else DRAWN_GROUP,
-            rgba=tip or _LINK_RGBA,
+            rgba=FINGERTIP_RGBA if tip else _LINK_RGBA,
             contype=1,
             conaffinity=int(config.hand_collisions),
             solref=figures.CONTACT_SOLREF,

@@ -305,12 +305,18 @@ COUPLED_CONTROL_RANGE = (0.0, 3.1415)
 
 # What is drawn in place of the boxes that collide: bones of a palm and a forearm, rounded.
 DRAWN: dict[str, tuple[Geom, ...]] = {
+    # The forearm tapers into the wrist, which reaches into the palm: no gap however they turn.
     "forearm": (
-        Geom("capsule", (0.036, 0.085), (0, -0.002, 0.075)),
+        Geom("capsule", (0.036, 0.068), (0, -0.002, 0.075)),
         Geom("cylinder", (0.046, 0.03), (0, -0.002, 0.04)),
-        Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.15)),
+        Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.135)),
+        Geom("ellipsoid", (0.033, 0.033, 0.062), (0, -0.007, 0.165)),
+        Geom("capsule", (0.024, 0.02), (0, -0.01, 0.192)),
     ),
-    "wrist": (Geom("capsule", (0.019, 0.014), (0, 0, 0.016)),),
+    "wrist": (
+        Geom("capsule", (0.021, 0.017), (0, 0, 0.017)),
+        Geom("capsule", (0.016, 0.008), (0, 0, 0.034), _ALONG_X),
+    ),
     "palm": (
         Geom("ellipsoid", (0.040, 0.014, 0.052), (-0.002, 0.001, 0.045)),
         Geom("ellipsoid", (0.018, 0.017, 0.032), (0.023, -0.008, 0.022)),

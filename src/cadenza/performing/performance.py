@@ -28,7 +28,7 @@ from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
 from cadenza.report.page import write_report
 from cadenza.report.sound import SAMPLE_RATE, synthesize
 from cadenza.report.video import write_video
-from cadenza.sim.render import Renderer
+from cadenza.sim.render import ALL_KEYS, VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 
 
@@ -67,13 +67,20 @@ class Performance:
         """How much of the music was played [s]; less than all where the episode ended early."""
         return self.episode.num_steps * self.episode.dt
 
-    def save(self, folder: str | Path, video: bool = False, progress: Progress = silent) -> None:
+    def save(
+        self,
+        folder: str | Path,
+        video: bool = False,
+        progress: Progress = silent,
+        picture: Picture | None = None,
+    ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
         Args:
             folder: files of an earlier performance are replaced.
             video: video.mp4 too, with a warning instead where this machine cannot draw.
             progress: is told how far each stage is.
+            picture: how the video looks; 1280 x 720 from the player's side by default.
         """
         folder, played = Path(folder), self.played
         lost = [asdict(miss) for miss in self.misses or ()]
@@ -83,21 +90,42 @@ class Performance:
         if self.misses is not None:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
-        progress("writing sound and page", 0, 2)
+        progress("making the sound", 0, 2)
         audio = synthesize(played)
-        progress("writing sound and page", 1, 2)
-        page = folder / "report.html"
-        write_report(page, self.episode, self.metrics, self.settings, audio, misses=lost)
-        if video:
-            self._write_video(folder / "video.mp4", audio, progress)
+        progress("making the sound", 1, 2)
+        goal_audio = synthesize(self._goal)
+        path = folder / "video.mp4"
+        drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
+        write_report(
+            folder / "report.html",
+            self.episode,
+            self.metrics,
+            self.settings,
+            audio,
+            misses=lost,
+            goal_audio=goal_audio,
+            midi=(folder / "played.mid").read_bytes(),
+            video=path.name if drawn else "",
+        )
 
-    def _write_video(self, path: Path, audio: NDArray[np.floating], progress: Progress) -> None:
+    @property
+    def _goal(self) -> Score:
+        """What should have sounded, with a step's precision, starting with the first step."""
+        episode = self.episode
+        return performed_score(episode["goal_keys"], episode["goal_sustain"], episode.dt)
+
+    def _write_video(
+        self, path: Path, audio: NDArray[np.floating], progress: Progress, picture: Picture
+    ) -> bool:
+        """Whether this machine can draw it."""
+        episode = self.episode
+        goal = np.flatnonzero(episode["goal_keys"].any(axis=0))
+        keys = (int(goal[0]), int(goal[-1])) if len(goal) else ALL_KEYS
         try:
-            renderer = closing(Renderer(self.scene))
+            renderer = closing(Renderer(self.scene, picture, keys))
         except CadenzaError as error:
             warnings.warn(f"no video: {error}", CadenzaWarning, stacklevel=3)
-            return
-        episode = self.episode
+            return False
         names = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")
         rows = zip(*(episode[name] for name in names), strict=True)
         with renderer as draw:
@@ -108,6 +136,7 @@ class Performance:
                     progress("drawing", done, episode.num_steps)
 
             write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
+        return True
 
 
 def play(

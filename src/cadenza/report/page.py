@@ -8,6 +8,7 @@ server or Jupyter, and bare copies come with packages of another purpose.
 
 from __future__ import annotations
 
+import base64
 import html
 import math
 import re
@@ -25,7 +26,15 @@ from cadenza.files import write_atomically
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE
 
-_SCRIPTS = ("recording.js", "flat.js", "stage.js", "charts.js", "page.js")
+_SCRIPTS = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "charts.js", "page.js")
+
+_HEADLINES = {
+    "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
+    "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),
+    "recall": ("Recall", "Of the keys that should sound, the share that do, 0 to 1."),
+    "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
+}
+"""What stands at the top of the page, with what it means; the rest is folded."""
 
 
 def write_report(
@@ -33,9 +42,12 @@ def write_report(
     episode: Episode,
     metrics: Mapping[str, Any],
     settings: Mapping[str, Any],
-    audio: NDArray[np.floating],
+    audio: NDArray[Any],
     sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
+    goal_audio: NDArray[Any] | None = None,
+    midi: bytes = b"",
+    video: str = "",
 ) -> None:
     """Writes the page of an episode to `path`.
 
@@ -43,23 +55,28 @@ def write_report(
         episode: what to show; without a drawn scene, the page has all but the 3D view.
         metrics: name -> number; nested mappings are flattened. NaN is shown as a dash.
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top. None
-            is not shown.
-        audio: the performance, (n,) or (n, 2) within -1..1, starting with the first step.
+            is not shown; of an absolute path, only the last part.
+        audio: the performance as `synthesize` makes it, starting with the first step.
         misses: of each note that was lost `time` [s], `note`, `finger` 0..9 or -1, `what` became of
             it, and the `reason`; without any, the page has no such table.
+        goal_audio: what should have been played, in the same form; without, it cannot be heard.
+        midi: a MIDI file to download.
+        video: name of a file beside the page to download.
     """
-    figures = sorted(flat(metrics), key=lambda item: item[0] != "f1")
+    shown = _metrics_shown(episode, metrics)
     facts = _facts(episode, dict(flat(settings)))
     parts = {
         "title": html.escape(episode.song or "Untitled"),
         "facts": "".join(
             f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts
         ),
-        "cards": "".join(_card(name, value) for name, value in figures),
+        "headlines": "".join(_headline(name, shown[name]) for name in _HEADLINES if name in shown),
+        "figures": _figures(shown),
         "misses": _misses(misses),
-        "settings": _table(dict(flat(settings))),
+        "settings": _folded("Settings", _table(dict(flat(settings)))),
+        "downloads": _downloads(midi, video),
         "roll_label": html.escape(_in_words(episode)),
-        "recording": embedded(episode, audio, sample_rate),
+        "recording": embedded(episode, audio, sample_rate, goal_audio),
         "css": asset("page.css"),
         "three": asset("three.min.js"),
         "js": "\n".join(map(asset, _SCRIPTS)),
@@ -97,45 +114,95 @@ def _in_words(episode: Episode) -> str:
     )
 
 
-def _card(name: str, value: Any) -> str:
+def _metrics_shown(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Flattened, and without the pedal's where the piece has none."""
+    pedal = bool(episode["goal_sustain"].any())
+    return {name: v for name, v in flat(metrics) if pedal or not name.startswith("sustain_")}
+
+
+def _headline(name: str, value: Any) -> str:
+    title, meaning = _HEADLINES[name]
     number = _number(value)
-    bar = ""
-    if number is not None and name.endswith(("f1", "precision", "recall")):
-        bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>'
-    shown = "–" if number is None else f"{number:z.3f}" if bar else f"{round(number, 3):z.6g}"
-    return f'<dl class="score"><dt>{html.escape(_spoken(name))}</dt><dd>{shown}</dd>{bar}</dl>'
+    bar = f'<div class="bar"><i style="width:{100 * number:.1f}%"></i></div>' if number else ""
+    shown = "–" if number is None else f"{number:z.3f}"
+    return (
+        f'<div class="score"><h2>{title}</h2><p class="value">{shown}</p>{bar}'
+        f"<p>{meaning}</p></div>"
+    )
+
+
+def _figures(metrics: Mapping[str, Any]) -> str:
+    """A table of those without a headline, nothing if there are none."""
+    rows = {
+        _spoken(name): _with_unit(name, value)
+        for name, value in metrics.items()
+        if name not in _HEADLINES
+    }
+    return _folded("All other figures", _table(rows)) if rows else ""
+
+
+def _with_unit(name: str, value: Any) -> str:
+    number = _number(value)
+    if number is None or isinstance(value, bool):
+        return "–" if number is None else "yes" if value else "no"
+    unit = " s" if name.endswith(("seconds", "timing_error")) else ""
+    return f"{round(number, 3):z.6g}{unit}"
+
+
+def _folded(title: str, content: str) -> str:
+    return (
+        f'<details class="card"><summary>{title}</summary>'
+        f'<div class="scroll">{content}</div></details>'
+    )
 
 
 def _table(settings: Mapping[str, Any]) -> str:
     rows = (
-        f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(str(value))}</td></tr>'
+        f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(_base_name(value))}</td></tr>'
         for name, value in settings.items()
         if value is not None
     )
     return f"<table>{''.join(rows)}</table>"
 
 
+def _base_name(value: Any) -> str:
+    """What to show of a value: folders of this machine say nothing to whoever reads the page."""
+    path = Path(text := str(value))
+    return path.name if path.is_absolute() else text
+
+
+def _downloads(midi: bytes, video: str) -> str:
+    links = []
+    if midi:
+        source = f"data:audio/midi;base64,{base64.b64encode(midi).decode()}"
+        links.append(f'<a class="button" href="{source}" download="played.mid">MIDI file</a>')
+    if video:
+        name = html.escape(video)
+        links.append(f'<a class="button" href="{name}" download="{name}">Video</a>')
+    return "".join(links)
+
+
 def _misses(misses: Sequence[Mapping[str, Any]]) -> str:
     """A section with a row for each, nothing if there are none."""
     if not misses:
         return ""
-    rows = (
-        (
-            f"{miss['time']:.2f} s",
-            miss["note"],
-            _finger(miss["finger"]),
-            miss["what"],
-            miss["reason"],
-        )
-        for miss in misses
-    )
-    cells = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in rows)
+    titles = ("Time", "Note", "Finger", "What", "Why")
+    head = "".join(f'<th scope="col">{title}</th>' for title in titles)
     return (
         '<section class="card" aria-labelledby="misses-title">'
         f'<h2 id="misses-title">Notes missed or let go early: {len(misses)}</h2>'
-        f'<div class="scroll list" tabindex="0"><table><tr>{"</tr><tr>".join(cells)}</tr></table>'
-        "</div></section>"
+        '<div class="scroll list" tabindex="0" aria-labelledby="misses-title" role="group">'
+        f'<table id="misses"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(map(_miss, misses))}</tbody></table></div></section>"
     )
+
+
+def _miss(miss: Mapping[str, Any]) -> str:
+    """A row; its button, and a click anywhere on it, goes there."""
+    texts = (miss["note"], _finger(miss["finger"]), miss["what"], miss["reason"])
+    cells = "".join(f"<td>{html.escape(text)}</td>" for text in texts)
+    time = f"{miss['time']:.2f}"
+    return f'<tr data-time="{time}"><td><button type="button">{time} s</button></td>{cells}</tr>'
 
 
 def _finger(finger: int) -> str:

@@ -24,14 +24,25 @@ _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.
 _PIECE = 3 << 18  # bytes that are written at once; base64 wants a multiple of 3
 
 
-def embedded(episode: Episode, audio: NDArray[np.floating], sample_rate: int) -> Iterator[str]:
-    """The elements of a page that hold a performance and its sound, in pieces."""
+def embedded(
+    episode: Episode,
+    audio: NDArray[Any],
+    sample_rate: int,
+    goal_audio: NDArray[Any] | None = None,
+) -> Iterator[str]:
+    """The elements of a page that hold a performance and its sound, in pieces.
+
+    `goal_audio` is what it should have sounded like, for pages on which one can compare.
+    """
     yield f'<script type="application/json" class="recording">{_json(_recording(episode))}</script>'
-    yield '<script type="text/plain" class="sound">'
-    sound = _sound(episode, audio, sample_rate)
-    for start in range(0, len(sound), _PIECE):
-        yield base64.b64encode(sound[start : start + _PIECE]).decode()
-    yield "</script>"
+    for kind, sound in (("sound", audio), ("goal", goal_audio)):
+        if sound is None:
+            continue
+        yield f'<script type="text/plain" class="{kind}">'
+        mp3 = _sound(episode, sound, sample_rate)
+        for start in range(0, len(mp3), _PIECE):
+            yield base64.b64encode(mp3[start : start + _PIECE]).decode()
+        yield "</script>"
 
 
 def _recording(episode: Episode) -> dict[str, Any]:

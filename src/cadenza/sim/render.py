@@ -16,11 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.model.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH, PLAYER, player_camera
+from cadenza.model.hand import PALM_LINKS
 from cadenza.model.piano import NUM_KEYS, key_name
 from cadenza.model.scene import Scene
 
-RIGHT_RGBA = (0.20, 0.72, 0.36, 1.0)
+HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
 WRONG_RGBA = (0.88, 0.27, 0.22, 1.0)
+ALL_KEYS = (0, NUM_KEYS - 1)
+_GLOW = 0.35  # of keys that sound, so that their colour is the same in shadow
+_SEE_THROUGH = 0.14  # opacity of palms, which hide keys from the player
+_SAMPLES = 4  # of each pixel in small pictures; drawing takes two and a half times as long
 
 
 @dataclass(frozen=True)
@@ -30,19 +36,47 @@ class Picture:
     width: int = 640
     height: int = 360
     camera: str = "back"
+    """`player`, which frames the keys of a song and sees them through the palms, or one of the
+    published scene's: closeup, left, right, back, egocentric, topdown."""
+
+    def __post_init__(self) -> None:
+        """Raises:
+        CadenzaError: there is no such camera, or the picture is empty or too large.
+        """
+        if self.camera not in (names := (PLAYER, *CAMERAS)):
+            raise CadenzaError(f"no camera {self.camera!r}: choose from {', '.join(names)}")
+        if not (0 < self.width <= MAX_WIDTH and 0 < self.height <= MAX_HEIGHT):
+            raise CadenzaError(
+                f"a picture of {self.width} x {self.height}: choose up to {MAX_WIDTH} x "
+                f"{MAX_HEIGHT}"
+            )
+
+
+VIDEO = Picture(1280, 720, PLAYER)
 
 
 class Renderer:
     """Draws states of one scene. Holds a graphics context of this thread until `close`."""
 
-    def __init__(self, scene: Scene, picture: Picture | None = None) -> None:
-        """Raises:
-        CadenzaError: this machine cannot draw, or there is no such camera, or the size is odd.
+    def __init__(
+        self,
+        scene: Scene,
+        picture: Picture | None = None,
+        keys: tuple[int, int] = ALL_KEYS,
+    ) -> None:
+        """Takes the lowest and the highest key that the player's camera is to frame.
+
+        Raises:
+            CadenzaError: this machine cannot draw.
         """
         self._picture = picture = picture or Picture()
         self._scene = scene
-        self._camera = _fixed_camera(scene.model, picture.camera)
-        self._check_size()
+        from_player = picture.camera == PLAYER
+        if from_player:
+            self._camera = player_camera(keys, picture.width / picture.height)
+        else:
+            self._camera = _fixed_camera(scene.model, picture.camera)
+        scene.model.vis.quality.offsamples = 0 if from_player else _SAMPLES
         self._gl, self._context = _open(scene.model, picture.width, picture.height)
         self.close = weakref.finalize(self, _free, self._context, self._gl)
         """Frees the graphics context, at the latest when the program ends."""
@@ -51,15 +85,9 @@ class Renderer:
         self._options = mujoco.MjvOption()
         self._data = mujoco.MjData(scene.model)
         self._key_of_geom = {scene.model.geom(key_name(k)).id: k for k in range(NUM_KEYS)}
-
-    def _check_size(self) -> None:
-        limits = self._scene.model.vis.global_
-        width, height = self._picture.width, self._picture.height
-        if not (0 < width <= limits.offwidth and 0 < height <= limits.offheight):
-            raise CadenzaError(
-                f"a picture of {width} x {height}: choose up to {limits.offwidth} x "
-                f"{limits.offheight}"
-            )
+        self._palms = frozenset(_palm_geoms(scene.model) if from_player else ())
+        # The hands' shadows would lie on the very keys to look at, and take most of the time.
+        self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not from_player
 
     def frame(
         self,
@@ -85,14 +113,19 @@ class Renderer:
             model, data, self._options, None, self._camera,
             mujoco.mjtCatBit.mjCAT_ALL.value, self._drawn,
         )  # fmt: skip
-        self._light_keys(sounding, goal)
+        self._colour(sounding, goal)
         return self._read()
 
-    def _light_keys(self, sounding: NDArray[Any], goal: NDArray[Any]) -> None:
+    def _colour(self, sounding: NDArray[Any], goal: NDArray[Any]) -> None:
         for geom in self._drawn.geoms[: self._drawn.ngeom]:
+            if geom.objtype != mujoco.mjtObj.mjOBJ_GEOM:
+                continue
             key = self._key_of_geom.get(geom.objid)
-            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and key is not None and sounding[key]:
-                geom.rgba[:] = RIGHT_RGBA if goal[key] else WRONG_RGBA
+            if key is not None and sounding[key]:
+                geom.rgba[:] = HIT_RGBA if goal[key] else WRONG_RGBA
+                geom.emission = _GLOW
+            elif geom.objid in self._palms:
+                geom.rgba[3] = _SEE_THROUGH
 
     def _read(self) -> NDArray[np.uint8]:
         picture = self._picture
@@ -149,13 +182,15 @@ class Drawing:
 
 
 def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
-    names = [model.camera(i).name for i in range(model.ncam)]
-    if name not in names:
-        raise CadenzaError(f"no camera {name!r}: choose from {', '.join(names)}")
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    camera.fixedcamid = names.index(name)
+    camera.fixedcamid = model.camera(name).id
     return camera
+
+
+def _palm_geoms(model: mujoco.MjModel) -> list[int]:
+    bodies = (model.body(body).name for body in model.geom_bodyid)
+    return [g for g, name in enumerate(bodies) if name.endswith(PALM_LINKS)]
 
 
 def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:

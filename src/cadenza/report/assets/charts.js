@@ -1,9 +1,6 @@
 // The piano roll and the reward curves: drawn once, with a cursor that moves over them.
 
 const GUTTER = 44; // [px] left of both charts, so that their cursors stand in line
-const NAMES = ["C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B"];
-const noteName = (key) => NAMES[(key + 9) % 12] + (Math.floor((key + 9) / 12));
-const isBlack = (key) => [1, 3, 6, 8, 10].includes((key + 9) % 12);
 /** Three decimals, and no minus before a zero. */
 const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -18,17 +15,6 @@ function prepare(canvas, height) {
   context.font = "11px system-ui, sans-serif";
   context.textBaseline = "middle";
   return { context, width, height };
-}
-
-/** Stretches of equal, non-zero state: calls `found(first, end, state)` for rows first..end-1. */
-function stretches(steps, stateAt, found) {
-  for (let first = 0; first < steps; ) {
-    const state = stateAt(first);
-    let end = first + 1;
-    while (end < steps && stateAt(end) === state) end++;
-    if (state) found(first, end, state);
-    first = end;
-  }
 }
 
 /** Hit is filled, missed an outline, wrong hatched: to be told apart without colours too. */
@@ -57,41 +43,80 @@ function drawNote(context, state, colours, x, y, width, height) {
   context.restore();
 }
 
-/** A chart over time: clicks and drags seek, the cursor follows, `span()` is what is in sight. */
-function timeline(element, span, seek) {
+/**
+ * A chart over time: clicks and drags seek, the cursor follows, `span()` is what is in sight. With
+ * `pan(seconds)`, fingers and sideways wheels shift what is in sight, and a tap seeks.
+ */
+function timeline(element, span, seek, pan) {
   const cursor = element.querySelector(".cursor");
+  const scale = () => { const [start, end] = span(); return (end - start) / (element.clientWidth - GUTTER); };
   const at = (event) => {
-    const box = element.getBoundingClientRect(), [start, end] = span();
-    const share = (event.clientX - box.left - GUTTER) / (box.width - GUTTER);
-    seek(start + Math.min(Math.max(share, 0), 1) * (end - start));
+    const share = (event.clientX - element.getBoundingClientRect().left - GUTTER) * scale(), [start, end] = span();
+    seek(Math.min(Math.max(start + share, start), end));
   };
-  element.addEventListener("pointerdown", (event) => { element.setPointerCapture(event.pointerId); at(event); });
-  element.addEventListener("pointermove", (event) => { if (element.hasPointerCapture(event.pointerId)) at(event); });
+  let held = null, moved = false;
+  element.addEventListener("pointerdown", (event) => {
+    [held, moved] = [event.clientX, false];
+    element.setPointerCapture(event.pointerId);
+    if (!pan || event.pointerType !== "touch") at(event);
+  });
+  element.addEventListener("pointermove", (event) => {
+    if (!element.hasPointerCapture(event.pointerId)) return;
+    if (!pan || event.pointerType !== "touch") return at(event);
+    if (!moved && Math.abs(event.clientX - held) < 6) return;
+    pan((held - event.clientX) * scale());
+    [held, moved] = [event.clientX, true];
+  });
+  element.addEventListener("pointerup", (event) => {
+    if (pan && event.pointerType === "touch" && !moved) at(event);
+  });
+  if (pan) element.addEventListener("wheel", (event) => {
+    const sideways = event.shiftKey ? event.deltaX || event.deltaY : event.deltaX;
+    if (Math.abs(sideways) <= Math.abs(event.shiftKey ? 0 : event.deltaY)) return;
+    event.preventDefault();
+    pan(sideways * scale());
+  }, { passive: false });
   return (time) => {
     const [start, end] = span();
-    const share = Math.min(Math.max((time - start) / (end - start), 0), 1);
+    const share = (time - start) / (end - start);
+    cursor.hidden = share < 0 || share > 1;
     cursor.style.transform = `translateX(${GUTTER + share * (element.clientWidth - GUTTER)}px)`;
   };
 }
 
-const ROLL_WINDOW = 24; // [s] in sight at once of a longer piece
+const ROLL_WINDOW = 24; // [s] in sight at once of a longer piece, on a wide screen
+const ROLL_SCALE = 34; // [px] for each second, at least
+const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not follow the cursor
 
-function createRoll(element, { states, pedal, dt, steps }, seek) {
-  const canvas = element.querySelector("canvas"), duration = steps * dt;
-  const used = [...Array(88).keys()].filter((key) => { for (let t = 0; t < steps; t++) if (states[t * 88 + key]) return true; return false; });
-  const low = Math.max(Math.min(...used, 48) - 1, 0), high = Math.min(Math.max(...used, 39) + 1, 87);
+function createRoll(element, data, seek) {
+  const canvas = element.querySelector("canvas"), { pedal, dt, steps } = data, duration = steps * dt;
+  const played = notes(data), longest = longestOf(played), pedalled = [];
+  stretches(steps, (t) => pedal[t], (a, b, state) => pedalled.push({ from: a * dt, to: b * dt, state }));
+  const used = played.map(({ key }) => key);
+  const low = Math.max(used.reduce((a, b) => Math.min(a, b), 48) - 1, 0), high = Math.min(used.reduce((a, b) => Math.max(a, b), 39) + 1, 87);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
-  const length = Math.min(duration, ROLL_WINDOW);
-  let start = 0;
+  const pedalHeight = pedalled.length ? 24 : 0;
+  let start = 0, length = duration, shiftedAt = -Infinity, time = 0;
   const span = () => [start, start + length];
-  const point = timeline(element, span, seek);
+  const point = timeline(element, span, seek, (seconds) => {
+    shiftedAt = performance.now();
+    show(start + seconds);
+  });
+
+  function show(from) {
+    start = Math.min(Math.max(from, 0), duration - length);
+    draw();
+    point(time);
+  }
 
   function draw() {
-    const top = 4, keysHeight = (high - low + 1) * row, pedalTop = top + keysHeight + 8;
-    const { context, width } = prepare(canvas, pedalTop + 16 + 22);
-    const x = (time) => GUTTER + ((time - start) / length) * (width - GUTTER);
+    const top = 4, bottom = top + (high - low + 1) * row, foot = bottom + pedalHeight;
+    const { context, width } = prepare(canvas, foot + 22);
+    length = Math.min(duration, ROLL_WINDOW, (width - GUTTER) / ROLL_SCALE);
+    start = Math.min(start, duration - length);
+    const x = (t) => GUTTER + ((t - start) / length) * (width - GUTTER);
     const y = (key) => top + (high - key) * row;
-    const colours = [css("--hit"), css("--wrong"), css("--missed")];
+    const colours = VERDICTS.map((name) => css("--" + name));
     for (let key = low; key <= high; key++) {
       context.fillStyle = css(isBlack(key) ? "--row" : "--card");
       context.fillRect(GUTTER, y(key), width - GUTTER, row);
@@ -102,38 +127,38 @@ function createRoll(element, { states, pedal, dt, steps }, seek) {
       context.fillStyle = css(isC ? "--ink" : "--soft");
       if (isC || (row >= 12 && !isBlack(key))) context.fillText(noteName(key), GUTTER - 7, y(key) + row / 2 + 0.5);
     }
-    context.fillStyle = css("--row");
-    context.fillRect(GUTTER, pedalTop, width - GUTTER, 16);
-    context.fillStyle = css("--soft");
-    context.fillText("Pedal", GUTTER - 7, pedalTop + 8);
+    if (pedalHeight) {
+      context.fillStyle = css("--row");
+      context.fillRect(GUTTER, bottom + 8, width - GUTTER, 16);
+      context.fillStyle = css("--soft");
+      context.fillText("Pedal", GUTTER - 7, bottom + 16);
+    }
     const tick = [0.5, 1, 2, 5, 10].find((t) => (t / length) * (width - GUTTER) > 55) ?? 10;
     context.textAlign = "center";
     for (let t = Math.ceil(start / tick) * tick; t <= start + length + 1e-6; t += tick) {
       context.fillStyle = css("--line");
-      context.fillRect(x(t) - 0.5, top, 1, pedalTop + 16 - top);
+      context.fillRect(x(t) - 0.5, top, 1, foot - top);
       context.fillStyle = css("--soft");
-      context.fillText(`${t} s`, Math.min(Math.max(x(t), GUTTER + 8), width - 14), pedalTop + 16 + 12);
+      context.fillText(`${t} s`, Math.min(Math.max(x(t), GUTTER + 8), width - 14), foot + 12);
     }
     context.save();
     context.beginPath();
-    context.rect(GUTTER, 0, width - GUTTER, pedalTop + 16);
+    context.rect(GUTTER, 0, width - GUTTER, foot);
     context.clip();
-    const note = (first, end, state, up, height) => {
-      if (end * dt > start && first * dt < start + length) drawNote(context, state, colours, x(first * dt), up, x(end * dt) - x(first * dt), height);
-    };
-    for (const key of used) stretches(steps, (t) => states[t * 88 + key], (a, b, s) => note(a, b, s, y(key), row));
-    stretches(steps, (t) => pedal[t], (a, b, s) => note(a, b, s, pedalTop, 16));
+    const put = ({ from, to, state }, up, height) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height);
+    within(played, longest, start, start + length, (note) => put(note, y(note.key), row));
+    for (const press of pedalled) if (press.to > start && press.from < start + length) put(press, bottom + 8, 16);
     context.restore();
   }
 
   return {
     draw,
-    move(time) {
-      if (time < start || time > start + length) {
-        start = Math.min(Math.max(time - 0.08 * length, 0), duration - length);
-        draw();
-      }
-      point(time);
+    move(now) {
+      const jumped = Math.abs(now - time) > 0.5;
+      time = now;
+      const away = now < start || now > start + length;
+      if (away && (jumped || performance.now() - shiftedAt > LOOKING_AROUND)) show(now - 0.08 * length);
+      else point(now);
     },
   };
 }

@@ -15,9 +15,14 @@ const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).pad
 const data = await readRecording();
 const duration = cadenza.duration = data.steps * data.dt;
 
-const audio = $("audio");
-audio.src = data.sound;
-audio.preservesPitch = false;
+// The performance and, if it is there, the goal; one of them sounds and is the clock.
+const sounds = ["sound", "goal"].filter((name) => data[name]).map((name) => {
+  const sound = $(name);
+  sound.src = data[name];
+  sound.preservesPitch = false;
+  return sound;
+});
+let audio = sounds[0];
 
 // A browser moves `currentTime` in coarse steps; between them the wall clock carries on.
 let heard = 0, heardAt = 0;
@@ -27,9 +32,9 @@ function now() {
   return Math.min(heard + ahead, duration);
 }
 
-const colours = ["--hit", "--wrong", "--missed"].map(css);
+const colours = VERDICTS.map((name) => css("--" + name));
 const stage = data.scene.keys ? createStage($("view"), data, colours) : null;
-if (!stage) $("stage").hidden = true;
+if (!stage) $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
 
 function seek(time) {
@@ -39,7 +44,7 @@ function seek(time) {
 }
 const play = () => {
   if (now() >= duration - 1e-3) seek(0);
-  return audio.play();
+  return audio.play().catch((error) => { if (error.name !== "AbortError") throw error; }); // paused at once
 };
 const pause = () => audio.pause();
 const toggle = () => (audio.paused ? play() : pause());
@@ -60,52 +65,130 @@ function show(time) {
   data.states.subarray(row * 88, row * 88 + 88).forEach((state, key) => {
     if (!state) return;
     const name = document.createElement("span");
-    name.className = ["hit", "wrong", "missed"][state - 1];
+    name.className = VERDICTS[state - 1];
     name.textContent = noteName(key);
     $("sounding").append(name);
   });
 }
 
-let drawn = -1, frameAt = 0, pace = 0, slow = false;
+let drawn = -1;
 function frame() {
   const time = now();
-  // Without a graphics card a frame takes long: then play coarsely, and stand still sharply.
-  pace += 0.3 * (Math.min(performance.now() - frameAt, 300) - pace);
-  frameAt = performance.now();
-  slow = !audio.paused && (slow || pace > 70);
   if (time !== drawn) show(drawn = time);
-  if (time >= duration && !audio.paused) audio.pause();
-  stage?.draw(slow);
+  if (time >= duration && !audio.paused) looping ? seek(0) : audio.pause();
+  stage?.draw();
+  measurePace();
   requestAnimationFrame(frame);
 }
 
-for (const event of ["play", "pause", "ended"]) {
-  audio.addEventListener(event, () => {
-    cadenza.playing = !audio.paused;
-    $("play").classList.toggle("playing", !audio.paused);
-    $("play").setAttribute("aria-label", audio.paused ? "Play" : "Pause");
-  });
+// Where 3D turns out slow over the first second of playing, the flat view takes over.
+const SLOWEST = 20; // [frames/s]
+let measured = { frames: 0, spent: 0, last: 0 };
+function measurePace() {
+  if (!measured || audio.paused || !stage || stage.flat) return;
+  const at = performance.now();
+  if (measured.last) {
+    measured.frames++;
+    measured.spent += Math.min(at - measured.last, 300); // a hidden page draws no frames
+  }
+  measured.last = at;
+  if (measured.spent < 1000) return;
+  if (measured.frames / (measured.spent / 1000) < SLOWEST) chooseFlat(true, "Flat view: 3D is slow here.");
+  measured = null;
 }
-audio.addEventListener("error", () => fail("the sound cannot be played (" + audio.error.message + ")"));
+
+function chooseFlat(flat, note = "") {
+  const isFlat = stage.setFlat(flat);
+  if (!flat && isFlat) note = "This browser cannot draw in 3D.";
+  press($("solid"), !isFlat);
+  $("flat-note").textContent = note;
+  $("flat-note").hidden = !note;
+}
+const press = (button, pressed) => button.setAttribute("aria-pressed", pressed);
+
+for (const sound of sounds) {
+  for (const event of ["play", "pause", "ended"]) {
+    sound.addEventListener(event, () => {
+      cadenza.playing = !audio.paused;
+      $("play").classList.toggle("active", !audio.paused);
+      $("play").setAttribute("aria-label", audio.paused ? "Play" : "Pause");
+    });
+  }
+  sound.addEventListener("error", () => fail("the sound cannot be played (" + sound.error.message + ")"));
+}
 $("play").addEventListener("click", toggle);
 $("scrub").max = duration;
 $("length").textContent = minutes(duration);
 $("scrub").addEventListener("input", () => seek($("scrub").value));
-$("speed").addEventListener("change", () => { audio.playbackRate = Number($("speed").value); });
-const buttons = [...document.querySelectorAll("[data-view]")];
-for (const button of buttons) {
-  button.addEventListener("click", () => {
-    stage.look(button.dataset.view);
-    buttons.forEach((other) => other.setAttribute("aria-pressed", other === button));
-  });
+$("speed").addEventListener("change", () => { for (const sound of sounds) sound.playbackRate = Number($("speed").value); });
+
+let looping = false;
+$("loop").addEventListener("click", () => press($("loop"), looping = !looping));
+function mute() {
+  const muted = !audio.muted;
+  for (const sound of sounds) sound.muted = muted;
+  $("mute").classList.toggle("active", muted);
+  press($("mute"), muted);
 }
+$("mute").addEventListener("click", mute);
+$("volume").addEventListener("input", () => { for (const sound of sounds) sound.volume = Number($("volume").value); });
+const fullScreen = () => (document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen());
+$("full").hidden = !document.fullscreenEnabled;
+$("full").addEventListener("click", fullScreen);
+
+/** Buttons of which one is pressed: `chosen` is told the value of the attribute of the new one. */
+function choice(attribute, chosen) {
+  const buttons = [...document.querySelectorAll(`[${attribute}]`)];
+  for (const button of buttons) {
+    button.addEventListener("click", () => {
+      chosen(button.getAttribute(attribute));
+      for (const other of buttons) press(other, other === button);
+    });
+  }
+}
+choice("data-view", (name) => stage.look(name));
+$("listen").hidden = sounds.length < 2;
+choice("data-sound", (name) => {
+  const before = audio, time = now(), playing = !audio.paused;
+  before.pause();
+  audio = $(name);
+  seek(time);
+  if (playing) play();
+});
+if (stage) {
+  $("falling").addEventListener("click", () => {
+    const visible = $("falling").getAttribute("aria-pressed") === "false";
+    press($("falling"), visible);
+    stage.showNotes(visible);
+  });
+  $("solid").hidden = !stage.solid;
+  $("solid").addEventListener("click", () => {
+    measured = null; // who chooses keeps what was chosen
+    chooseFlat(!stage.flat);
+  });
+  chooseFlat(stage.flat, stage.flat ? "Flat view: this browser would draw 3D without a graphics card." : "");
+}
+
+const BEFORE_A_MISS = 0.7; // [s]
+$("misses")?.addEventListener("click", (event) => {
+  const row = event.target.closest("[data-time]");
+  if (!row) return;
+  seek(Number(row.dataset.time) - BEFORE_A_MISS);
+  $("performance").scrollIntoView({ block: "nearest" });
+});
+
+const JUMP = 5, STEP = 0.5; // [s]
+const KEYS = {
+  " ": toggle, k: toggle, m: mute, f: () => document.fullscreenEnabled && fullScreen(),
+  j: () => seek(now() - JUMP), l: () => seek(now() + JUMP), home: () => seek(0), end: () => seek(duration),
+  arrowleft: (event) => seek(now() - (event.shiftKey ? JUMP : STEP)), arrowright: (event) => seek(now() + (event.shiftKey ? JUMP : STEP)),
+};
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select")) return;
-  const jump = { ArrowLeft: -1, ArrowRight: 1 }[event.key] * (event.shiftKey ? 5 : 0.5);
-  if (event.key === " " && !event.target.matches("button")) toggle();
-  else if (jump) seek(now() + jump);
-  else if (event.key === "Home") seek(0);
-  else return;
+  const { target } = event, act = KEYS[event.key.toLowerCase()];
+  if (!act || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (target.matches("select, #volume")) return;
+  if (event.key === " " && target.matches("button, a, summary")) return;
+  act(event);
   event.preventDefault();
 });
 
@@ -116,6 +199,6 @@ function redraw() {
 }
 new ResizeObserver(redraw).observe($("roll"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-Object.assign(cadenza, { seek, play, pause, ready: true });
+Object.assign(cadenza, { seek, play, pause, stage, ready: true });
 redraw();
 frame();

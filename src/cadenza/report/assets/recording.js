@@ -30,7 +30,8 @@ async function unpacked(text, steps, Numbers) {
  *   angles (88 a row) of keys, 255 all the way down;
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
- * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file.
+ * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file, and `goal`
+ * that of another with what should have been played, or null.
  */
 async function readRecording(index = 0) {
   const { unit, joints, angles, states, pedal, rewards, ...plain } =
@@ -39,14 +40,15 @@ async function readRecording(index = 0) {
   const positions = await read(joints, Int32Array), width = positions.length / steps;
   const terms = {};
   for (const [name, text] of Object.entries(rewards)) terms[name] = await read(text, Float32Array);
-  const mp3 = fromBase64(document.querySelectorAll(".sound")[index].textContent);
+  const mp3 = (element) => element && URL.createObjectURL(new Blob([fromBase64(element.textContent)], { type: "audio/mpeg" }));
   return {
     ...plain,
     angles: await read(angles, Uint8Array),
     states: await read(states, Uint8Array),
     pedal: await read(pedal, Uint8Array),
     rewards: terms,
-    sound: URL.createObjectURL(new Blob([mp3], { type: "audio/mpeg" })),
+    sound: mp3(document.querySelectorAll("script.sound")[index]),
+    goal: mp3(document.querySelectorAll("script.goal")[index] ?? null),
     jointsAt(time) {
       const { row, next, blend } = rowAt(time, dt, steps);
       return Array.from({ length: width }, (_, i) => {

@@ -1,17 +1,37 @@
 // The performance in three dimensions. The world is the simulation's: x towards the player,
 // y to the player's right, z up, in metres.
 
-const VIEWS = { // from where the camera looks at the keyboard
-  player: [0.4, 0, 0.92], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
+const VIEWS = { // from where the camera looks
+  player: [0.5, 0, 0.87], close: [0.45, 0, 0.9], top: [0.005, 0, 1], audience: [-0.8, 0, 0.62], side: [-0.5, -0.8, 0.5],
 };
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const PALM = 0.3; // opacity of palms, which hide keys
 
-/** A recording in three dimensions: `move(time)` puts bodies and keys where they were. */
-function createStage(canvas, { scene: parts, jointsAt, angles, states, dt, steps }, colours) {
+/** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
+function graphics() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const about = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return name;
+}
+
+/**
+ * Poses of step rows, blended between rows: `move(time)` puts bodies and keys where they were.
+ * Drawn flat, on a canvas of its own over `canvas`, where software would have to draw WebGL.
+ */
+function createStage(canvas, data, colours) {
+  const { scene: parts, jointsAt, angles, states, dt, steps } = data;
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(28, 1, 0.05, 20);
   camera.up.set(0, 0, 1);
-  const renderer = createRenderer(canvas);
-  if (!renderer.flat) light(scene, renderer);
+  const drawnBy = graphics(), overlay = canvas.cloneNode();
+  for (const name of ["id", "tabindex", "role", "aria-label"]) overlay.removeAttribute(name);
+  overlay.style.pointerEvents = "none";
+  canvas.after(overlay);
+  const flatRenderer = createFlatRenderer(overlay);
+  let renderer = flatRenderer, solidRenderer = null;
 
   const hands = createHands(parts.skeleton);
   scene.add(hands.root);
@@ -21,7 +41,9 @@ function createStage(canvas, { scene: parts, jointsAt, angles, states, dt, steps
     solid.position.fromArray(geom.pos);
     solid.quaternion.copy(quaternion(geom.quat));
     solid.renderOrder = geom.body < 0 ? 0 : 3;
-    (geom.body < 0 ? scene : hands.bodies[geom.body]).add(solid);
+    const parent = geom.body < 0 ? scene : hands.bodies[geom.body];
+    parent.add(solid);
+    if (geom.palm) parent.add(seeThrough(solid));
   }
   const keys = parts.keys.map((key) => {
     const hinge = new THREE.Group();
@@ -40,76 +62,116 @@ function createStage(canvas, { scene: parts, jointsAt, angles, states, dt, steps
   const keyboard = new THREE.Box3();
   for (const key of keys) keyboard.expandByObject(key.solid);
   scene.add(...furniture(keyboard));
+  const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), 87));
+  const falling = createFallingNotes(data, parts.keys, keyboard, inUse, colours.map((c) => new THREE.Color(c)));
+  falling.track.visible = false;
+  scene.add(falling.track);
 
-  const target = new THREE.Vector3(0.07, 0, 0.03);
   const controls = new THREE.OrbitControls(camera, canvas);
   Object.assign(controls, { enableDamping: true, dampingFactor: 0.12, minDistance: 0.15, maxDistance: 5, maxPolarAngle: 1.55, enableZoom: false });
   // The wheel scrolls the page until the picture has been touched.
   canvas.addEventListener("pointerdown", () => { controls.enableZoom = true; });
   canvas.addEventListener("pointerleave", () => { controls.enableZoom = false; });
-  let stale = true, view = "player";
+  canvas.style.touchAction = "pan-y"; // a finger turns the picture sideways, and scrolls the page
+  let stale = true, view = "player", shown = -1;
   controls.addEventListener("change", () => { stale = true; });
   controls.addEventListener("start", () => { view = null; });
 
-  /** Looks from a named side, as near as keeps the whole keyboard and the hands' room in sight. */
-  function look(name) {
-    view = name;
-    const away = new THREE.Vector3(...VIEWS[name]).normalize();
-    const room = keyboard.clone().expandByPoint(new THREE.Vector3(0.24, 0, 0.1));
-    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => new THREE.Vector3(
-      i & 1 ? room.max.x : room.min.x, i & 2 ? room.max.y : room.min.y, i & 4 ? room.max.z : room.min.z));
-    for (let distance = 0.5; distance < 5; distance *= 1.02) {
-      camera.position.copy(target).addScaledVector(away, distance);
-      camera.lookAt(target);
-      camera.updateMatrixWorld();
-      const inside = (p) => (p = p.clone().project(camera), Math.abs(p.x) < 0.98 && Math.abs(p.y) < 0.95);
-      if (corners.every(inside)) break;
+  const follow = lazily(() => whereTheHandsAre(data));
+  /** What a view has to keep in sight: sides of a box, [m]. */
+  function room() {
+    const { min, max } = keyboard;
+    if (view === "close" && follow()) {
+      const { left, right } = follow(), { row, next, blend } = rowAt(Math.max(shown, 0), SAMPLES, left.length);
+      const at = (side) => side[row] + blend * (side[next] - side[row]);
+      return [min.x - 0.01, 0.1, at(left) - 0.03, at(right) + 0.03, min.z, 0.06];
     }
+    const [low, high] = inUse.map((key) => parts.keys[key].pos[1]);
+    const box = [min.x - 0.03, 0.15, low - 0.015, high + 0.015, min.z, 0.06];
+    if (falling.track.visible) [box[0], box[5]] = [falling.track.position.x - falling.end[0], falling.track.position.z + falling.end[1]];
+    return box;
+  }
+
+  const [away, side, up, corner, target] = [0, 1, 2, 3, 4].map(() => new THREE.Vector3());
+  /** Looks from a named side, as near as keeps the box in sight. */
+  function place() {
+    const box = room(), slope = Math.tan((camera.fov * Math.PI) / 360);
+    target.set((box[0] + box[1]) / 2, (box[2] + box[3]) / 2, (box[4] + box[5]) / 2);
+    away.set(...VIEWS[view]).normalize();
+    side.set(0, 0, 1).cross(away).normalize();
+    up.copy(away).cross(side);
+    let distance = 0.15;
+    for (let i = 0; i < 8; i++) {
+      corner.set(box[i & 1], box[2 + ((i >> 1) & 1)], box[4 + (i >> 2)]).sub(target);
+      const across = Math.abs(corner.dot(side)) / (0.97 * camera.aspect), upwards = Math.abs(corner.dot(up)) / 0.93;
+      distance = Math.max(distance, corner.dot(away) + Math.max(across, upwards) / slope);
+    }
+    camera.position.copy(target).addScaledVector(away, distance);
     controls.target.copy(target);
     controls.update();
     stale = true;
   }
 
-  let coarse = false;
   function fit() {
     const { clientWidth: width, clientHeight: height } = canvas;
     if (!width || !height) return;
-    renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (coarse ? 0.5 : 1));
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    if (view) look(view);
+    if (view) place();
     stale = true;
   }
   new ResizeObserver(fit).observe(canvas);
 
-  let shown = -1;
   function move(time) {
     if (time === shown) return;
     shown = time;
     stale = true;
     const { row, next, blend } = rowAt(time, dt, steps);
     hands.pose(jointsAt(time));
-    keys.forEach((key, k) => {
-      const a = angles[row * keys.length + k], b = angles[next * keys.length + k];
+    for (let k = 0; k < keys.length; k++) {
+      const key = keys[k], a = angles[row * keys.length + k], b = angles[next * keys.length + k];
       key.hinge.quaternion.setFromAxisAngle(key.axis, ((a + blend * (b - a)) / 255) * key.travel);
       const state = states[row * keys.length + k];
-      if (state === key.state) return;
+      if (state === key.state) continue;
       key.state = state;
       key.solid.material.color.copy(key.colours[state]);
-      key.solid.material.emissive?.copy(key.colours[state]).multiplyScalar(state ? 0.4 : 0);
-    });
+      key.solid.material.emissive.copy(key.colours[state]).multiplyScalar(state ? 0.4 : 0);
+    }
+    if (falling.track.visible) falling.move(time);
+    if (view === "close") place();
   }
+
+  /** Draws flat, or in 3D where this browser can; returns whether it is flat now. */
+  function setFlat(flat) {
+    if (!flat && !solidRenderer) solidRenderer = createSolidRenderer(canvas, scene);
+    renderer = flat || !solidRenderer ? flatRenderer : solidRenderer;
+    overlay.hidden = renderer !== flatRenderer;
+    if (!overlay.hidden) solidRenderer?.clear(); // it lies under the overlay
+    fit();
+    return renderer === flatRenderer;
+  }
+  setFlat(drawnBy === null || SOFTWARE.test(drawnBy));
 
   return {
     move,
-    look,
-    /** Draws if anything changed; `quick` trades sharpness for speed. */
-    draw(quick) {
-      if (quick !== coarse) {
-        coarse = quick;
-        fit();
-      }
+    setFlat,
+    get flat() { return renderer === flatRenderer; },
+    /** Whether there is anything but the flat view. */
+    solid: drawnBy !== null,
+    look(name) {
+      view = name;
+      place();
+    },
+    showNotes(visible) {
+      falling.track.visible = visible;
+      if (visible) falling.move(Math.max(shown, 0));
+      if (view) place();
+      stale = true;
+    },
+    /** Draws if anything changed. */
+    draw() {
       controls.update();
       if (!stale) return;
       stale = false;
@@ -118,7 +180,47 @@ function createStage(canvas, { scene: parts, jointsAt, angles, states, dt, steps
   };
 }
 
+const lazily = (make) => {
+  let made;
+  return () => (made ??= make());
+};
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
+
+const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice
+
+/**
+ * At multiples of `SAMPLES`, the hands' left and right edge along the keyboard [m], smoothed; of a
+ * hand that never reaches a key that sounds, nothing, if another does.
+ */
+function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
+  const hands = createHands(scene.skeleton), at = new THREE.Vector3();
+  const tips = [0, 1].map((hand) => [...new Set(scene.geoms.filter(({ finger }) => finger !== null && Math.floor(finger / 5) === hand).map(({ body }) => body))]).filter((of) => of.length);
+  const count = Math.ceil((steps * dt) / SAMPLES) + 1;
+  const edges = tips.map(() => ({ left: new Float32Array(count), right: new Float32Array(count), plays: false }));
+  for (let i = 0; i < count; i++) {
+    const { row } = rowAt(i * SAMPLES, dt, steps);
+    hands.pose(jointsAt(i * SAMPLES));
+    hands.root.updateMatrixWorld();
+    tips.forEach((bodies, hand) => {
+      const y = bodies.map((body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld).y);
+      const left = Math.min(...y), right = Math.max(...y);
+      [edges[hand].left[i], edges[hand].right[i]] = [left, right];
+      const within = ({ pos }, key) => [HIT, WRONG].includes(states[row * 88 + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
+      edges[hand].plays ||= scene.keys.some(within);
+    });
+  }
+  const playing = edges.some(({ plays }) => plays) ? edges.filter(({ plays }) => plays) : edges;
+  const outer = (side, choose) => smoothed(edges[0][side].map((_, i) => choose(...playing.map((hand) => hand[side][i]))), SAMPLES);
+  return playing.length ? { left: outer("left", Math.min), right: outer("right", Math.max) } : null;
+}
+
+/** Low-passed forwards and backwards, so that it is not late. */
+function smoothed(values, dt) {
+  const share = dt / (0.4 + dt), last = values.length - 1;
+  for (let i = 1; i <= last; i++) values[i] = values[i - 1] + share * (values[i] - values[i - 1]);
+  for (let i = last - 1; i >= 0; i--) values[i] = values[i + 1] + share * (values[i] - values[i + 1]);
+  return values;
+}
 
 function mesh(type, size, colour, roughness) {
   const [a, b, c] = size;
@@ -133,6 +235,18 @@ function mesh(type, size, colour, roughness) {
   solid.castShadow = solid.receiveShadow = true;
   solid.userData = { type, size };
   return solid;
+}
+
+/** Makes `solid` translucent; what it returns keeps parts that overlap from adding up. */
+function seeThrough(solid) {
+  const { color, roughness } = solid.material;
+  const veil = new THREE.Mesh(solid.geometry, new THREE.MeshStandardMaterial({ color, roughness, colorWrite: false }));
+  veil.position.copy(solid.position);
+  veil.quaternion.copy(solid.quaternion);
+  veil.renderOrder = 4; // after all that is solid, so that it shows through
+  Object.assign(solid.material, { transparent: true, opacity: PALM });
+  solid.castShadow = false;
+  return veil;
 }
 
 /** What the simulation leaves out: the bed under the keys, two cheeks, and a floor for shadows. */
@@ -169,14 +283,16 @@ function light(scene, renderer) {
   scene.add(sun, sun.target);
 }
 
-function createRenderer(canvas) {
+/** With light and shadows; null where WebGL does not work. */
+function createSolidRenderer(canvas, scene) {
   let renderer;
   try {
     renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   } catch {
-    return createFlatRenderer(canvas);
+    return null;
   }
   renderer.shadowMap.enabled = true;
   renderer.toneMapping = THREE.NeutralToneMapping;
+  light(scene, renderer);
   return renderer;
 }

@@ -1,0 +1,56 @@
+// What the rows of a recording say: notes, as stretches of them.
+
+const [HIT, WRONG, MISSED] = [1, 2, 3];
+const VERDICTS = ["hit", "wrong", "missed"]; // of states 1, 2, 3; in state 0 a key is rightly silent
+
+const NAMES = ["C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B"];
+const noteName = (key) => NAMES[(key + 9) % 12] + (Math.floor((key + 9) / 12));
+const isBlack = (key) => [1, 3, 6, 8, 10].includes((key + 9) % 12);
+
+/** Stretches of equal, non-zero state: calls `found(first, end, state)` for rows first..end-1. */
+function stretches(steps, stateAt, found) {
+  for (let first = 0; first < steps; ) {
+    const state = stateAt(first);
+    let end = first + 1;
+    while (end < steps && stateAt(end) === state) end++;
+    if (state) found(first, end, state);
+    first = end;
+  }
+}
+
+/** Of all 88 keys, by their beginning [s]: {key, from, to, state}; `of` maps the state of a row. */
+function notes({ states, dt, steps }, of = (state) => state) {
+  const found = [];
+  for (let key = 0; key < 88; key++) {
+    stretches(steps, (t) => of(states[t * 88 + key]), (first, end, state) => {
+      found.push({ key, from: first * dt, to: end * dt, state });
+    });
+  }
+  return found.sort((a, b) => a.from - b.from);
+}
+const wanted = (state) => (state === HIT || state === MISSED ? HIT : 0);
+
+/** Calls `found` for each of `sorted`, of which none is longer than `longest`, within a time. */
+function within(sorted, longest, start, end, found) {
+  let low = 0, high = sorted.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (sorted[middle].from < start - longest) low = middle + 1; else high = middle;
+  }
+  for (; low < sorted.length && sorted[low].from < end; low++) if (sorted[low].to > start) found(sorted[low]);
+}
+const longestOf = (sorted) => sorted.reduce((longest, { from, to }) => Math.max(longest, to - from), 0);
+
+/** The lowest and the highest key that should sound, or that does where none should. */
+function range({ states }) {
+  for (const counts of [wanted, (state) => state]) {
+    let low = 88, high = -1;
+    for (let i = 0; i < states.length; i++) {
+      if (!counts(states[i])) continue;
+      low = Math.min(low, i % 88);
+      high = Math.max(high, i % 88);
+    }
+    if (high >= 0) return [low, high];
+  }
+  return [0, 87];
+}
