@@ -112,14 +112,17 @@ def test_a_finished_run_stays_finished(run: Path, capsys: pytest.CaptureFixture[
 
 
 def test_a_run_goes_on_to_another_end(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pages = []
+    monkeypatch.setattr("cadenza.report.training.write_training", lambda *page: pages.append(page))
     longer = tmp_path / "longer"
     shutil.copytree(run, longer)
     main(["train", "--resume", str(longer), "--num-steps", "300", "--no-video"])
     capsys.readouterr()
     assert rows(longer)[: len(rows(run))] == rows(run)
     assert rows(longer)[-1]["eval_step"] == 304
+    assert [page[-1] for page in pages] == [True, False]  # while it went on, and at its end
     with pytest.raises(SystemExit):
         main(["train", "--resume", str(longer), "--help"])
     shown = " ".join(capsys.readouterr().out.split())
@@ -134,6 +137,17 @@ def test_curves_of_several_runs_make_one_page(
     shutil.copytree(run, other)
     main(["curves", str(run), str(other), "-o", str(page)])
     assert all(f.name in page.read_text() for f in (run, other))
+    assert "mean of" not in page.read_text()  # they do not differ, but for the seed
+    about = json.loads((other / "run.json").read_text())
+    about["config"]["num_steps"] = 300
+    (other / "run.json").write_text(json.dumps(about))
+    main(["curves", str(run), str(other), "-o", str(page)])
+    assert 'class="run1"></i>num steps 300<' in page.read_text()
+    bare = tmp_path / "elise_3"
+    bare.mkdir()
+    shutil.copy(run / "metrics.jsonl", bare)
+    main(["curves", str(run), str(bare), "-o", str(page)])
+    assert "<h1>tune, elise</h1>" in page.read_text()
     picture = tmp_path / "curves.png"
     assert "a .html page" in refused(capsys, "curves", run, "-o", picture)
     assert "holds no figures" in refused(capsys, "curves", tmp_path, "-o", page)

@@ -14,7 +14,7 @@ from headless import Browser, needs_chromium
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cadenza.report.line_chart import Axis, count_axis, log_axis, time_axis, value_axis
+from cadenza.report.line_chart import LARGEST, Axis, count_axis, log_axis, time_axis, value_axis
 from cadenza.report.training import Curve, write_training
 
 UNITS = {"": 1, "k": 1e3, "M": 1e6, "s": 1, "min": 60, "h": 3600}
@@ -116,7 +116,7 @@ def written(tmp_path: Path) -> Callable[..., str]:
 
 
 def words(page: str) -> str:
-    shown = re.sub(r"<style>.*</style>|<title>.*?</title>", "", page, flags=re.DOTALL)
+    shown = re.sub(r"<(style|title|script)>.*?</\1>", "", page, flags=re.DOTALL)
     return " ".join(re.sub(r"<[^>]+>", " ", shown).split())
 
 
@@ -160,6 +160,49 @@ def test_the_mean_of_runs_is_drawn_where_all_of_them_are(written) -> None:
     assert_drawn(drawn["run0"], [(1000, 0.2), (3000, 0.6)])
     assert_drawn(drawn["run1"], [(2000, 0.8), (4000, 1.0)])
     assert "mean" not in Charts(written(early, unborn)).found[STEPS]
+
+
+def test_runs_of_several_songs_are_left_apart(written) -> None:
+    low, high = (
+        Curve(f"joy {i}", [evaluation(s + 1000, s, f1) for s in (1000, 3000)], "joy")
+        for i, f1 in ((0, 0.2), (1, 0.6))
+    )
+    other = Curve("elise 0", [evaluation(3000, 2000, 0.9), evaluation(9000, 8000, 0.95)], "elise")
+    page = written(low, other, high)
+    drawn = Charts(page).found[STEPS]
+    assert_drawn(drawn["run0"], [(1000, 0.4), (3000, 0.4)])
+    assert_drawn(drawn["run0 band"], [(1000, 0.2), (3000, 0.2), (3000, 0.6), (1000, 0.6)])
+    assert_drawn(drawn["run1"], [(2000, 0.9), (8000, 0.95)])
+    assert not {"run2", "mean", "precision", "run1 band"} & set(drawn)
+    shown = words(page)
+    assert "mean of joy 0.400" in shown
+    assert "mean of elise" not in shown
+    assert "How well it plays joy elise F1" in shown  # the legend
+
+
+def test_a_run_that_goes_on_says_how_long_and_loads_itself_anew(written) -> None:
+    slow_start = [learning(1000), *(learning(s) for s in (2000, 3000, 4000))]
+    slow_start[0]["seconds"] = -900.0
+    running = Curve("begun", slow_start, num_steps=64_000)
+    page = written(running, going_on=True)
+    assert "Control steps 4,000 60 k to go of 64 k" in words(page)
+    assert "about 1 h 40 min left" in words(page)  # at ten steps a second
+    assert '<html lang="en" data-renewed>' in page
+    finished = written(Curve("done", slow_start, num_steps=4000))
+    assert "data-renewed>" not in finished
+    assert "left" not in words(finished)
+
+
+def test_huge_values_neither_hang_nor_hide_the_others(written) -> None:
+    rows = [learning(s, value=1.0 * s, critic_loss=0.1) for s in (1000, 2000)]
+    for huge in (1e308, -1e308, math.inf, 1e299):
+        rows.append(learning(2500, value=huge))
+        rows.append(evaluation(2600, 2500, 0.5, **{"return": huge}))
+    page = written(Curve("wild", [*rows, {"step": 1e308, "seconds": 1e308, "train/value": 3.0}]))
+    drawn = Charts(page).found
+    assert [x for x, _ in drawn["Value"]["run0"]] == pytest.approx([1000, 2000, 2500], rel=1e-3)
+    assert len(page) < 50_000
+    assert "wild" in written(Curve("wild", [{"step": 1e250, "seconds": 1e250}]))
 
 
 def test_the_figures_of_a_run(written) -> None:
@@ -210,7 +253,7 @@ def test_long_runs_make_a_small_page_that_still_shows_them(written) -> None:
         if step % 1000 == 0:
             rows.append(evaluation(step, step - 500, 0.5 + value / 4))
     page = written(*(Curve(f"seed {seed}", rows) for seed in range(5)))
-    assert len(page) < 400_000
+    assert len(page) < 450_000
     x, y = np.array(Charts(page).found["Value"]["run4"]).T
     assert x[0] < 0.02 * steps[-1]
     assert x[-1] > 0.98 * steps[-1]
@@ -242,13 +285,15 @@ def test_settings_and_links(written) -> None:
 
 def test_the_page_stands_alone(written) -> None:
     page = written(RUN, RUN)
-    assert not re.search(r"https?://|<script|<link rel=\"stylesheet|@import|url\(", page)
+    assert not re.search(r"https?://|src=|<link rel=\"stylesheet|@import|url\(", page)
     assert "{{" not in page
 
 
 # Axes
 
-NUMBERS = st.lists(st.floats(-1e9, 1e9).filter(lambda x: abs(x) > 1e-6), min_size=1, max_size=4)
+NUMBERS = st.lists(
+    st.floats(-LARGEST, LARGEST).filter(lambda x: abs(x) > 1 / LARGEST), min_size=1, max_size=4
+)
 
 
 def assert_holds(axis: Axis, values: np.ndarray) -> None:
@@ -265,9 +310,9 @@ def test_an_axis_holds_its_values_and_labels_differ(values: list[float]) -> None
     assert_holds(log_axis(np.abs(values)), np.abs(values))
 
 
-@given(st.floats(1, 1e9))
+@given(st.floats(1, LARGEST))
 def test_an_axis_that_starts_at_zero(high: float) -> None:
-    for axis in (count_axis(high), time_axis(min(high, 1e6))):
+    for axis in (count_axis(high), time_axis(high)):
         assert_holds(axis, np.array([0, axis.high]))
         assert axis.labels[0] == "0"
 
@@ -279,6 +324,39 @@ def test_labels_are_as_people_say_them() -> None:
     assert time_axis(3 * 3600).labels == ["0", "1 h", "2 h", "3 h"]
     assert value_axis(np.array([-0.3, 0.5])).labels == ["−0.4", "−0.2", "0", "0.2", "0.4", "0.6"]
     assert log_axis(np.array([0.003, 7])).labels == ["0.01", "0.1", "1", "10"]
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_values_show_under_the_pointer_and_by_keys(written, tmp_path: Path) -> None:
+    low = Curve("low", [evaluation(s + 1000, s, f1) for s, f1 in ((1000, 0.2), (3000, 0.4))])
+    high = Curve("high", [evaluation(s + 1000, s, f1) for s, f1 in ((2000, 0.9), (4000, 0.7))])
+    written(low, high)
+    browser = Browser(tmp_path / "profile")
+    values = "document.querySelector('.values')?.innerText.replace(/\\s+/g, ' ') ?? null"
+    try:
+        browser.call("Page.navigate", url=(tmp_path / "training.html").as_uri())
+        browser.wait("document.readyState === 'complete'")
+        assert browser.evaluate(values) is None
+        left, width, y = browser.evaluate(
+            "(({ left, width, top }) => [left, width, top + 50])"
+            "(document.querySelector('.drawing').getBoundingClientRect())"
+        )
+        pointer = {"type": "mouseMoved", "x": left + 0.41 * width, "y": y}  # the axis ends at 5000
+        browser.call("Input.dispatchMouseEvent", **pointer)
+        shown = browser.evaluate(values)
+        for words in ("control steps 2,000", "low 0.3", "high 0.9", "mean 0.6"):
+            assert words in shown
+        browser.call("Input.dispatchMouseEvent", **pointer | {"y": 5})
+        assert browser.evaluate(values) is None
+        browser.call("Input.dispatchKeyEvent", type="keyDown", key="Tab", code="Tab")
+        for key in ("Tab", "ArrowLeft"):
+            browser.call("Input.dispatchKeyEvent", type="keyDown", key=key, code=key)
+        shown = browser.evaluate(values)
+        assert "control steps" in shown or "wall time" in shown
+        assert browser.problems() == []
+    finally:
+        browser.close()
 
 
 @pytest.mark.slow

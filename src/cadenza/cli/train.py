@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -124,7 +126,7 @@ def _train(command: Train, folder: Path) -> None:
         with _saying_how_to_go_on(folder):
             config, score = run.settings()
             with closing(Training(config, score, run)) as training:
-                finished = _train_on(training, command, run)
+                finished = _train_on(training, command, run, score.title)
             if finished:
                 with stages("playing") as tell:
                     performance = play(folder / "best", progress=tell)
@@ -146,7 +148,7 @@ def _saying_how_to_go_on(folder: Path) -> Iterator[None]:
         raise
 
 
-def _train_on(training: Training, command: Train, run: RunFolder) -> bool:
+def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> bool:
     """Trains until all is done, and then is true, or until someone asks to stop."""
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
@@ -154,6 +156,7 @@ def _train_on(training: Training, command: Train, run: RunFolder) -> bool:
     if command.wandb:
         settings = asdict(training.config)
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
+    renew = _sparingly(lambda: _write_curves(run.path, song, training.config, going_on=True))
     scores = ""
     with progress("learning", "steps", 30.0) as advance, _asked_to_stop() as stop:
 
@@ -163,6 +166,7 @@ def _train_on(training: Training, command: Train, run: RunFolder) -> bool:
                 row = training.rows.popleft()
                 for scalars in shown:
                     scalars.add(row)
+                renew()
                 if "eval/f1" in row:
                     best = training.best["eval/f1"]
                     scores = f"F1 {row['eval/f1']:.3f}, best {best:.3f}"
@@ -199,14 +203,29 @@ def _asked_to_stop() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _write_curves(folder: Path, song: str, config: TrainingConfig) -> None:
+def _sparingly(do: Callable[[], None]) -> Callable[[], None]:
+    """Does it at most every ten seconds, and for at most a hundredth of the time."""
+    again = 0.0
+
+    def perhaps() -> None:
+        nonlocal again
+        began = time.monotonic()
+        if began >= again:
+            do()
+            again = began + max(10.0, 100 * (time.monotonic() - began))
+
+    return perhaps
+
+
+def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
     """The page of a run."""
     from cadenza.report.training import write_training
 
     pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
     links = {label: page for label, page in pages.items() if (folder / page).exists()}
     settings = plain(asdict(config))
-    write_training(folder / "report.html", song, [_curve(folder)], settings, links)
+    curve = replace(_curve(folder), num_steps=config.num_steps)
+    write_training(folder / "report.html", song, [curve], settings, links, going_on)
 
 
 def curves(command: Curves) -> None:
@@ -217,8 +236,38 @@ def curves(command: Curves) -> None:
     check_name(command.output, ".html", "curves are a .html page")
     check_writable(command.output.parent)
     drawn = [_curve(folder) for folder in command.runs]
-    write_training(command.output, "Learning curves", drawn, {})
+    told = [_what_and_how(folder) for folder in command.runs]
+    shared = set.intersection(*map(set, told))
+    tasks = [", ".join(part for part in parts if part not in shared) for parts in told]
+    apart = [replace(curve, task=task) for curve, task in zip(drawn, tasks, strict=True)]
+    songs = dict.fromkeys(song for song, *_ in told)
+    write_training(command.output, ", ".join(songs), apart, {})
     print(f"Open {command.output}")
+
+
+def _what_and_how(run: Path) -> list[str]:
+    """The song of a run, its preset, and the settings that differ from it, but for the seed.
+
+    Of a folder that has the figures only, its name without the number at the end is taken for the
+    song.
+    """
+    from cadenza.agents.rl.run_folder import RunFolder
+    from cadenza.report.page import flat
+
+    if not (run / "run.json").exists():
+        return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
+    config, score = RunFolder(run).settings()
+
+    def differences(name: Preset) -> list[str]:
+        usual = dict(flat(asdict(replace(preset(name, config.residual), seed=config.seed))))
+        return [
+            f"{setting.rpartition('.')[2].replace('_', ' ')} {value}"
+            for setting, value in flat(asdict(config))
+            if value != usual[setting]
+        ]
+
+    nearest = min(get_args(Preset), key=lambda name: len(differences(name)))
+    return [score.title, nearest, *differences(nearest)]
 
 
 def _curve(run: Path) -> Curve:

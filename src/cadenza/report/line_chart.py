@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+LARGEST = 1e300
+"""Values are drawn up to this, so that their differences have a size."""
 _SIZE = 1000  # of a drawing, in its own units; it is stretched to the room that there is
 _DOTTED = 40  # lines of no more points than this show each of them
 _SPACES = 5.5  # ticks are no closer than such a part of the axis: labels fit a narrow screen
@@ -33,6 +35,8 @@ class Line(NamedTuple):
     """Its class in the style sheet."""
     name: str
     points: Points
+    band: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    """Lowest and highest value (n,) at each point; what is between them is tinted."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ class Axis:
     ticks: Sequence[float]
     labels: Sequence[str]
     log: bool = False
+    seconds: bool = False
 
     def shares(self, values: ArrayLike) -> NDArray[np.float64]:
         """How far along the axis values (n,) lie, 0..1."""
@@ -60,14 +65,21 @@ def count_axis(high: float) -> Axis:
 
 def time_axis(high: float) -> Axis:
     """From 0 to `high` > 0 [s]."""
+    if high > _TIMES[-1] * _SPACES:
+        hours = count_axis(high / _HOUR)
+        ticks = [_HOUR * tick for tick in hours.ticks]
+        labels = [label if label == "0" else f"{label} h" for label in hours.labels]
+        return Axis(0, high, ticks, labels, seconds=True)
     step = next((time for time in _TIMES if time * _SPACES >= high), _TIMES[-1])
     unit, name = (_HOUR, "h") if step >= _HOUR / 2 else (_MINUTE, "min") if step >= 60 else (1, "s")
     ticks = _multiples(step, 0, high)
-    return Axis(0, high, ticks, ["0", *(f"{tick / unit:g} {name}" for tick in ticks[1:])])
+    return Axis(
+        0, high, ticks, ["0", *(f"{tick / unit:g} {name}" for tick in ticks[1:])], seconds=True
+    )
 
 
 def value_axis(values: NDArray[np.float64]) -> Axis:
-    """Holds all `values` (n,), n > 0, between round numbers."""
+    """Holds all `values` (n,), n > 0, of at most `LARGEST`, between round numbers."""
     low, high = values.min(), values.max()
     if math.isclose(low, high, rel_tol=1e-6):
         margin = abs(low) / 2 or 1
@@ -105,8 +117,9 @@ def _multiples(step: float, low: float, high: float) -> list[float]:
 def _labels(ticks: Sequence[float]) -> list[str]:
     """Of evenly spaced numbers: in one unit, with as many decimals as tell them apart."""
     largest, step = max(map(abs, ticks)), ticks[1] - ticks[0]
-    if largest < 1e-3:
-        return [f"{tick:.4g}".replace("-", "−") for tick in ticks]
+    if not 1e-3 <= largest < 1e9:
+        digits = math.floor(math.log10(largest)) - math.floor(math.log10(step) + 1e-9) + 1
+        return [f"{tick:.{digits}g}".replace("-", "−") for tick in ticks]
     size, name = _unit(largest)
     decimals = max(-math.floor(math.log10(step / size) + 1e-9), 0)
     texts = [f"{tick / size:z.{decimals}f}" for tick in ticks]
@@ -134,10 +147,18 @@ def line_chart(title: str, along: str, x: Axis, y: Axis, lines: Sequence[Line]) 
     return (
         f'<section class="plot"><h3>{html.escape(title)}</h3>'
         f'<div class="ys">{_spans("bottom", y)}</div>'
+        f'<div class="drawing" data-along="{html.escape(along)}" data-x="{_scale(x)}" '
+        f'data-y="{_scale(y)}">'
         f'<svg viewBox="0 0 {_SIZE} {_SIZE}" preserveAspectRatio="none" role="img" '
-        f'aria-label="{words}">{drawn}</svg>'
+        f'aria-label="{words}">{drawn}</svg></div>'
         f'<div class="xs">{_spans("left", x)}</div><p>{html.escape(along)}</p></section>'
     )
+
+
+def _scale(axis: Axis) -> str:
+    """For the script that says what is under the pointer."""
+    kind = "log" if axis.log else "seconds" if axis.seconds else "linear"
+    return f"{kind} {axis.low:.12g} {axis.high:.12g}"
 
 
 def _spans(side: str, axis: Axis) -> str:
@@ -149,8 +170,12 @@ def _spans(side: str, axis: Axis) -> str:
 
 def _drawn(line: Line, x: Axis, y: Axis) -> str:
     across, down = _SIZE * x.shares(line.points.x), _SIZE - _SIZE * y.shares(line.points.y)
-    places = [f"{i:.1f} {j:.1f}" for i, j in zip(across, down, strict=True)]
+    places = [f"{i:.2f} {j:.2f}" for i, j in zip(across, down, strict=True)]
     paths = {}
+    if line.band and len(places) > 1:
+        edges = (_SIZE - _SIZE * y.shares(values) for values in line.band)
+        low, high = ([f"{i:.2f} {j:.2f}" for i, j in zip(across, e, strict=True)] for e in edges)
+        paths[f"{line.kind} band"] = f"M{'L'.join([*low, *reversed(high)])}z"
     if len(places) > 1:
         paths[line.kind] = "M" + "L".join(places)
     if len(places) <= _DOTTED:

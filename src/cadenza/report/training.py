@@ -1,7 +1,4 @@
-"""Learning curves of training runs as one HTML file.
-
-Plain HTML with drawings in SVG: no script, no network, no server.
-"""
+"""Learning curves of training runs as one HTML file, drawn in SVG: no network, no server."""
 
 from __future__ import annotations
 
@@ -17,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.report.line_chart import (
+    LARGEST,
     Line,
     Points,
     count_axis,
@@ -60,6 +58,10 @@ class Curve:
     That of an evaluation has `eval_step`, the step its policy is of, and columns `eval/...`; others
     have `updates`, `train/...` and `episodes/...`. Any but `step` and `seconds` may be missing.
     """
+    task: str = ""
+    """What it learns, and how; runs that differ in it are not drawn as one."""
+    num_steps: float = math.nan
+    """Control steps that it is to make, if that is known."""
 
 
 def write_training(
@@ -68,8 +70,12 @@ def write_training(
     runs: Sequence[Curve],
     settings: Mapping[str, Any],
     links: Mapping[str, str] = MappingProxyType({}),
+    going_on: bool = False,
 ) -> None:
     """Writes the page of learning curves to `path`.
+
+    Runs of one task have a line each, and one of their mean. Where there are several tasks, each
+    has the line of its mean, over a band from its lowest run to its highest.
 
     Args:
         path: of the file.
@@ -77,16 +83,19 @@ def write_training(
         runs: at least one.
         settings: name -> value, nested or not. None is not shown.
         links: label -> relative address of another page.
+        going_on: whether the page is to load itself anew from time to time.
     """
     parts = {
         "title": html.escape(title),
         "facts": _facts(runs),
         "links": _links(links),
-        "headline": _table(runs) if len(runs) > 1 else _cards(_figures(runs[0])),
+        "headline": _table(runs) if len(runs) > 1 else _cards(runs[0]),
         "f1": _f1_section(runs),
         "others": _other_section(runs),
         "settings": _settings(settings),
+        "renewed": " data-renewed" if going_on else "",
         "css": "".join(map(asset, _STYLES)),
+        "js": asset("training.js"),
     }
     write_page(path, "training.html", parts)
 
@@ -94,15 +103,21 @@ def write_training(
 # What the rows tell
 
 
-def _points(run: Curve, column: str, above: float = -math.inf) -> Points:
-    """A column against control steps, without the rows that do not have it finite and `above`."""
+def _tasks(runs: Sequence[Curve]) -> dict[str, list[Curve]]:
+    """Those of each task, in order."""
+    tasks = dict.fromkeys(run.task for run in runs)
+    return {task: [run for run in runs if run.task == task] for task in tasks}
+
+
+def _points(run: Curve, column: str, above: float = -LARGEST) -> Points:
+    """A column against control steps, without the rows that do not have it `above` and drawable."""
     found = [
         (row.get("eval_step", row["step"]), row[column])
         for row in run.rows
         if row.get(column) is not None
     ]
     x, y = np.array(found, float).reshape(-1, 2).T
-    drawable = np.isfinite(y) & (y > above)
+    drawable = (y > above) & (y < LARGEST) & (x < LARGEST)
     return Points(x[drawable], y[drawable])
 
 
@@ -121,11 +136,17 @@ def _timed(run: Curve, points: Points) -> Points:
 
 def _mean(each: Sequence[Points]) -> Points:
     """The mean of the lines that have points, over the range that all of these cover."""
+    x, values = _together(each)
+    return Points(x, values.mean(axis=0))
+
+
+def _together(each: Sequence[Points]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x (n,) where all lines that have points are, and their values (lines, n) there."""
     each = [points for points in each if len(points.x)]
     x = np.unique(np.concatenate([np.empty(0), *(points.x for points in each)]))
     for points in each:
         x = x[(points.x[0] <= x) & (x <= points.x[-1])]
-    return Points(x, np.mean([np.interp(x, *points) for points in each] or [x], axis=0))
+    return x, np.array([np.interp(x, *points) for points in each] or [x])
 
 
 def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
@@ -141,6 +162,15 @@ def _thinned(points: Points, runs: Sequence[Curve]) -> Points:
 def _last(run: Curve, column: str) -> float:
     values = (row.get(column) for row in reversed(run.rows))
     return next((value for value in values if value is not None), math.nan)
+
+
+def _seconds_left(run: Curve, to_do: float) -> float:
+    """[s] for so many steps at the rate of the run's second half; NaN where there is none yet."""
+    known = [(row["step"], row["seconds"]) for row in run.rows[len(run.rows) // 2 :]]
+    if not known:
+        return math.nan
+    steps, seconds = np.ptp(np.array(known, float), axis=0)
+    return float(to_do * seconds / steps) if steps else math.nan
 
 
 def _figures(run: Curve) -> dict[str, float]:
@@ -172,6 +202,8 @@ def _time(seconds: float) -> str:
     if round(seconds) < 120:
         return f"{seconds:.0f} s"
     hours, minutes = divmod(round(seconds / 60), 60)
+    if hours >= 10_000:
+        return f"{in_short(hours)} h"
     return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 
 
@@ -208,37 +240,53 @@ def _links(links: Mapping[str, str]) -> str:
     )
 
 
-def _cards(figures: Mapping[str, float]) -> str:
-    cards = []
+def _cards(run: Curve) -> str:
+    cards, figures = [], _figures(run)
+    more = _to_do(run)
+    if not math.isnan(figures["best_f1"]):
+        step, seconds = _shown("best_step", figures), _shown("best_seconds", figures)
+        more["best_f1"] = f"at step {step},<br>after {seconds}"
     for name in ("best_f1", "last_f1", "step", "seconds", "updates", "rate"):
-        more = ""
+        bar = ""
         if name.endswith("f1") and not math.isnan(figures[name]):
-            more = f'<div class="bar"><i style="width:{100 * figures[name]:.1f}%"></i></div>'
-        if name == "best_f1" and more:
-            step, seconds = _shown("best_step", figures), _shown("best_seconds", figures)
-            more += f"<small>at step {step},<br>after {seconds}</small>"
+            bar = f'<div class="bar"><i style="width:{100 * figures[name]:.1f}%"></i></div>'
+        small = f"<small>{more[name]}</small>" if name in more else ""
         title, shown = _FIGURES[name][0], _shown(name, figures)
-        cards.append(f'<dl class="score"><dt>{title}</dt><dd>{shown}</dd>{more}</dl>')
+        cards.append(f'<dl class="score"><dt>{title}</dt><dd>{shown}</dd>{bar}{small}</dl>')
     return f'<section class="scores" aria-label="Figures">{"".join(cards)}</section>'
 
 
+def _to_do(run: Curve) -> dict[str, str]:
+    """Under the figures of a run that is not finished: how much there is to be done."""
+    to_do = run.num_steps - (_last(run, "step") if run.rows else 0)
+    if not to_do > 0:
+        return {}
+    more = {"step": f"{in_short(to_do)} to go<br>of {in_short(run.num_steps)}"}
+    left = _seconds_left(run, to_do)
+    return more if math.isnan(left) else more | {"seconds": f"about {_time(left)}<br>left"}
+
+
 def _table(runs: Sequence[Curve]) -> str:
-    """A row a run, and the means of what is known."""
-    figures = [_figures(run) for run in runs]
-    known = {name: [f[name] for f in figures if not math.isnan(f[name])] for name in _FIGURES}
-    means = {name: math.fsum(v) / len(v) if v else math.nan for name, v in known.items()}
+    """A row a run, and of several runs of a task the means of what is known."""
     head = "".join(f'<th scope="col">{title}</th>' for title, _ in _FIGURES.values())
-    rows = (
-        f'<tr><th scope="row">{html.escape(name)}</th>'
-        + "".join(f"<td>{_shown(figure, of_run)}</td>" for figure in _FIGURES)
-        + "</tr>"
-        for name, of_run in zip([*(r.name for r in runs), "mean"], [*figures, means], strict=True)
-    )
+    rows, tasks = [], _tasks(runs)
+    for task, its_runs in tasks.items():
+        figures = [_figures(run) for run in its_runs]
+        rows += [_row("run", run.name, f) for run, f in zip(its_runs, figures, strict=True)]
+        if len(its_runs) > 1:
+            known = {n: [f[n] for f in figures if not math.isnan(f[n])] for n in _FIGURES}
+            means = {n: math.fsum(v) / len(v) if v else math.nan for n, v in known.items()}
+            rows.append(_row("mean", f"mean of {task}" if len(tasks) > 1 else "mean", means))
     return (
         '<section class="card" aria-label="Figures"><div class="scroll figures" tabindex="0">'
         f"<table><thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
         "</div></section>"
     )
+
+
+def _row(kind: str, name: str, figures: Mapping[str, float]) -> str:
+    cells = "".join(f"<td>{_shown(figure, figures)}</td>" for figure in _FIGURES)
+    return f'<tr class="{kind}"><th scope="row">{html.escape(name)}</th>{cells}</tr>'
 
 
 def _settings(settings: Mapping[str, Any]) -> str:
@@ -276,12 +324,15 @@ def _f1_section(runs: Sequence[Curve]) -> str:
         )
     )
     of_all = "mean " if len(runs) > 1 else ""
-    lighter = [(name, of_all + name) for name in ("precision", "recall")]
-    legend = _legend([*_marks(runs), *lighter, ("best", "best")])
+    more = [("precision", f"{of_all}precision"), ("recall", f"{of_all}recall"), ("best", "best")]
+    legend = _legend([*_marks(runs), *(more if len(_tasks(runs)) == 1 else ())])
     return _section("How well it plays", f'{legend}<div class="large">{"".join(charts)}</div>')
 
 
 def _f1_lines(runs: Sequence[Curve], columns: Mapping[str, Sequence[Points]]) -> list[Line]:
+    """Those of one task with precision, recall, and the best."""
+    if len(_tasks(runs)) > 1:
+        return _lines(runs, columns["f1"])
     lighter = [
         Line(name, name, _thinned(_mean(columns[name]), runs)) for name in ("precision", "recall")
     ]
@@ -296,8 +347,10 @@ def _other_section(runs: Sequence[Curve]) -> str:
     charts = ""
     for column, title in _titles(runs):
         log = column in _LOGARITHMIC
-        lines = _lines(runs, [_points(run, column, 0 if log else -math.inf) for run in runs])
-        values = np.concatenate([line.points.y for line in lines])
+        lines = _lines(
+            runs, [_points(run, column, 1 / LARGEST if log else -LARGEST) for run in runs]
+        )
+        values = np.concatenate([y for line in lines for y in (line.points.y, *(line.band or ()))])
         if len(values):
             y = log_axis(values) if log else value_axis(values)
             charts += line_chart(title, "control steps", x, y, lines)
@@ -318,7 +371,14 @@ def _titles(runs: Sequence[Curve]) -> Iterator[tuple[str, str]]:
 
 
 def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
-    """A line a run, and their mean if several have any points."""
+    """A line a run, and their mean if several have any points; or a line a task."""
+    if len(tasks := _tasks(runs)) > 1:
+        points = dict(zip(map(id, runs), each, strict=True))
+        members = ([points[id(run)] for run in its_runs] for its_runs in tasks.values())
+        return [
+            _with_band(kind, name, of_task, runs)
+            for (kind, name), of_task in zip(_marks(runs), members, strict=True)
+        ]
     lines = [
         Line(kind, name, _thinned(points, runs))
         for (kind, name), points in zip(_marks(runs), each, strict=False)
@@ -328,10 +388,22 @@ def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
     return lines
 
 
+def _with_band(kind: str, name: str, each: Sequence[Points], runs: Sequence[Curve]) -> Line:
+    """The mean of the runs of a task, and from where to where they lie."""
+    x, values = _together(each)
+    mean, low, high = (
+        _thinned(Points(x, y), runs) for y in (values.mean(0), values.min(0), values.max(0))
+    )
+    band = (low.y, high.y) if len(values) > 1 else None
+    return Line(kind, name, mean, band)
+
+
 def _marks(runs: Sequence[Curve]) -> list[tuple[str, str]]:
-    """Class in the style sheet and name of the line of each run, and of their mean."""
-    marks = [(f"run{i % _COLOURS}", run.name) for i, run in enumerate(runs)]
-    return marks + [("mean", "mean")] * (len(runs) > 1)
+    """Class in the style sheet and name of the line of each run and of their mean, or each task."""
+    tasks = _tasks(runs)
+    names = list(tasks) if len(tasks) > 1 else [run.name for run in runs]
+    marks = [(f"run{i % _COLOURS}", name) for i, name in enumerate(names)]
+    return marks + [("mean", "mean")] * (len(tasks) == 1 < len(runs))
 
 
 def _legend(marks: Sequence[tuple[str, str]]) -> str:
@@ -345,4 +417,5 @@ def _section(title: str, content: str) -> str:
 
 def _end(runs: Sequence[Curve], column: str) -> float:
     """Where the longest of the runs ended, 1 where there is nothing yet."""
-    return max((row[column] or 0 for run in runs for row in run.rows[-1:]), default=0) or 1
+    ends = [row[column] or 0 for run in runs for row in run.rows[-1:]]
+    return max((end for end in ends if end < LARGEST), default=0) or 1
