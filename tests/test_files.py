@@ -16,6 +16,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.files import (
@@ -25,6 +27,7 @@ from cadenza.files import (
     ArrayOf,
     check_arrays,
     checked,
+    folder_name,
     opened_in_place,
     read_arrays,
     read_json,
@@ -304,3 +307,32 @@ def test_the_text_of_json_in_an_array_may_be_long(tmp_path: Path) -> None:
     text = json.dumps(["ü"] * 10_000, ensure_ascii=False)
     np.savez(tmp_path / "file.npz", text=np.str_(text))
     assert str(read_arrays(tmp_path / "file.npz", {"text": ArrayOf(TEXT)})["text"]) == text
+
+
+# Names
+
+
+@given(text=st.text() | st.sampled_from(["..", ".", "", "...mid", "a/../b", "CON:x", "\udcff"]))
+def test_a_folder_name_is_one_name_below_its_folder(text: str) -> None:
+    name = folder_name(text)
+    assert name == folder_name(name)
+    assert name not in ("", ".", "..")
+    assert Path("played", name).parent == Path("played")
+    assert not set(name) & set("/\\:\0\n")
+    assert len(name.encode()) <= 255
+    assert name.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("Für Elise", "Für Elise"),
+        ("own:Agent", "own_Agent"),
+        ("a/b", "a_b"),
+        (".mid", "mid"),
+        ("..", "_"),
+        ("ü" * 200, "ü" * 127),
+    ],
+)
+def test_a_folder_name_says_what_it_can(text: str, name: str) -> None:
+    assert folder_name(text) == name

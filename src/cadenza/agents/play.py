@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,7 @@ def play(
     agent: Agent,
     seed: int = 0,
     progress: Progress = silent,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Performance:
     """Plays one episode of `task`, which has one environment, from the beginning.
 
@@ -44,6 +46,7 @@ def play(
         seed: of everything random, in the task and in the agent.
         progress: is told of "playing" after every step, with the steps done and in all, and before
             and between of what else a `ReportingAgent` does.
+        stop: is asked after every step whether that was the last; the episode is what was played.
 
     Raises:
         CadenzaError: the agent cannot play this task, or the seed is negative.
@@ -63,11 +66,16 @@ def play(
         started = time.perf_counter()
         action = agent.act()
         decided = time.perf_counter()
+        if np.shape(action) != (task.action_size,):
+            raise CadenzaError(
+                f"the agent's act() gave an action of shape {np.shape(action)}, and the task has "
+                f"actions of shape ({task.action_size},)"
+            )
         transition = task.step(action[None])
         playing += time.perf_counter() - decided
         planning += decided - started
         record.add(action, transition.reward[0], {k: v[0] for k, v in transition.terms.items()})
-        ended = bool(transition.terminated[0] or transition.truncated[0])
+        ended = bool(transition.terminated[0] or transition.truncated[0]) or stop()
         unstable = bool(transition.unstable[0])
         progress("playing", int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
     scores = task.episode_metrics(0)  # JSON has no NaN

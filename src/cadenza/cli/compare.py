@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -56,15 +56,34 @@ def compare(command: Compare, again: Again[Compare]) -> None:
         ):
             performance = perform(setup, progress)
         runs.append(Run(name, seed, _figures(performance, own.task), performance.episode))
+    remarks = [
+        f"{name} plays with {differing}, as it was trained"
+        for name, own in commands.items()
+        if (differing := _differing(own, command))
+    ]
     content = {
         "means": means(runs),
         "runs": [{"agent": run.agent, "seed": run.seed, **run.figures} for run in runs],
         "settings": asdict(command),
+        "remarks": remarks,
     }
     write_json(folder / "compare.json", content)
-    write_comparison(folder / "compare.html", runs)
-    print(in_text(runs))
+    write_comparison(folder / "compare.html", runs, remarks)
+    print("\n".join([in_text(runs), *remarks]))
     print(f"\nOpen {folder / 'compare.html'}")
+
+
+def _differing(own: Compare, command: Compare) -> str:
+    """Options with which an agent plays something else, or in another scene, than the command."""
+    from cadenza.agents.replay import options_of
+
+    def options(of: Compare) -> dict[str, Any]:
+        physics = {name: getattr(of.scene, name) for name in ("physics", "sleeping_keys")}
+        return options_of(of.task, of.scene, 0) | physics
+
+    others = options(command)
+    changed = {name: v for name, v in options(own).items() if v != others[name]}
+    return ", ".join(f"{name} {v} instead of {others[name]}" for name, v in changed.items())
 
 
 def _figures(performance: Performance, config: TaskConfig) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,7 @@ from cadenza.cli.performing import (
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
+from cadenza.cli.stopping import asked_to_stop
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
@@ -63,9 +65,15 @@ def play(command: Play, again: Again[Play]) -> None:
     folder = command.output or default_folder(casting) / _name_of(casting.name)
     with set_up(casting, command.task, command.scene, command.seed) as setup:
         check_writable(folder)
-        with stages("playing") as progress:
-            performance = perform(setup, progress)
+        with stages("playing") as progress, asked_to_stop("this step") as stop:
+            performance = perform(setup, progress, stop)
+            stopped = stop()
+        length = setup.num_steps * performance.episode.dt
     keep(performance, folder, command.video, picture)
+    if stopped:
+        part = f"{performance.seconds:.1f} of {length:.1f} s"
+        print(f"stopped after {part}: the results are of that part", file=sys.stderr)
+        raise KeyboardInterrupt
 
 
 def _name_of(agent: str) -> str:

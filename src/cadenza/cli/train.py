@@ -19,6 +19,7 @@ from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.results import check_name, check_writable
+from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
 from cadenza.music.arrangement import Arrangement
@@ -158,7 +159,8 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
     renew = _sparingly(lambda: _write_curves(run.path, song, training.config, going_on=True))
     scores = ""
-    with progress("learning", "steps", 30.0) as advance, _asked_to_stop() as stop:
+    with progress("learning", "steps", 30.0) as advance, asked_to_stop("a checkpoint") as stop:
+        stop()  # from now on
 
         def goes_on() -> bool:
             nonlocal scores
@@ -178,29 +180,6 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
     for scalars in shown:
         scalars.close()
     return training.step >= training.config.num_steps
-
-
-@contextmanager
-def _asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Yields what says whether Ctrl-C was pressed or the process told to end.
-
-    Who presses it again does not want to wait for a checkpoint.
-    """
-    import signal
-
-    asked = []
-
-    def ask(number: int, _frame: Any) -> None:
-        asked.append(number)
-        signal.signal(number, before[signal.Signals(number)])
-        print("\nstopping after a checkpoint; once more to stop at once", file=sys.stderr)
-
-    before = {n: signal.signal(n, ask) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(asked)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _sparingly(do: Callable[[], None]) -> Callable[[], None]:

@@ -68,7 +68,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
         path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
     score = read_midi(path, tracks)
     sidecar = path.with_suffix(SUFFIX)
-    if not sidecar.exists():
+    if not os.path.isfile(sidecar):  # also where that name is too long
         return score
     return read_fingering(sidecar, score, all_there=not tracks)
 

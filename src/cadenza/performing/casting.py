@@ -59,6 +59,11 @@ class Setup:
     options: dict[str, Any]
     """What of it has to be the same for a plan to play the same."""
 
+    @property
+    def num_steps(self) -> int:
+        """How long the episode is to be."""
+        return int(self.task.sheets.num_steps[0])
+
 
 def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
     """The score that a name or a path stands for; what was repaired in it is a warning.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -178,13 +178,15 @@ def play(
         return perform(setup, progress)
 
 
-def perform(setup: Setup, progress: Progress = silent) -> Performance:
-    """Plays one episode.
+def perform(
+    setup: Setup, progress: Progress = silent, stop: Callable[[], bool] = lambda: False
+) -> Performance:
+    """Plays one episode, up to the step after which `stop` is true.
 
     Raises:
         CadenzaError: the agent cannot play this task, or the seed is negative.
     """
-    result = play_episode(setup.task, setup.agent, setup.seed, progress)
+    result = play_episode(setup.task, setup.agent, setup.seed, progress, stop)
     plan = getattr(setup.agent, "plan", None)
     plan = plan if isinstance(plan, SongPlan) else None
     return Performance(

@@ -86,7 +86,7 @@ def plan(
 def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
     """See `plan`; the agent of `setup` plans the whole song."""
     performance = perform(setup, progress)
-    steps, wanted = performance.episode.num_steps, int(setup.task.sheets.num_steps[0])
+    steps, wanted = performance.episode.num_steps, setup.num_steps
     if steps < wanted:
         raise CadenzaError(
             f"{setup.settings['song']}: ended after {steps} of {wanted} steps, at a wrong key or "

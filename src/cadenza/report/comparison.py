@@ -75,9 +75,9 @@ def in_text(runs: Sequence[Run]) -> str:
     )
 
 
-def write_comparison(path: Path, runs: Sequence[Run]) -> None:
-    """Writes the page of `runs`, of at least one, to `path`."""
-    longest = max((run.episode for run in runs), key=lambda episode: episode.num_steps)
+def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = ()) -> None:
+    """Writes the page of `runs`, of at least one, to `path`, with `remarks` on how they differ."""
+    longest = max((run.episode for run in runs), key=_duration)
     title = html.escape(longest.song or "Untitled")
     parts = {
         "title": title,
@@ -85,18 +85,23 @@ def write_comparison(path: Path, runs: Sequence[Run]) -> None:
         "table": _table(means(runs)),
         "bars": "".join(_bars(name, runs) for name in _BARS),
         "roll": _roll(longest),
-        "strips": "".join(_strip(run, longest.num_steps) for run in runs),
-        "seconds": _seconds(longest.num_steps * longest.dt),
+        "remarks": "".join(f"<p>{html.escape(remark)}</p>" for remark in remarks),
+        "strips": "".join(_strip(run, _duration(longest)) for run in runs),
+        "seconds": _seconds(_duration(longest)),
         "css": asset("page.css") + asset("comparison.css"),
     }
     write_page(path, "comparison.html", parts)
+
+
+def _duration(episode: Episode) -> float:
+    return episode.num_steps * episode.dt
 
 
 def _facts(runs: Sequence[Run], longest: Episode) -> str:
     seeds = ", ".join(str(seed) for seed in dict.fromkeys(run.seed for run in runs))
     notes = len(key_runs(longest["goal_keys"])[0])
     facts = {
-        "length": f"{longest.num_steps * longest.dt:.1f} s",
+        "length": f"{_duration(longest):.1f} s",
         "notes": str(notes),
         "agents": str(len(means(runs))),
         "seeds": seeds,
@@ -173,8 +178,9 @@ def _roll(episode: Episode) -> str:
     )
 
 
-def _strip(run: Run, steps: int) -> str:
+def _strip(run: Run, duration: float) -> str:
     """Of each step, keys that rightly sound and missing ones above the line, wrong ones below."""
+    steps = round(duration / run.episode.dt)
     verdicts = verdict(run.episode["goal_keys"], run.episode["key_activation"])
     hit, wrong, missed = (_STEP_HEIGHT * (verdicts == v).sum(axis=1) for v in (1, 2, 3))
     up, down = int((hit + missed).max()), int(wrong.max())

@@ -1,0 +1,35 @@
+"""Being asked to stop: once in good order, twice at once."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def asked_to_stop(what_comes: str) -> Iterator[Callable[[], bool]]:
+    """Yields what says whether Ctrl-C was pressed or the process told to end.
+
+    Until it is asked for the first time, either ends the process at once, and so does doing it
+    again: then nobody wants to wait for `what_comes`.
+    """
+    asked, before = list[int](), dict[int, Any]()
+
+    def ask(number: int, _frame: Any) -> None:
+        asked.append(number)
+        signal.signal(number, before[number])
+        print(f"\nstopping after {what_comes}; once more to stop at once", file=sys.stderr)
+
+    def stop() -> bool:
+        if not before:
+            before.update({n: signal.signal(n, ask) for n in (signal.SIGINT, signal.SIGTERM)})
+        return bool(asked)
+
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,118 @@
+"""What `import cadenza` offers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cadenza
+from cadenza import Note, SceneConfig, Score, TaskConfig
+from cadenza.cli import main
+from cadenza.music.fingering_file import read_fingering
+from cadenza.music.midi import read_midi, write_midi
+
+ROOT = Path(__file__).parents[1]
+TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), title="A tune")
+
+
+class Still:
+    """Does nothing."""
+
+    def reset(self, task, rng) -> None:
+        self._action = np.zeros(task.action_size)
+
+    def act(self) -> np.ndarray:
+        return self._action
+
+
+class OneFinger(Still):
+    def act(self) -> np.ndarray:
+        return self._action[:1]
+
+
+def test_importing_is_quick_and_all_names_are_there() -> None:
+    heavy = ("mujoco", "scipy", "mir_eval", "av", "mido", "jax", "cadenza.performing")
+    code = f"""import sys, cadenza
+print([m for m in {heavy} if m in sys.modules], set(cadenza.__all__) - set(dir(cadenza)))
+for name in cadenza.__all__:
+    getattr(cadenza, name)
+print(callable(cadenza.play) and callable(cadenza.plan) and "jax" not in sys.modules)"""
+    said = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert said == "[] set()\nTrue\n"
+    with pytest.raises(AttributeError, match="no attribute 'dance'"):
+        cadenza.dance  # noqa: B018
+
+
+def test_playing_leaves_what_the_command_line_leaves(tmp_path: Path) -> None:
+    write_midi(TUNE, tmp_path / "tune.mid")
+    song, ours, theirs = tmp_path / "tune.mid", tmp_path / "ours", tmp_path / "theirs"
+    performance = cadenza.play(song, "random", seed=3)
+    performance.save(ours)
+    main(["play", str(song), "--agent", "random", "--seed", "3", "--no-video", "-o", str(theirs)])
+    assert {path.name for path in ours.iterdir()} == {path.name for path in theirs.iterdir()}
+    for name in ("settings.json", "played.mid"):
+        assert (ours / name).read_bytes() == (theirs / name).read_bytes(), name
+    metrics = [json.loads((folder / "metrics.json").read_text()) for folder in (ours, theirs)]
+    assert metrics[0]["return"] == metrics[1]["return"] == performance.metrics["return"]
+    pitches = [note.pitch for note in performance.played.notes]
+    assert [note.pitch for note in read_midi(ours / "played.mid").notes] == pitches
+
+
+def test_configurations_are_taken_as_they_are() -> None:
+    scene = SceneConfig(hands="left")
+    performance = cadenza.play(TUNE, "zero", task=TaskConfig(stretch=2), scene=scene)
+    assert performance.seconds == pytest.approx(1.25)  # with the first note, and half as fast
+    assert performance.settings["scene"]["hands"] == "left"
+    assert performance.score == TUNE
+    assert cadenza.play(TUNE, "zero").seconds == pytest.approx(0.65 + 0.5)
+
+
+def test_an_agent_of_ones_own_plays() -> None:
+    performance = cadenza.play(TUNE, Still())
+    assert performance.settings["agent"] == "Still"
+    assert performance.misses is None
+    np.testing.assert_array_equal(
+        performance.episode["key_qpos"], cadenza.play(TUNE, "zero").episode["key_qpos"]
+    )
+    with pytest.raises(cadenza.CadenzaError, match=r"shape \(1,\), and the task .* \(39,\)"):
+        cadenza.play(TUNE, OneFinger())
+
+
+def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
+    plan = cadenza.plan(TUNE)
+    assert plan.actions.shape == (23, 39)
+    assert min(plan.fingering) >= 0
+    plan.save(tmp_path / "tune.npz")
+    fingered = read_fingering(tmp_path / "tune.fingering", TUNE)
+    assert tuple(note.finger for note in fingered.notes) == plan.fingering
+    again = cadenza.play(TUNE, "replay", plan=tmp_path / "tune.npz")
+    assert again.metrics["f1"] == plan.metrics["f1"] > 0.9
+    assert again.metrics["return"] == plan.metrics["return"]
+
+
+def test_loading_songs(tmp_path: Path) -> None:
+    assert cadenza.load_song("odetojoy") == cadenza.load_song("OdeToJoy")
+    (tmp_path / "broken.mid").write_bytes(b"MThd")
+    with pytest.raises(cadenza.CadenzaError, match=r"broken\.mid"):
+        cadenza.load_song(tmp_path / "broken.mid")
+
+
+def test_what_is_repaired_in_a_song_is_a_warning(tmp_path: Path) -> None:
+    write_midi(Score((Note(0, 1, 60), Note(0, 1, 60))), tmp_path / "twice.mid")
+    with pytest.warns(cadenza.CadenzaWarning, match=r"twice\.mid: "):
+        assert cadenza.load_song(tmp_path / "twice.mid").remarks
+
+
+@pytest.mark.slow
+def test_the_example_runs(tmp_path: Path) -> None:
+    write_midi(TUNE, tmp_path / "tune.mid")
+    said = subprocess.check_output(
+        [sys.executable, ROOT / "examples" / "play_a_song.py", "tune.mid"], cwd=tmp_path, text=True
+    )
+    assert [line.split(":")[0] for line in said.splitlines()] == ["planner", "Clumsy"]
+    assert (tmp_path / "played" / "Clumsy" / "report.html").exists()

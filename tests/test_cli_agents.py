@@ -1,0 +1,269 @@
+"""Who plays what in which task, on the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cadenza.agents.rl.policy_folder import load_policy, save_policy
+from cadenza.agents.rl.pretrained import pretrained_folder
+from cadenza.cli import main
+from cadenza.episode import load_episode
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
+OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
+# Presses Ctrl-C, or twice, when it begins or in the third step.
+OWN_AGENTS = """
+import os, signal
+import numpy as np
+
+class Still:
+    def reset(self, task, rng):
+        self._action, self._step = np.zeros(task.action_size), 0
+    def act(self):
+        self._step += 1
+        self.at_step()
+        return self._action
+    def at_step(self):
+        pass
+
+class Impatient(Still):
+    times = 1
+    def at_step(self):
+        for _ in range(self.times * (self._step == 3)):
+            os.kill(os.getpid(), signal.SIGINT)
+
+class MoreImpatient(Impatient):
+    times = 2
+
+class NeverBegins(Still):
+    def reset(self, task, rng):
+        os.kill(os.getpid(), signal.SIGINT)
+
+class OnlyResets:
+    def reset(self, task, rng):
+        pass
+
+not_a_class = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with songs and agents."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    write_midi(TUNE, tmp_path / "tune.mid")
+    (tmp_path / "own.py").write_text(OWN_AGENTS)
+    yield tmp_path
+    sys.modules.pop("own", None)
+
+
+def policy(folder: Path, **options: dict[str, object]) -> Path:
+    """One that plays anything at once, and badly: it has learnt another song, and other notes."""
+    learnt = load_policy(pretrained_folder("TwinkleTwinkleLittleStar"))
+    task, scene = options.get("task", {}), options.get("scene", {})
+    learnt = replace(
+        learnt,
+        score=replace(TUNE, title="A tune"),
+        task=replace(learnt.task, **task),
+        scene=replace(learnt.scene, **scene),
+    )
+    save_policy(folder, learnt, {})
+    return folder
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def settings(folder: Path) -> dict:
+    return json.loads((folder / "settings.json").read_text())
+
+
+# Policies
+
+
+def test_the_folder_of_a_policy_as_the_song_plays_that_policy(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run" / "best")
+    main(["play", "run/best", "--no-video"])
+    assert settings(here / "played" / "A tune" / "run-best")["agent"] == "run/best"
+    assert capsys.readouterr().err == ""
+    main(["play", "run/best", "--agent", "zero", "--no-video"])
+    assert settings(here / "played" / "A tune" / "zero")["agent"] == "zero"
+
+
+def test_a_policy_on_another_song_is_a_line_on_stderr(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run")
+    write_midi(OTHER, here / "other.mid")
+    main(["play", "other.mid", "--agent", "run", "--no-video"])
+    assert capsys.readouterr().err == "run: has learnt 'A tune', not other.mid\n"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--stretch", "2", "learnt the song with stretch 1.0, here it is 2.0"),
+        ("--hands", "right", "learnt the song with hands both, here it is right"),
+        ("--random-pitch-shift", "2", "with random_pitch_shift 0, here it is 2"),
+    ],
+)
+def test_what_changes_the_plan_that_a_policy_corrects(
+    option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refused(capsys, "play", "OdeToJoy", "--agent", "pretrained", option, value)
+    assert line.startswith("cadenza: pretrained: learnt the song with ")
+    assert line.endswith(f"{said}; leave out that option, or train anew")
+    assert not (here / "played").exists()
+
+
+@pytest.mark.usefixtures("here")
+def test_a_policy_that_corrects_a_plan_plays_no_other_song(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = pretrained_folder("OdeToJoy")
+    line = refused(capsys, "play", "tune.mid", "--agent", folder)
+    assert "'Ode to Joy' by correcting its plan, and plays nothing else" in line
+
+
+def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Path) -> None:
+    policy(here / "run", task={"initial_buffer_time": 0.1}, scene={"physics": "fast"})
+    main(["play", "run", "--no-video", "-o", "own"])
+    own = settings(here / "own")
+    assert (own["task"]["initial_buffer_time"], own["scene"]["physics"]) == (0.1, "fast")
+    defaults = ["--initial-buffer-time", "0.5", "--physics", "published"]
+    main(["play", "run", "--no-video", *defaults, "-o", "given"])
+    given = settings(here / "given")
+    assert (given["task"]["initial_buffer_time"], given["scene"]["physics"]) == (0.5, "published")
+    assert load_episode(here / "given" / "episode.npz").num_steps == 23
+
+
+def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", "tune.mid", "--agent", "random", "--physics", "fast", "--no-video", "-o", "a"])
+    replay = ["play", "tune.mid", "--agent", "replay", "--plan", "a/episode.npz", "--no-video"]
+    main([*replay, "-o", "b"])
+    assert settings(here / "b")["scene"]["physics"] == "fast"
+    assert capsys.readouterr().err == ""
+    main([*replay, "-o", "c", "--physics", "published"])
+    assert settings(here / "c")["scene"]["physics"] == "published"
+    said = capsys.readouterr().err
+    assert said == "a/episode.npz: made in the fast physics, played in the published\n"
+
+
+def test_each_agent_is_compared_in_its_own_task(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run", task={"stretch": 2.0}, scene={"physics": "fast"})
+    agents = ["--agents", "zero", "run"]
+    main(["compare", "tune.mid", *agents, "-o", "own"])
+    remark = "run plays with stretch 2.0 instead of 1.0, physics fast instead of published"
+    assert remark in capsys.readouterr().out
+    assert remark in (here / "own" / "compare.html").read_text()
+    main(["compare", "tune.mid", *agents, "--stretch", "1", "--physics", "published", "-o", "same"])
+    assert "instead of" not in capsys.readouterr().out
+    own, same = (json.loads((here / n / "compare.json").read_text()) for n in ("own", "same"))
+    assert own["means"]["zero"]["f1"] == same["means"]["zero"]["f1"]
+    assert own["means"]["run"]["f1"] != same["means"]["run"]["f1"]
+    assert (len(own["remarks"]), len(same["remarks"])) == (1, 0)
+
+
+# Songs and folders
+
+
+def test_a_folder_named_like_a_bundled_song_does_not_hide_it(here: Path) -> None:
+    policy(here / "OdeToJoy")
+    main(["play", "OdeToJoy", "--agent", "zero", "--no-video", "-o", "bundled"])
+    assert load_episode(here / "bundled" / "episode.npz").song == "Ode to Joy"
+    main(["play", "./OdeToJoy", "--agent", "zero", "--no-video", "-o", "folder"])
+    assert load_episode(here / "folder" / "episode.npz").song == "A tune"
+
+
+def test_two_agents_do_not_overwrite_each_other(here: Path) -> None:
+    for agent in ("zero", "own:Still", str(policy(here / "run" / "best"))):
+        main(["play", "tune.mid", "--agent", agent, "--no-video"])
+    assert {path.name for path in (here / "played" / "tune").iterdir()} == {
+        "zero",
+        "own_Still",
+        "run-best",
+    }
+
+
+@pytest.mark.parametrize("name", ["...mid", ".mid", "....mid", "a" * 251 + ".mid", "a\nb.mid"])
+def test_results_stay_below_their_folder_whatever_a_file_is_called(name: str, here: Path) -> None:
+    shutil.move("tune.mid", name)
+    main(["play", f"./{name}", "--agent", "zero", "--no-video"])
+    assert {path.name for path in here.iterdir()} == {name, "own.py", "played"}
+    (song,) = (here / "played").iterdir()
+    assert (song / "zero" / "report.html").exists()
+
+
+# Agents of one's own
+
+
+def test_an_agent_of_ones_own(here: Path) -> None:
+    main(["play", "tune.mid", "--agent", "own:Still", "--no-video", "-o", "played"])
+    assert settings(here / "played")["agent"] == "own:Still"
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nowhere:Still", "agent nowhere:Still: cannot import 'nowhere' (No module named"),
+        (":Still", "agent :Still: cannot import ''"),
+        ("own:Moving", "agent own:Moving: there is no class 'Moving' in "),
+        ("own:not_a_class", "there is no class 'not_a_class' in "),
+        ("own:OnlyResets", "agent own:OnlyResets: has no method act; give it reset(task, rng)"),
+        ("planer", "no agent 'planer': did you mean planner? choose from planner, "),
+        ("xyz", "no agent 'xyz': choose from planner, "),
+    ],
+)
+def test_agents_that_there_are_not(
+    name: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refused(capsys, "play", "tune.mid", "--agent", name)
+
+
+# Ctrl-C
+
+
+def interrupted(capsys: pytest.CaptureFixture[str], agent: str) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", "part"])
+    assert stop.value.code == 130
+    return capsys.readouterr().err
+
+
+def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = interrupted(capsys, "own:Impatient")
+    assert "stopped after 0.2 of 1.2 s: the results are of that part\n" in said
+    assert load_episode(here / "part" / "episode.npz").num_steps == 3
+    assert json.loads((here / "part" / "metrics.json").read_text())["steps"] == 3
+    assert (here / "part" / "report.html").exists()
+    assert (here / "part" / "played.mid").exists()
+
+
+@pytest.mark.parametrize("agent", ["own:MoreImpatient", "own:NeverBegins"])
+def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
+    agent: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert interrupted(capsys, agent).endswith("cadenza: interrupted\n")
+    assert os.listdir(here / "part") == []
