@@ -41,7 +41,7 @@ LIBRARIES: dict[str, set[str]] = {
         "filelock",
         "msgspec",
     },
-    "report": {"numpy", "scipy", "av", "tensorboardX", "wandb"},
+    "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
 }
 
 

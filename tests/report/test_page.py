@@ -9,7 +9,7 @@ from conftest import make_episode
 from cadenza.episode import Episode
 from cadenza.report.page import asset, write_report
 
-SILENCE = np.zeros((0, 2), np.float32)
+SILENCE = np.zeros((0, 2), np.int16)
 
 
 class Page(HTMLParser):

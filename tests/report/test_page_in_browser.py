@@ -11,7 +11,7 @@ from cadenza.model.drawing import drawing
 from cadenza.model.scene import build_scene
 from cadenza.music.performance import performed_score
 from cadenza.report.page import write_report
-from cadenza.report.sound import synthesize
+from cadenza.report.sound import encode_mp3, synthesize
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"
@@ -158,8 +158,8 @@ def test_a_miss_seeks_to_shortly_before_it(browser, write, episode):
 
 @pytest.mark.slow
 def test_the_goal_is_heard_from_where_the_performance_was(browser, write, episode):
-    silence = np.zeros((1000, 2), np.float32)
-    browser.open(write(episode, goal_audio=silence))
+    silence = encode_mp3(np.zeros((1000, 2), np.int16))
+    browser.open(write(episode, goal_mp3=silence))
     browser.evaluate("(cadenza.seek(0.4), cadenza.play())")
     browser.evaluate("document.querySelector('[data-sound=goal]').click()")
     browser.wait("!document.getElementById('goal').paused")
@@ -238,9 +238,9 @@ SIZES = {"laptop": (1280, 720), "desktop": (1920, 1080), "phone": (390, 844)}
 def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
-    silence = np.zeros((1000, 2), np.float32)
+    silence = encode_mp3(np.zeros((1000, 2), np.int16))
     path = write(
-        episode, misses=MISSES, goal_audio=silence, midi=b"MThd", video="a_rather_long_name.mp4"
+        episode, misses=MISSES, goal_mp3=silence, midi=b"MThd", video="a_rather_long_name.mp4"
     )
     browser = Browser(tmp_path / "profile")
     browser.call(
@@ -409,7 +409,7 @@ def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(brow
 def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, episode):
     path, value = tmp_path / "page.html", "runs/a_rather_long_name/of_a_folder/with_an_episode"
     settings = {"agent.configuration.checkpoint_path": value}
-    write_report(path, episode, {}, settings, np.zeros((0, 2), np.float32))
+    write_report(path, episode, {}, settings, np.zeros((0, 2), np.int16))
     size = {"height": 800, "deviceScaleFactor": 1, "mobile": False}
     browser.call("Emulation.setDeviceMetricsOverride", width=320, **size)
     browser.open(path)

@@ -40,7 +40,7 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
         hand_qpos=rng.normal(0, 1, (episode.num_steps, 2)),
         reward_key_press=key_press,
     )
-    write_report(tmp_path / "page.html", episode, {}, {}, np.zeros((0, 2), np.float32))
+    write_report(tmp_path / "page.html", episode, {}, {}, np.zeros((0, 2), np.int16))
     browser.open(tmp_path / "page.html")
     browser.evaluate(f"(() => {{ {asset('recording.js')}; window.read = readRecording; }})()")
     read = json.loads(

@@ -26,7 +26,7 @@ from cadenza.music.performance import performed_score
 from cadenza.music.score import Score
 from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
 from cadenza.report.page import write_report
-from cadenza.report.sound import SAMPLE_RATE, synthesize
+from cadenza.report.sound import SAMPLE_RATE, encode_mp3, synthesize
 from cadenza.report.video import write_video
 from cadenza.sim.render import ALL_KEYS, VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
@@ -91,9 +91,10 @@ class Performance:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
         progress("making the sound", 0, 2)
-        audio = synthesize(played)
+        # One after the other: of a long song, each takes hundreds of megabytes until it is encoded.
+        goal = encode_mp3(synthesize(self._goal), bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)
-        goal_audio = synthesize(self._goal)
+        audio = synthesize(played)
         path = folder / "video.mp4"
         drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
         write_report(
@@ -103,7 +104,7 @@ class Performance:
             self.settings,
             audio,
             misses=lost,
-            goal_audio=goal_audio,
+            goal_mp3=goal,
             midi=(folder / "played.mid").read_bytes(),
             video=path.name if drawn else "",
         )
@@ -115,7 +116,7 @@ class Performance:
         return performed_score(episode["goal_keys"], episode["goal_sustain"], episode.dt)
 
     def _write_video(
-        self, path: Path, audio: NDArray[np.floating], progress: Progress, picture: Picture
+        self, path: Path, audio: NDArray[np.int16], progress: Progress, picture: Picture
     ) -> bool:
         """Whether this machine can draw it."""
         episode = self.episode

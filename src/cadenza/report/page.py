@@ -42,10 +42,10 @@ def write_report(
     episode: Episode,
     metrics: Mapping[str, Any],
     settings: Mapping[str, Any],
-    audio: NDArray[Any],
+    audio: NDArray[np.int16],
     sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
-    goal_audio: NDArray[Any] | None = None,
+    goal_mp3: bytes = b"",
     midi: bytes = b"",
     video: str = "",
 ) -> None:
@@ -59,7 +59,7 @@ def write_report(
         audio: the performance as `synthesize` makes it, starting with the first step.
         misses: of each note that was lost `time` [s], `note`, `finger` 0..9 or -1, `what` became of
             it, and the `reason`; without any, the page has no such table.
-        goal_audio: what should have been played, in the same form; without, it cannot be heard.
+        goal_mp3: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file to download.
         video: name of a file beside the page to download.
     """
@@ -76,7 +76,7 @@ def write_report(
         "settings": _folded("Settings", _table(dict(flat(settings)))),
         "downloads": _downloads(midi, video),
         "roll_label": html.escape(_in_words(episode)),
-        "recording": embedded(episode, audio, sample_rate, goal_audio),
+        "recording": embedded(episode, audio, sample_rate, goal_mp3),
         "css": asset("page.css"),
         "three": asset("three.min.js"),
         "js": "\n".join(map(asset, _SCRIPTS)),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import zlib
 from collections.abc import Iterator
 from typing import Any
@@ -26,20 +25,21 @@ _PIECE = 3 << 18  # bytes that are written at once; base64 wants a multiple of 3
 
 def embedded(
     episode: Episode,
-    audio: NDArray[Any],
+    audio: NDArray[np.int16],
     sample_rate: int,
-    goal_audio: NDArray[Any] | None = None,
+    goal_mp3: bytes = b"",
 ) -> Iterator[str]:
     """The elements of a page that hold a performance and its sound, in pieces.
 
-    `goal_audio` is what it should have sounded like, for pages on which one can compare.
+    `goal_mp3` is what it should have sounded like, for pages on which one can compare.
     """
     yield f'<script type="application/json" class="recording">{_json(_recording(episode))}</script>'
-    for kind, sound in (("sound", audio), ("goal", goal_audio)):
-        if sound is None:
+    # At least as long as the episode: the page's clock is this sound.
+    sound = encode_mp3(audio, sample_rate, seconds=episode.num_steps * episode.dt)
+    for kind, mp3 in (("sound", sound), ("goal", goal_mp3)):
+        if not mp3:
             continue
         yield f'<script type="text/plain" class="{kind}">'
-        mp3 = _sound(episode, sound, sample_rate)
         for start in range(0, len(mp3), _PIECE):
             yield base64.b64encode(mp3[start : start + _PIECE]).decode()
         yield "</script>"
@@ -83,13 +83,6 @@ def _packed(values: NDArray[Any]) -> str:
     steps = np.diff(patterns, axis=0, prepend=np.zeros_like(patterns[:1]))
     planes = steps.T.astype(f"<u{size}", order="C").view(np.uint8).reshape(-1, size).T
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
-
-
-def _sound(episode: Episode, audio: NDArray[np.floating], rate: int) -> bytes:
-    """MP3 of at least the episode's length: the page's clock is this sound."""
-    missing = math.ceil(episode.num_steps * episode.dt * rate) - len(audio)
-    padding = [(0, max(missing, 0))] + [(0, 0)] * (audio.ndim - 1)
-    return encode_mp3(np.pad(audio, padding), rate)
 
 
 def _json(content: Any) -> str:

@@ -4,7 +4,10 @@ A note is a sum of damped sinusoids, `sum_k a_k exp(-s_k t) sin(2 pi f_k t)`, wi
 partials of a stiff string, `f_k ~ k f_1 sqrt(1 + B k^2)` (Fletcher, Blackham and Stratton, "Quality
 of piano tones", JASA 34, 1962). Each partial is two strings that differ slightly in pitch and in
 decay, which gives the piano's fast first and slow second decay (Weinreich, "Coupled piano strings",
-JASA 62, 1977). The levels and decay times were set by ear and by common measurements of pianos.
+JASA 62, 1977). The levels were set by ear and by common measurements of pianos.
+
+Sound is made, levelled and encoded block by block, so that the memory it takes grows by that of the
+16 bit samples alone, 10.6 MB a minute.
 """
 
 from __future__ import annotations
@@ -12,75 +15,193 @@ from __future__ import annotations
 import io
 import wave
 from collections import defaultdict
+from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
+import av.filter
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
+from threadpoolctl import threadpool_limits
 
 from cadenza.files import write_atomically
 from cadenza.music.score import NUM_KEYS, Note, Score
 
 SAMPLE_RATE = 44100  # [Hz]
 
-_LOUDNESS = 0.22  # amplitude of one note played as hard as possible; ten of them meet the limiter
-_CEILING = 0.89  # no sample is larger
+# [LUFS] integrated loudness of every recording: that of ReplayGain 2.0, at which a piano's peaks,
+# some 12 to 18 dB higher, hardly meet the ceiling.
+_LOUDNESS = -18.0
+# No sample is larger: 2 dBFS below full scale, so that the wave between samples, also of the
+# compressed sound, stays 1 dB below it.
+_CEILING = 10 ** (-2 / 20)
+_LOUDEST = 0.2  # amplitude of the loudest note before the whole is levelled
+_BLOCK = 10  # [s] of sound that is made at a time
 _LAST_DAMPER = 88  # MIDI pitch; strings above have no damper and ring on
 _DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
+_LONGEST = 30.0  # [s] a note sounds, whoever holds it
 _VELOCITY_BAND = 8  # velocities that share one timbre
+_TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
 _TAIL = 0.7  # [s] of room after the last note
 _ROOM = 0.05  # level of the room against the piano
 
 
-def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> NDArray[np.float32]:
-    """The sound of `score`, (n, 2) left and right within -1..1; (0, 2) without notes.
+def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> NDArray[np.int16]:
+    """The sound of `score`, (n, 2) left and right, 16 bit; (0, 2) without notes.
 
-    Louder notes are also brighter; while the pedal is down, notes ring on after their end.
+    Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
+    whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
+    all recordings are equally loud.
+
+    Memory: the samples returned and about 150 MB, however many notes there are.
     """
     if not score.notes:
-        return np.zeros((0, 2), np.float32)
-    releases = _releases(score)
-    latest = max(r + _damping(n.pitch) for n, r in zip(score.notes, releases, strict=True))
-    mix = np.zeros((int((latest + _TAIL) * sample_rate) + 1, 2), np.float32)
-    alike: dict[tuple[int, int], list[tuple[Note, float]]] = defaultdict(list)
-    for note, release in zip(score.notes, releases, strict=True):
-        band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
-        alike[note.pitch, band].append((note, release))
-    for (pitch, band), notes in alike.items():
-        seconds = max(release - note.start for note, release in notes) + _damping(pitch)
-        tone = _tone(pitch, band / 127, seconds, sample_rate)
-        for note, release in notes:
-            sound = _damped(tone, release - note.start, pitch, sample_rate)
-            first = round(note.start * sample_rate)
-            gain = _LOUDNESS * (note.velocity / 127) ** 1.6
-            mix[first : first + len(sound)] += sound[:, None] * (gain * _pan(note.key))
-    return _limited(_in_room(mix, sample_rate), sample_rate)
+        return np.zeros((0, 2), np.int16)
+    notes = list(zip(score.notes, _releases(score), strict=True))
+    latest = max(release + _damping(note.pitch) for note, release in notes)
+    # Half precision: an error 76 dB below the sound, whatever its level.
+    mix = np.empty((int((latest + _TAIL) * sample_rate) + 1, 2), np.float16)
+    meter = _LoudnessMeter(sample_rate)
+    first = 0
+    with threadpool_limits(1):  # small matrices
+        for block in _in_room(_blocks(notes, len(mix), sample_rate), sample_rate):
+            mix[first : first + block.shape[1]] = block.T
+            meter.add(block)
+            first += block.shape[1]
+    return _levelled(mix, 10 ** ((_LOUDNESS - meter.integrated) / 20), sample_rate)
 
 
-def write_wav(path: Path, audio: NDArray[np.floating], sample_rate: int = SAMPLE_RATE) -> None:
-    """Writes `audio`, (n,) or (n, 2) within -1..1, as 16 bit PCM."""
-    samples = np.round(np.clip(audio, -1, 1) * 32767).astype("<i2")
+def write_wav(path: Path, audio: NDArray[np.int16], sample_rate: int = SAMPLE_RATE) -> None:
+    """Writes `audio`, (n,) or (n, 2), as PCM."""
     with write_atomically(path) as raw, wave.open(raw, "wb") as file:
-        file.setnchannels(1 if samples.ndim == 1 else samples.shape[1])
+        file.setnchannels(1 if audio.ndim == 1 else audio.shape[1])
         file.setsampwidth(2)
         file.setframerate(sample_rate)
-        file.writeframes(samples.tobytes())
+        file.writeframes(np.ascontiguousarray(audio, "<i2").data)
 
 
-def encode_mp3(audio: NDArray[np.floating], sample_rate: int = SAMPLE_RATE) -> bytes:
-    """`audio`, (n,) or (n, 2) within -1..1, as an MP3 file: what every browser plays."""
-    layout = "mono" if audio.ndim == 1 else "stereo"
-    planes = np.ascontiguousarray(np.atleast_2d(audio.T), dtype=np.float32)
+def encode_mp3(
+    audio: NDArray[np.int16],
+    sample_rate: int = SAMPLE_RATE,
+    bit_rate: int = 96_000,
+    mono: bool = False,
+    seconds: float = 0.0,
+) -> bytes:
+    """`audio`, (n,) or (n, 2), as an MP3 file: what every browser plays.
+
+    Args:
+        bit_rate: of the file, bits a second.
+        mono: whether both channels are mixed into one.
+        seconds: what the file lasts at least; silence is added where the audio is shorter.
+    """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp3") as container:
+        layout = "mono" if mono or audio.ndim == 1 else "stereo"
         stream = container.add_stream("libmp3lame", rate=sample_rate, layout=layout)
-        stream.bit_rate = 96_000
-        frame = av.AudioFrame.from_ndarray(planes, format="fltp", layout=layout)
-        frame.sample_rate = sample_rate
-        container.mux(stream.encode(frame))
+        stream.bit_rate = bit_rate
+        for frame in audio_frames(audio, sample_rate, seconds):
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return buffer.getvalue()
+
+
+def audio_frames(
+    audio: NDArray[np.int16], sample_rate: int, seconds: float = 0.0
+) -> Iterator[av.AudioFrame]:
+    """`audio`, (n,) or (n, 2), a second at a time, with silence after it up to `seconds`."""
+    length = max(len(audio), int(np.ceil(seconds * sample_rate)))
+    for first in range(0, length, sample_rate):
+        samples = np.zeros((min(sample_rate, length - first), *audio.shape[1:]), np.int16)
+        part = audio[first : first + len(samples)]
+        samples[: len(part)] = part
+        layout = "mono" if audio.ndim == 1 else "stereo"
+        frame = av.AudioFrame.from_ndarray(samples.reshape(1, -1), format="s16", layout=layout)
+        frame.sample_rate = sample_rate
+        frame.pts, frame.time_base = first, Fraction(1, sample_rate)
+        yield frame
+
+
+class _LoudnessMeter:
+    """Integrated loudness by ITU-R BS.1770-4, as FFmpeg's filter ebur128 measures it."""
+
+    def __init__(self, sample_rate: int) -> None:
+        self.integrated = -70.0
+        """[LUFS] of what was added, but for the last tenth of a second; -70 for silence."""
+        self._rate, self._added = sample_rate, 0
+        self._graph = av.filter.Graph()
+        nodes = (
+            self._graph.add_abuffer(
+                sample_rate=sample_rate,
+                format="fltp",
+                layout="stereo",
+                time_base=Fraction(1, sample_rate),
+            ),
+            self._graph.add("ebur128", "metadata=1"),
+            self._graph.add("abuffersink"),
+        )
+        self._graph.link_nodes(*nodes).configure()
+
+    def add(self, block: NDArray[np.float32]) -> None:
+        """The next samples (2, n) of the piece."""
+        frame = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
+        frame.sample_rate, frame.pts = self._rate, self._added
+        self._graph.push(frame)
+        self._added += block.shape[1]
+        while True:
+            try:
+                measured = self._graph.pull().metadata
+            except av.BlockingIOError:
+                return
+            self.integrated = float(measured["lavfi.r128.I"])
+
+
+def _blocks(
+    notes: list[tuple[Note, float]], length: int, rate: int
+) -> Iterator[NDArray[np.float32]]:
+    """The sound of notes, sorted by their start, and their releases [s], block by block (2, n)."""
+    loudest = max(note.velocity for note, _ in notes)
+    size = _BLOCK * rate
+    mix = np.zeros((2, size), np.float32)  # from the block's beginning on
+    tones: dict[tuple[int, int, int], NDArray[np.float32]] = {}
+    done = 0
+    for begin in range(0, length, size):
+        while done < len(notes) and round(notes[done][0].start * rate) < begin + size:
+            note, release = notes[done]
+            sound = _damped(_tone_of(note, release, rate, tones), note, release, rate)
+            first = round(note.start * rate) - begin
+            mix = _at_least(first + len(sound), mix)
+            gain = _LOUDEST * (note.velocity / loudest) ** 1.6
+            for channel, level in zip(mix, gain * _pan(note.key), strict=True):
+                channel[first : first + len(sound)] += sound * level
+            done += 1
+        yield np.ascontiguousarray(mix[:, : min(size, length - begin)])
+        mix = _at_least(size, mix[:, size:])
+
+
+def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
+    """`mix` (2, n) with silence after it where it is shorter."""
+    return np.pad(mix, ((0, 0), (0, max(0, length - mix.shape[1]))))
+
+
+def _tone_of(
+    note: Note,
+    release: float,
+    rate: int,
+    tones: dict[tuple[int, int, int], NDArray[np.float32]],
+) -> NDArray[np.float32]:
+    """The undamped tone of a note, at least as long as it is heard; `tones` keeps it."""
+    band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
+    # Lengths are powers of two, so that notes of different lengths share a tone.
+    doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))
+    key = note.pitch, band, doublings
+    if key not in tones:
+        if sum(tone.nbytes for tone in tones.values()) > _TONES_KEPT:
+            tones.clear()
+        tones[key] = _tone(note.pitch, band / 127, 2.0**doublings, rate)
+    return tones[key]
 
 
 def _releases(score: Score) -> list[float]:
@@ -102,12 +223,19 @@ def _releases(score: Score) -> list[float]:
         again = np.searchsorted(strikes[note.pitch], note.start, side="right")
         if again < len(strikes[note.pitch]):
             release = min(release, strikes[note.pitch][again])
-        releases.append(max(release, note.start + 0.03))
+        releases.append(min(max(release, note.start + 0.03), note.start + _LONGEST))
     return releases
 
 
 def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
-    """One undamped note of loudness 1, (n,); `hardness` 0..1 is how hard the hammer strikes."""
+    """One undamped note of loudness 1, (n,); `hardness` 0..1 is how hard the hammer strikes.
+
+    It decays at first as the strings of C2, C4 and C7 that Bensa et al. fitted to a grand piano
+    ("The simulation of piano string vibration", JASA 114, 2003, table I): by 2, 10 and 80 dB a
+    second and more the higher the partial. A quarter of the amplitude decays at a quarter of that
+    rate, as in Weinreich's record of E flat 4, 8 dB a second and then less than a quarter of it
+    ("The coupled motions of piano strings", in Five Lectures on the Acoustics of the Piano, 1990).
+    """
     fundamental = 440.0 * 2 ** ((pitch - 69) / 12)
     stiffness = 3.5e-4 * 2 ** (max(pitch - 45, 0) / 9 - 15 / 9)
     order = np.arange(1, 61)
@@ -117,7 +245,7 @@ def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.
     level *= np.exp(-(frequency - fundamental) / brightness)
     audible = (frequency < 0.45 * rate) & (level > 1e-4 * level.max())
     frequency, level = frequency[audible], level[audible] / np.linalg.norm(level[audible])
-    slow = 6.9 * 2 ** ((pitch - 21) / 24) / 14 + 4e-7 * frequency**2  # [1/s]
+    prompt = 1.1 * (fundamental / 262) ** 1.03 + 1e-7 * frequency**2  # [1/s]
 
     # The soundboard's knock: modes that die at once, irregular so that they have no pitch.
     modes = np.arange(24)
@@ -126,8 +254,8 @@ def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.
     length = int(seconds * rate) + 1
     tone = _ring(
         np.concatenate([frequency, frequency * 1.0004, knock]),
-        np.concatenate([2 * slow, 0.7 * slow, 45 + 0.05 * knock]),
-        np.concatenate([0.65 * level, 0.35 * level, knock_level]),
+        np.concatenate([prompt, prompt / 4, 45 + 0.05 * knock]),
+        np.concatenate([0.75 * level, 0.25 * level, knock_level]),
         length,
         rate,
     )
@@ -146,17 +274,25 @@ def _ring(
     """`sum_k level_k exp(-decay_k t) sin(2 pi frequency_k t)` for `length` samples.
 
     Sample i * block + j of a damped sinusoid is the product of a factor of i and a factor of j, so
-    the sum over k is one matrix product, and only 2 sqrt(length) exponentials are computed.
+    the sum over k is one matrix product, and few exponentials are computed.
     """
     step = (-decay + 2j * np.pi * frequency) / rate
     block = int(np.sqrt(length)) + 1
-    starts = np.arange(0, length, block)
-    coarse = np.exp(np.multiply.outer(starts, step)) * level
-    fine = np.exp(np.multiply.outer(step, np.arange(block)))
-    # The imaginary part of coarse @ fine, in single precision.
-    left = np.hstack([np.real(coarse), np.imag(coarse)]).astype(np.float32)
+    coarse = _powers(block * step, length // block + 1) * level[:, None]
+    fine = _powers(step, block)
+    # The imaginary part of coarse.T @ fine, in single precision.
+    left = np.vstack([np.real(coarse), np.imag(coarse)]).astype(np.float32)
+    left[np.abs(left) < 1e-12] = 0  # long inaudible; products of denormal numbers take ages
     right = np.vstack([np.imag(fine), np.real(fine)]).astype(np.float32)
-    return (left @ right).ravel()[:length]
+    return (left.T @ right).ravel()[:length]
+
+
+def _powers(step: NDArray[Any], count: int) -> NDArray[Any]:
+    """`exp(step_k * i)` for i below `count`, (K, count), by few exponentials."""
+    few = int(np.sqrt(count)) + 1
+    coarse = np.exp(np.multiply.outer(few * step, np.arange(few)))
+    fine = np.exp(np.multiply.outer(step, np.arange(few)))
+    return (coarse[:, :, None] * fine[:, None, :]).reshape(len(step), -1)[:, :count]
 
 
 def _damping(pitch: int) -> float:
@@ -164,12 +300,15 @@ def _damping(pitch: int) -> float:
     return 1.2 if pitch > _LAST_DAMPER else 8 * _DAMPING
 
 
-def _damped(tone: NDArray[np.float32], held: float, pitch: int, rate: int) -> NDArray[np.float32]:
-    """The tone with the damper falling `held` [s] after its start, (n,)."""
-    sound = tone[: int((held + _damping(pitch)) * rate)].copy()
+def _damped(
+    tone: NDArray[np.float32], note: Note, release: float, rate: int
+) -> NDArray[np.float32]:
+    """The note's tone with the damper falling at `release` [s], (n,)."""
+    held, damping = release - note.start, _damping(note.pitch)
+    sound = tone[: int((held + damping) * rate)].copy()
     after = sound[int(held * rate) :]
     fade = np.linspace(1, 0, len(after), dtype=np.float32)  # ends at exactly 0: no click
-    if pitch <= _LAST_DAMPER:
+    if note.pitch <= _LAST_DAMPER:
         fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (_DAMPING * rate))
     after *= fade
     return sound
@@ -181,22 +320,42 @@ def _pan(key: int) -> NDArray[np.float32]:
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 
-def _in_room(mix: NDArray[np.float32], rate: int) -> NDArray[np.float32]:
+def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArray[np.float32]]:
     """Adds a little room: decaying noise, always the same, as impulse response."""
     time = np.arange(int(_TAIL * rate)) / rate
-    noise = np.random.default_rng(88).standard_normal((len(time), 2))
+    noise = np.random.default_rng(88).standard_normal((len(time), 2)).T
     band = signal.butter(1, [200, 3500], "bandpass", fs=rate, output="sos")
-    response = np.asarray(signal.sosfilt(band, noise * np.exp(-8 * time)[:, None], axis=0))
-    response[: int(0.012 * rate)] = 0  # the first wall is some metres away
-    response *= _ROOM * 4 / np.linalg.norm(response, axis=0)
-    fade = np.linspace(1, 0, len(time))[:, None]
-    wet = signal.oaconvolve(mix, np.float32(response * fade), axes=0)[: len(mix)]
-    return mix + np.float32(wet)
+    response = np.asarray(signal.sosfilt(band, noise * np.exp(-8 * time)))
+    response[:, : int(0.012 * rate)] = 0  # the first wall is some metres away
+    response *= _ROOM * 4 / np.linalg.norm(response, axis=1, keepdims=True)
+    response = (response * np.linspace(1, 0, len(time))).astype(np.float32)
+    ringing = np.zeros((2, 0), np.float32)
+    for block in blocks:
+        # A second at a time, so that no bit depends on the size of the blocks.
+        for first in range(0, block.shape[1], rate):
+            dry = block[:, first : first + rate]
+            wet = signal.fftconvolve(dry, response, axes=1)
+            wet[:, : ringing.shape[1]] += ringing
+            ringing = wet[:, dry.shape[1] :]
+            dry += wet[:, : dry.shape[1]]
+        yield block
 
 
-def _limited(audio: NDArray[np.float32], rate: int) -> NDArray[np.float32]:
-    """Turns down around peaks so that none exceeds the ceiling, without bending the waveform."""
+def _levelled(mix: NDArray[np.float16], gain: float, rate: int) -> NDArray[np.int16]:
+    """`mix` (n, 2) times `gain`, in its place, and where that exceeds the ceiling turned down.
+
+    Around peaks, so that the waveform is not bent.
+    """
     window = int(0.01 * rate) | 1
-    peak = ndimage.maximum_filter1d(np.abs(audio).max(axis=1), window)
-    gain = np.minimum(1, _CEILING / np.maximum(peak, 1e-9))
-    return audio * ndimage.uniform_filter1d(gain, window).astype(np.float32)[:, None]
+    samples = mix.view(np.int16)
+    size = _BLOCK * rate
+    before = np.zeros((2, 0), np.float32)  # what the block just written was like
+    for first in range(0, len(mix), size):
+        here = mix[first : first + size + window].T.astype(np.float32) * np.float32(gain)
+        audio = np.hstack([before, here])
+        peak = ndimage.maximum_filter1d(np.abs(audio).max(axis=0), window)
+        down = ndimage.uniform_filter1d(np.minimum(1, _CEILING / np.maximum(peak, 1e-9)), window)
+        block = (audio * down)[:, before.shape[1] :][:, :size]
+        samples[first : first + size] = np.rint(block * 32767).T
+        before = here[:, :size][:, -window:]
+    return samples

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.report.sound import SAMPLE_RATE
+from cadenza.report.sound import SAMPLE_RATE, audio_frames
 
 
 def write_video(
     path: Path,
     frames: Iterable[NDArray[np.uint8]],
     fps: float,
-    audio: NDArray[np.floating],
+    audio: NDArray[np.int16],
     sample_rate: int = SAMPLE_RATE,
 ) -> None:
     """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
@@ -29,7 +29,7 @@ def write_video(
         frames: pictures (H, W, 3), taken one at a time; of an odd height or width, the last row or
             column is left out, because the format cannot hold it.
         fps: pictures a second.
-        audio: (n,) or (n, 2) within -1..1, cut where it outlasts the pictures by over a second.
+        audio: (n,) or (n, 2), cut where it outlasts the pictures by over a second.
 
     Raises:
         CadenzaError: there are no frames, or they differ in size.
@@ -58,9 +58,6 @@ def write_video(
         container.mux(video.encode(None))
 
         longest = int((count / fps + 1) * sample_rate)
-        planes = np.ascontiguousarray(np.atleast_2d(audio.T)[:, :longest], dtype=np.float32)
-        if planes.size:
-            frame = av.AudioFrame.from_ndarray(planes, format="fltp", layout=layout)
-            frame.sample_rate = sample_rate
+        for frame in audio_frames(audio[:longest], sample_rate):
             container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
