@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import mido
@@ -87,3 +90,38 @@ def test_a_track_that_is_not_there(trio: Path, capsys: pytest.CaptureFixture[str
     assert "no track 4; the file has tracks 1 to 3" in refused(capsys, "info", trio, "--tracks", 4)
     said = refused(capsys, "play", "OdeToJoy", "--tracks", 2)
     assert "no track 2; the file has one track" in said
+
+
+def test_a_file_whose_name_is_no_text_is_played(trio: Path, tmp_path: Path) -> None:
+    path = trio.rename(tmp_path / os.fsdecode(b"pr\xe4ludium.mid"))
+    arguments = ["play", str(path), *QUICK, "-o", str(tmp_path / "out"), "--tracks", "1"]
+    code = f"from cadenza.cli import main; main({arguments!a})"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_musicxml_is_played_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pitch = "<pitch><step>C</step><octave>4</octave></pitch>"
+    measure = f"<measure><note>{pitch}<duration>1</duration></note></measure>"
+    names = '<part-list><score-part id="P1"><part-name>Piano</part-name></score-part></part-list>'
+    score = f'{names}<part id="P1">{measure}</part>'
+    (tmp_path / "c.musicxml").write_text(f"<score-partwise>{score}</score-partwise>")
+    main(["info", str(tmp_path / "c.musicxml")])
+    assert "MIDI 60 to 60" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--stretch", "1e12"], "minutes; the longest is 60"),
+        (["--stretch", "1e6"], "minutes; the longest is 60"),
+        (["--stretch", "2000", "--random-stretch", "0.9"], "minutes; the longest is 60"),
+        (["--initial-buffer-time", "3600"], "minutes; the longest is 60"),
+        (["--control-timestep", "1e-9"], "control steps; the most is 720000"),
+    ],
+)
+def test_songs_of_hours_are_refused(
+    options: list[str], message: str, trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "play", trio, "--tracks", 1, *QUICK, *options, "-o", tmp_path / "out")
+    assert message in said

@@ -26,7 +26,7 @@ STANDS_ON: dict[str, set[str]] = {
     "cli": {"performing"},
 }
 LIBRARIES: dict[str, set[str]] = {
-    "music": {"numpy", "scipy", "mido"},
+    "music": {"numpy", "scipy", "mido", "partitura"},
     "model": {"numpy", "mujoco"},
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},

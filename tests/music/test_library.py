@@ -1,9 +1,11 @@
 import importlib.util
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from cadenza.music.score import Note, Score
 ROOT = Path(__file__).parents[2]
 RECORDED = json.loads((ROOT / "tests/data/songs.json").read_text())
 PIECES = ROOT / "src/cadenza/music/pieces"
+TUNE = Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 64)))
 NAMES = [piece.name for piece in songs()]
 
 
@@ -216,3 +219,53 @@ def test_listing_songs_does_not_load_the_midi_or_metrics_libraries():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.strip() == ""
+
+
+def test_a_missing_file_is_guessed_at(tmp_path):
+    write_midi(TUNE, tmp_path / "Nocturne.mid")
+    with pytest.raises(CadenzaError, match=r"no such file; did you mean .*Nocturne\.mid\?"):
+        load_score(tmp_path / "nocturn.mid")
+    with pytest.raises(CadenzaError, match="no such file; there is no folder"):
+        load_score(tmp_path / "nowhere" / "Nocturne.mid")
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("song.mscz", "MuseScore"),
+        ("song.gp5", "MuseScore"),
+        ("song.SIB", "MuseScore"),
+        ("song.abc", "abc2midi"),
+        ("song.krn", "hum2mid"),
+        ("song.ly", "LilyPond"),
+        ("song.mp3", "transcription"),
+        ("song.wav", "transcription"),
+        ("song.pdf", "recognition"),
+    ],
+)
+def test_formats_that_are_not_read_say_how_to_get_one_that_is(name, advice, tmp_path):
+    (tmp_path / name).write_bytes(b"something")
+    with pytest.raises(CadenzaError, match=f"files are not read; .*{advice}"):
+        load_score(tmp_path / name)
+
+
+def test_a_file_that_only_has_another_name(tmp_path):
+    write_midi(TUNE, tmp_path / "song.kar")
+    assert load_score(tmp_path / "song.kar").notes
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [
+        (b"pr\xe4ludium.mid", "pr\ufffdludium"),
+        (b"n" * 251 + b".mid", "n" * 251),
+        (b"...mid", ".."),
+        (b"a\nb\x1b[31m.mid", "a b [31m"),
+    ],
+)
+def test_names_that_no_terminal_can_print_and_names_as_long_as_can_be(name, title, tmp_path):
+    path = tmp_path / os.fsdecode(name)
+    untitled = replace(TUNE, title="")
+    write_midi(untitled, tmp_path / "song.mid")
+    (tmp_path / "song.mid").rename(path)
+    assert load_score(path).title == title

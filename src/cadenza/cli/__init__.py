@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from io import TextIOWrapper
 from typing import Annotated, Any, TextIO, Union
 
 import tyro
@@ -35,6 +36,8 @@ _COMMANDS: dict[type, Callable[[Any], None]] = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
+    if isinstance(sys.stdout, TextIOWrapper):  # as stderr: names of files need not be text
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         arguments = sys.argv[1:] if arguments is None else arguments
         training = train.begins_with(arguments)

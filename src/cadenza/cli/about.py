@@ -28,7 +28,7 @@ class Info:
     """Tell what a song asks for; without a song, what this installation can do."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A bundled song or the path of a MIDI file."""
+    """A bundled song or the path of a MIDI or MusicXML file."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
 
 
@@ -87,7 +87,7 @@ def _table_of_tracks(tracks: Sequence[Track]) -> str:
             str(t.number),
             str(t.notes),
             _pitch_range(t.lowest, t.highest),
-            str(t.channel),
+            str(t.channel or ""),
             t.instrument,
             t.name,
         )

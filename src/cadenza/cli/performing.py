@@ -44,8 +44,8 @@ class Performing:
     """What all that perform a song have in common."""
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
-    """A bundled song (see "cadenza songs"), the path of a MIDI file, or the folder of a policy,
-    which holds the song that it has learnt."""
+    """A bundled song (see "cadenza songs"), the path of a MIDI or MusicXML file, or the folder of a
+    policy, which holds the song that it has learnt."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)

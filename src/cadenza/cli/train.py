@@ -38,7 +38,7 @@ class Train:
     """
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A bundled song (see "cadenza songs") or the path of a MIDI file."""
+    """A bundled song (see "cadenza songs") or the path of a MIDI or MusicXML file."""
     preset: Preset = "fast"
     """Where the options below begin: what suits few cores; the table of the paper; or what the
     published run script says."""

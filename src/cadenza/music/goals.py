@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS, UNKNOWN_FINGER, Score
 
+MAX_STEPS = 720_000  # an hour in steps of 5 ms
 SUSTAIN_ON = 64  # pedal values from here on hold the strings
 
 
@@ -43,13 +44,15 @@ def score_to_goals(score: Score, dt: float) -> Goals:
     several on one step the last counts.
 
     Raises:
-        CadenzaError: the score has no notes, or `dt` is not a positive number.
+        CadenzaError: the score has no notes, `dt` is not a positive number, or there would be more
+            than `MAX_STEPS`.
     """
     if not score.notes:
         raise CadenzaError("the score has no notes, so there is nothing to play; choose another")
     if not 0 < dt < float("inf"):
         raise CadenzaError(f"control step of {dt} s: give a positive number")
     fps = 1 / dt
+    check_steps(score.total_time * fps)
     num_steps = int(score.total_time * fps + 1)
     keys = np.zeros((num_steps, NUM_KEYS), bool)
     struck = np.zeros((num_steps, NUM_KEYS), bool)
@@ -69,3 +72,14 @@ def score_to_goals(score: Score, dt: float) -> Goals:
     for event in score.pedal:
         sustain[int(event.time * fps) :] = event.value >= SUSTAIN_ON
     return Goals(keys, fingers, sustain)
+
+
+def check_steps(steps: float) -> None:
+    """Raises:
+    CadenzaError: so many control steps are more than memory has room for.
+    """
+    if steps > MAX_STEPS:
+        raise CadenzaError(
+            f"the song would have {steps:.3g} control steps; the most is {MAX_STEPS}: "
+            "choose a longer control step"
+        )

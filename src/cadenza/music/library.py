@@ -19,7 +19,20 @@ from cadenza.errors import CadenzaError
 from cadenza.music.score import Score
 
 _FOLDER = Path(__file__).parent / "pieces"
-_MIDI_SUFFIXES = (".mid", ".midi")
+_MIDI = (".mid", ".midi")
+_MUSICXML = (".musicxml", ".xml", ".mxl")
+_NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
+_SOUND = "a transcription program, such as Basic Pitch, makes a MIDI file of sound"
+_SHEET = "a program for optical music recognition, such as Audiveris, makes MusicXML of sheets"
+_NOT_READ = {  # what to do about formats that some may hold for music
+    **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
+    **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
+    **dict.fromkeys((".abc",), "convert it with abc2midi"),
+    **dict.fromkeys((".ly",), "have LilyPond write MIDI: add \\midi {} to its \\score block"),
+    **dict.fromkeys((".krn",), "convert it with hum2mid, or with Verovio"),
+    **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".m4a", ".aac", ".opus", ".mp4"), _SOUND),
+    **dict.fromkeys((".pdf", ".png", ".jpg", ".jpeg", ".tif", ".tiff"), _SHEET),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,27 +59,31 @@ def songs() -> tuple[Piece, ...]:
 
 
 def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
-    """A bundled piece by its name (upper or lower case), or a MIDI file by its path.
+    """A bundled piece by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
 
-    Whatever is there as a file, or ends in .mid or .midi, is a path; all else is a name.
-    Where a file of the same name ending in .fingering lies next to the MIDI file, the notes have
-    its fingers, see `cadenza.music.fingering_file`.
+    Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
+    Where a file of the same name ending in .fingering lies next to the file, the notes have its
+    fingers, see `cadenza.music.fingering_file`.
 
     Args:
         name_or_path: the piece or file.
         tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
 
     Raises:
-        CadenzaError: no such piece or track, or a file that `read_midi` or `read_fingering`
-            refuses.
+        CadenzaError: no such piece or track, a format that is not read, or a file that
+            `read_midi`, `read_musicxml` or `read_fingering` refuses.
     """
     from cadenza.music.fingering_file import SUFFIX, read_fingering
     from cadenza.music.midi import read_midi
+    from cadenza.music.musicxml import read_musicxml
 
     path = Path(name_or_path)
-    if path.suffix.lower() not in _MIDI_SUFFIXES and not os.path.isfile(path):
+    suffix = path.suffix.lower()
+    if suffix not in (*_MIDI, *_MUSICXML, *_NOT_READ) and not os.path.isfile(path):
         path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
-    score = read_midi(path, tracks)
+    if suffix in _NOT_READ:
+        raise CadenzaError(f"{path}: {suffix} files are not read; {_NOT_READ[suffix]}")
+    score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
     sidecar = path.with_suffix(SUFFIX)
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score
@@ -81,5 +98,5 @@ def _bundled_name(name: str) -> str:
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(
         f"no song named {name!r}: {hint}run `cadenza songs` for all names, "
-        "or give the path of a MIDI file"
+        "or give the path of a MIDI or MusicXML file"
     )

@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -18,17 +18,24 @@ from mido.midifiles.meta import KeySignatureError
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.music.general_midi import INSTRUMENTS
-from cadenza.music.score import HIGHEST_PITCH, LOWEST_PITCH, Note, PedalEvent, Score
+from cadenza.music.repair import Sounding, repaired, repairs
+from cadenza.music.score import (
+    HIGHEST_PITCH,
+    LOWEST_PITCH,
+    Note,
+    PedalEvent,
+    Score,
+    check_length,
+)
+from cadenza.music.source import read_bytes
 from cadenza.music.titles import printable, title_of
 from cadenza.music.tracks import Track, check_chosen
-
-MAX_SECONDS = 3600.0  # a longer song is taken for a broken file
-MAX_BYTES = 2 * 2**20  # an hour of dense piano music needs about half of it
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).
 _TICKS_PER_QUARTER = 24_000
 _TICKS_PER_SECOND = 2 * _TICKS_PER_QUARTER
+_MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the format can say
 
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
@@ -91,18 +98,13 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     if not tracks:
         drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
         counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
-    played = _repaired([note for part in melodic for note in part.notes], counts)
-    remarks += _remarks(counts)
+    played = repaired([note for part in melodic for note in part.notes], counts)
+    remarks += repairs(counts)
 
     if not played:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
         raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
-    length = clock.seconds(max(note.end for note in played))
-    if length > MAX_SECONDS:
-        raise CadenzaError(
-            f"{path}: the song would last {length / 60:.0f} minutes; the longest is "
-            f"{MAX_SECONDS / 60:.0f}, shorten it or check the file's tempo"
-        )
+    check_length(clock.seconds(max(note.end for note in played)), f"{path}: the song")
     notes = tuple(
         Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
         for note in played
@@ -118,13 +120,13 @@ def write_midi(score: Score, path: str | Path) -> None:
     `cadenza.music.fingering_file`.
 
     Raises:
-        CadenzaError: the score is longer than an hour.
+        CadenzaError: the score is longer than an hour and a half.
     """
     last = max((event.time for event in score.pedal), default=0.0)
-    if max(score.total_time, last) > MAX_SECONDS:
+    if _ticks(max(score.total_time, last)) > _MAX_TICKS:
         raise CadenzaError(
-            f"{path}: cannot write a song of {max(score.total_time, last) / 60:.0f} minutes, "
-            f"the longest is {MAX_SECONDS / 60:.0f}"
+            f"{path}: cannot write a song of {max(score.total_time, last) / 60:.4g} minutes, "
+            f"the longest is {_MAX_TICKS // _TICKS_PER_SECOND // 60}"
         )
     # At one tick: first what ends, then the pedal, then what begins.
     timed: list[tuple[int, int, mido.Message]] = []
@@ -152,24 +154,13 @@ def write_midi(score: Score, path: str | Path) -> None:
 
 
 @dataclass(slots=True)
-class _Sounding:
-    """A note as found in the file, times in the units of the `_Clock`."""
-
-    start: int
-    end: int
-    pitch: int
-    velocity: int
-    released: bool = False
-
-
-@dataclass(slots=True)
 class _Part:
     """What one channel plays in one track of the file; `outside` counts what no key plays."""
 
     channel: int
     name: str = ""
     program: int | None = None
-    notes: list[_Sounding] = field(default_factory=list)
+    notes: list[Sounding] = field(default_factory=list)
     outside: int = 0
 
 
@@ -214,7 +205,7 @@ class _Clock:
         i = bisect_right(self.ticks, tick) - 1
         return self.units[i] + (tick - self.ticks[i]) * self.rates[i]
 
-    def seconds(self, units: int) -> float:
+    def seconds(self, units: float) -> float:
         return units / self.units_per_second
 
 
@@ -254,20 +245,7 @@ def _parse(path: Path) -> tuple[mido.MidiFile, list[str]]:
 
 def _midi_bytes(path: Path) -> bytes:
     """The header and the tracks in the file, without a wrapper and chunks of unknown types."""
-    if path.is_dir():
-        raise CadenzaError(f"{path}: is a folder; give a MIDI file")
-    try:
-        with path.open("rb") as opened:
-            data = opened.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise CadenzaError(f"{path}: there is no such file; give a MIDI file") from None
-    except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise CadenzaError(f"{path}: cannot be read ({reason})") from error
-    if not data:
-        raise CadenzaError(f"{path}: the file is empty; give a MIDI file")
-    if len(data) > MAX_BYTES:
-        raise CadenzaError(f"{path}: over {MAX_BYTES >> 20} MiB, too large for a song in MIDI")
+    data = read_bytes(path)
     if data.startswith(b"RIFF") and data[8:12] == b"RMID":
         wrapped = (chunk[8:] for chunk in _chunks(data[12:], "little") if chunk[:4] == b"data")
         data = next(wrapped, b"")
@@ -293,7 +271,7 @@ def _collect(
 ) -> None:
     """Adds what the channels of a track of the file play to `parts`, the pedals' to `moves`."""
     here: dict[int, _Part] = {}
-    sounding: defaultdict[tuple[int, int], deque[_Sounding]] = defaultdict(deque)
+    sounding: defaultdict[tuple[int, int], deque[Sounding]] = defaultdict(deque)
     name, tick = "", 0
     for message in chunk:
         tick += message.time
@@ -309,7 +287,7 @@ def _collect(
                 part.outside += 1
                 continue
             now = clock.at(tick)
-            note = _Sounding(now, now, message.note, message.velocity)
+            note = Sounding(now, now, message.note, message.velocity)
             part.notes.append(note)
             sounding[channel, message.note].append(note)
         elif kind in ("note_on", "note_off"):
@@ -351,52 +329,6 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
             )
         )
     return tuple(tracks)
-
-
-def _repaired(found: list[_Sounding], counts: Counter[str]) -> list[_Sounding]:
-    """At most one note of a pitch at a time, none of length zero."""
-    lasting = [note for note in found if note.end > note.start]
-    counts["zero"] = len(found) - len(lasting)
-    played: list[_Sounding] = []
-    latest: dict[int, _Sounding] = {}
-    for note in sorted(lasting, key=lambda note: note.start):
-        before = latest.get(note.pitch)
-        if before and before.start == note.start:
-            counts["doubled"] += 1
-            _merge(before, note)
-            continue
-        if before and before.end > note.start:
-            counts["cut"] += 1
-            before.end, before.released = note.start, True
-        latest[note.pitch] = replace(note)
-        played.append(latest[note.pitch])
-    counts["unreleased"] = sum(not note.released for note in played)
-    return played
-
-
-def _merge(note: _Sounding, other: _Sounding) -> None:
-    """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
-    note.velocity = max(note.velocity, other.velocity)
-    if note.released == other.released:
-        note.end = max(note.end, other.end)
-    elif other.released:
-        note.end, note.released = other.end, True
-
-
-def _remarks(counts: Counter[str]) -> list[str]:
-    said = {
-        "drums": "{} on the drum channel (10) left out",
-        "outside": "{} outside the piano's 88 keys left out",
-        "zero": "{} of no length left out",
-        "doubled": "{} doubled at the same moment merged",
-        "cut": "{} cut short where the same key is struck again",
-        "unreleased": "{} never released: held to the end of the track",
-    }
-    return [
-        text.format(f"{counts[what]} note{'s' if counts[what] > 1 else ''}")
-        for what, text in said.items()
-        if counts[what]
-    ]
 
 
 def _title(file: mido.MidiFile, path: Path) -> str:

@@ -13,6 +13,8 @@ LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
 NUM_FINGERS = 10  # 0..4 right hand thumb to little, 5..9 left hand thumb to little
 UNKNOWN_FINGER = -1
+MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
+_SHORTEST = 1e-9  # [s] what is left of a note when its times are changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +108,11 @@ class Score:
         """All times multiplied by `factor` (2 is half as fast).
 
         Raises:
-            CadenzaError: `factor` is not a positive number.
+            CadenzaError: `factor` is not a positive number, or the song would last over an hour.
         """
         if not 0 < factor < float("inf"):
             raise CadenzaError(f"cannot stretch by {factor}: give a positive number")
+        check_length(self.total_time * factor, f"stretched by {factor:g}, the song")
         return self._with_times(lambda time: time * factor)
 
     def transposed(self, semitones: int) -> Score:
@@ -145,10 +148,11 @@ class Score:
         """Everything later by `seconds`, so that the hands have time to get into place.
 
         Raises:
-            CadenzaError: `seconds` is negative or not finite.
+            CadenzaError: `seconds` is negative or not finite, or the song would last over an hour.
         """
         if not 0 <= seconds < float("inf"):
             raise CadenzaError(f"initial silence of {seconds} s: give zero or more seconds")
+        check_length(self.total_time + seconds, "with the silence before it, the song")
         return self._shifted(seconds)
 
     def _shifted(self, seconds: float) -> Score:
@@ -157,6 +161,20 @@ class Score:
         return self._with_times(lambda time: round(time + seconds, 9))
 
     def _with_times(self, move: Callable[[float], float]) -> Score:
-        notes = tuple(replace(n, start=move(n.start), end=move(n.end)) for n in self.notes)
+        def moved(note: Note) -> Note:
+            start = move(note.start)
+            return replace(note, start=start, end=max(move(note.end), start + _SHORTEST))
+
+        notes = tuple(moved(note) for note in self.notes)
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
         return replace(self, notes=notes, pedal=pedal)
+
+
+def check_length(seconds: float, what: str) -> None:
+    """Raises:
+    CadenzaError: `what` would last longer than is sensible.
+    """
+    if seconds > MAX_SECONDS:
+        raise CadenzaError(
+            f"{what} would last {seconds / 60:.4g} minutes; the longest is {MAX_SECONDS / 60:.0f}"
+        )

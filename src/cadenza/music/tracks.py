@@ -13,13 +13,14 @@ from cadenza.errors import CadenzaError
 class Track:
     """The notes of one instrument in a file: how many, from the `lowest` to the `highest` pitch.
 
-    `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16.
+    `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, None
+    where the file is not MIDI.
     """
 
     number: int
     name: str
     instrument: str
-    channel: int
+    channel: int | None
     notes: int
     lowest: int
     highest: int

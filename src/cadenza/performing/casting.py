@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -69,9 +70,9 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     """The score that a name or a path stands for; what was repaired in it is a warning.
 
     Args:
-        song: a bundled song, see `cadenza.songs`; the path of a MIDI file; or the folder of a
-            policy, which holds the song that it has learnt. A folder of the same name as a bundled
-            song wants a path with a separator, such as `./OdeToJoy`.
+        song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
+            folder of a policy, which holds the song that it has learnt. A folder of the same name
+            as a bundled song wants a path with a separator, such as `./OdeToJoy`.
         arrangement: which notes of it; all by default.
 
     Raises:
@@ -99,7 +100,7 @@ def is_policy(song: str | Path) -> bool:
     """Whether a song is named by a folder, as that of a policy."""
     text = str(song)
     bundled = text.lower() in {piece.name.lower() for piece in songs()}
-    return Path(song).is_dir() and not (bundled and isinstance(song, str))
+    return os.path.isdir(song) and not (bundled and isinstance(song, str))
 
 
 def cast(
@@ -146,7 +147,7 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     """The policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(song))
-    return load_policy(Path(agent)) if agent not in AGENTS and Path(agent).is_dir() else None
+    return load_policy(Path(agent)) if agent not in AGENTS and os.path.isdir(agent) else None
 
 
 def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:

@@ -157,8 +157,8 @@ def play(
         performance.save("played/joy")
 
     Args:
-        song: a bundled song (see `cadenza.songs`), the path of a MIDI file, the folder of a policy,
-            which holds the song that it has learnt, or a `Score`.
+        song: a bundled song (see `cadenza.songs`), the path of a MIDI or MusicXML file, the folder
+            of a policy, which holds the song that it has learnt, or a `Score`.
         agent: "planner", "predictive-sampling" and so on, see `cadenza.agents.named`; "pretrained";
             the folder of a policy; "module:Class"; "replay"; or an `Agent`. None is the policy
             where the song is its folder, and the planner everywhere else.

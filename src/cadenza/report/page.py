@@ -95,7 +95,7 @@ def write_page(path: Path, template: str, parts: Mapping[str, str | Iterable[str
             file.write(text.encode())
             part = parts[name] if name else ""
             for piece in [part] if isinstance(part, str) else part:
-                file.write(piece.encode())
+                file.write(piece.encode("utf-8", "replace"))  # names of files need not be text
 
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -121,8 +121,8 @@ class PianoVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         """Args:
-            song: a bundled song's name, the path of a MIDI file, a `Score`, or several of them, of
-                which one is drawn per episode.
+            song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, or several
+                of them, of which one is drawn per episode.
             num_envs: N.
             num_threads: threads that share the simulation.
             autoreset_mode: when finished environments are reset.

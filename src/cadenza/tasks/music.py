@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.model.config import Side
 from cadenza.music.fingering import find_fingering
-from cadenza.music.goals import Goals, score_to_goals
+from cadenza.music.goals import Goals, check_steps, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -19,6 +19,7 @@ from cadenza.music.score import (
     NUM_KEYS,
     UNKNOWN_FINGER,
     Score,
+    check_length,
 )
 from cadenza.tasks.config import Fingering, TaskConfig
 
@@ -51,6 +52,7 @@ def prepare(
         raise CadenzaError(f"nothing to play: {empty[0] or 'the score'} has no notes")
     _check(config)
     scores = [_arranged(score, config) for score in scores]
+    _check_longest(max(score.total_time for score in scores), config)
     if config.fingering == "auto" and sides:
         scores = [find_fingering(score, sides)[0] for score in scores]
     return tuple(scores)
@@ -68,10 +70,19 @@ def _check(config: TaskConfig) -> None:
     if config.fingering not in get_args(Fingering):
         choices = ", ".join(get_args(Fingering))
         raise CadenzaError(f"fingering {config.fingering!r}: choose from {choices}")
+    if not config.control_timestep > 0:
+        raise CadenzaError(f"control_timestep {config.control_timestep}: choose more than 0")
     for name, most in _MOST.items():
         value = getattr(config, name)
         if value is not None and not 0 <= value <= most:
             raise CadenzaError(f"{name} {value}: choose 0 to {most}")
+
+
+def _check_longest(seconds: float, config: TaskConfig) -> None:
+    """That the longest episode, of a song of so many `seconds`, is one that memory has room for."""
+    seconds = seconds * (1 + config.random_stretch) + config.initial_buffer_time
+    check_length(seconds, "with its silence and any random stretch, the song")
+    check_steps(seconds / config.control_timestep)
 
 
 def draw(scores: Sequence[Score], config: TaskConfig, rng: np.random.Generator) -> Score:

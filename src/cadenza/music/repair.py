@@ -1,0 +1,68 @@
+"""Makes what a file says playable on one piano, and says what was changed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+from cadenza.music.score import UNKNOWN_FINGER
+
+
+@dataclass(slots=True)
+class Sounding:
+    """A note as found in a file, its times in any unit in which equal ones are exactly equal."""
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    released: bool = False
+    finger: int = UNKNOWN_FINGER
+
+
+def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
+    """At most one note of a pitch at a time, none of length zero."""
+    lasting = [note for note in found if note.end > note.start]
+    counts["zero"] = len(found) - len(lasting)
+    played: list[Sounding] = []
+    latest: dict[int, Sounding] = {}
+    for note in sorted(lasting, key=lambda note: note.start):
+        before = latest.get(note.pitch)
+        if before and before.start == note.start:
+            counts["doubled"] += 1
+            _merge(before, note)
+            continue
+        if before and before.end > note.start:
+            counts["cut"] += 1
+            before.end, before.released = note.start, True
+        latest[note.pitch] = replace(note)
+        played.append(latest[note.pitch])
+    counts["unreleased"] = sum(not note.released for note in played)
+    return played
+
+
+def _merge(note: Sounding, other: Sounding) -> None:
+    """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
+    note.velocity = max(note.velocity, other.velocity)
+    note.finger = other.finger if note.finger == UNKNOWN_FINGER else note.finger
+    if note.released == other.released:
+        note.end = max(note.end, other.end)
+    elif other.released:
+        note.end, note.released = other.end, True
+
+
+def repairs(counts: Counter[str]) -> list[str]:
+    """What was changed, in plain words."""
+    said = {
+        "drums": "{} on the drum channel (10) left out",
+        "outside": "{} outside the piano's 88 keys left out",
+        "zero": "{} of no length left out",
+        "doubled": "{} doubled at the same moment merged",
+        "cut": "{} cut short where the same key is struck again",
+        "unreleased": "{} never released: held to the end of the track",
+    }
+    return [
+        text.format(f"{counts[what]} note{'s' if counts[what] > 1 else ''}")
+        for what, text in said.items()
+        if counts[what]
+    ]

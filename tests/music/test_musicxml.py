@@ -1,0 +1,298 @@
+"""MusicXML as notation programs export it, and as an attacker would."""
+
+import contextlib
+import io
+import subprocess
+import sys
+import zipfile
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cadenza.errors import CadenzaError
+from cadenza.music.library import load_score
+from cadenza.music.musicxml import MAX_XML_BYTES, MOST, read_musicxml
+from cadenza.music.score import PedalEvent
+
+FOUR_QUARTERS = (
+    "<attributes><divisions>4</divisions><time><beats>4</beats><beat-type>4</beat-type></time>"
+    "</attributes>"
+)
+HEAD = (
+    '<?xml version="1.0" encoding="UTF-8"?>\n<!DOCTYPE score-partwise PUBLIC '
+    '"-//Recordare//DTD MusicXML 3.1 Partwise//EN" "http://www.musicxml.org/dtds/partwise.dtd">'
+)
+AGAIN = '<barline location="right"><repeat direction="backward"/></barline>'
+BACK = "<backup><duration>16</duration></backup>"
+
+
+def note(pitch, duration, staff=1, inside="", grace=False):
+    """Such as E5, of `duration` sixteenths."""
+    grace_or_not = "<grace/>" if grace else ""
+    length = "" if grace else f"<duration>{duration}</duration>"
+    return (
+        f"<note>{grace_or_not}<pitch><step>{pitch[0]}</step><octave>{pitch[1:]}</octave></pitch>"
+        f"{length}<voice>{staff}</voice><staff>{staff}</staff>{inside}</note>"
+    )
+
+
+def finger(number):
+    return f"<notations><technical><fingering>{number}</fingering></technical></notations>"
+
+
+def tempo(quarters_per_minute):
+    sound = f'<sound tempo="{quarters_per_minute}"/>'
+    return f"<direction><direction-type><words>x</words></direction-type>{sound}</direction>"
+
+
+def direction(sign):
+    return f"<direction><direction-type>{sign}</direction-type></direction>"
+
+
+def document(*parts, title="Little piece", head=HEAD):
+    """`parts` are lists of measures."""
+    names = "".join(
+        f'<score-part id="P{i}"><part-name>Part {i}</part-name></score-part>'
+        for i in range(1, len(parts) + 1)
+    )
+    music = "".join(
+        f'<part id="P{i}">'
+        + "".join(f'<measure number="{k}">{m}</measure>' for k, m in enumerate(part, start=1))
+        + "</part>"
+        for i, part in enumerate(parts, start=1)
+    )
+    work = f"<work><work-title>{title}</work-title></work>"
+    body = f"{work}<part-list>{names}</part-list>{music}"
+    return f'{head}<score-partwise version="3.1">{body}</score-partwise>'
+
+
+@pytest.fixture
+def saved(tmp_path):
+    def save(text, name="song.musicxml"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return save
+
+
+def compressed(document, name="score.xml"):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        rootfile = f'<container><rootfiles><rootfile full-path="{name}"/></rootfiles></container>'
+        archive.writestr("META-INF/container.xml", rootfile)
+        archive.writestr(name, document)
+    return out.getvalue()
+
+
+def played(score):
+    return [(n.start, n.end, n.pitch) for n in score.notes]
+
+
+def test_notes_times_and_title(saved):
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 8) + note("E4", 8)])))
+    assert played(score) == [(0.0, 1.0, 60), (1.0, 2.0, 64)]  # 120 quarters a minute
+    assert (score.title, score.remarks) == ("Little piece", ())
+
+
+@pytest.mark.parametrize("name", ["song.musicxml", "SONG.XML", "song.mxl"])
+def test_it_is_known_by_its_name(name, saved):
+    text = document([FOUR_QUARTERS + note("C4", 4)])
+    score = load_score(saved(compressed(text) if name == "song.mxl" else text, name))
+    assert played(score) == [(0.0, 0.5, 60)]
+
+
+def test_utf_16(saved):
+    text = document([FOUR_QUARTERS + note("C4", 4)], title="Präludium")
+    score = load_score(saved(text.replace("UTF-8", "UTF-16").encode("utf-16")))
+    assert score.title == "Präludium"
+
+
+def test_tempo_ties_grace_notes_pedal_and_dynamics(saved):
+    first = (
+        FOUR_QUARTERS
+        + tempo(60)
+        + direction("<dynamics><f/></dynamics>")
+        + direction('<pedal type="start"/>')
+        + note("C5", 16, inside='<tie type="start"/>')
+    )
+    second = (
+        tempo(120)
+        + note("C5", 8, inside='<tie type="stop"/>')
+        + direction('<pedal type="stop"/>')
+        + note("B4", 0, grace=True)
+        + note("A4", 0, grace=True)
+        + note("G4", 8)
+    )
+    score = load_score(saved(document([first, second])))
+    graces = [(4.8, 4.9, 71), (4.9, 5.0, 69)]
+    assert played(score) == [(0.0, 5.0, 72), *graces, (5.0, 6.0, 67)]
+    assert score.pedal == (PedalEvent(0.0, 127), PedalEvent(5.0, 0))
+    assert {n.velocity for n in score.notes} == {96}
+
+
+def test_grace_notes_before_the_first_beat_come_first(saved):
+    grace = note("B4", 0, grace=True)
+    score = load_score(saved(document([FOUR_QUARTERS + grace + note("C5", 4)])))
+    assert played(score) == [(0.0, 0.1, 71), (0.1, 0.6, 72)]
+
+
+def test_repeats_are_played_with_the_tempo_and_the_pedal_of_their_place(saved):
+    pedal = direction('<pedal type="start"/>'), direction('<pedal type="stop"/>')
+    first = FOUR_QUARTERS + tempo(60) + pedal[0] + note("C4", 16)
+    second = tempo(240) + note("D4", 16) + pedal[1] + AGAIN
+    score = load_score(saved(document([first, second, note("E4", 16)])))
+    assert played(score) == [
+        (0.0, 4.0, 60),
+        (4.0, 5.0, 62),
+        (5.0, 9.0, 60),
+        (9.0, 10.0, 62),
+        (10.0, 11.0, 64),
+    ]
+    assert [(e.time, e.value) for e in score.pedal] == [(0, 127), (5, 0), (5, 127), (10, 0)]
+
+
+def test_first_and_second_endings(saved):
+    def ending(number, kind, location):
+        return f'<barline location="{location}"><ending number="{number}" type="{kind}"/>'
+
+    first = ending(1, "start", "left") + "</barline>" + note("D4", 16)
+    first += ending(1, "stop", "right") + '<repeat direction="backward"/></barline>'
+    second = ending(2, "start", "left") + "</barline>" + note("E4", 16)
+    second += ending(2, "stop", "right") + "</barline>"
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 16), first, second])))
+    assert [n.pitch for n in score.notes] == [60, 62, 60, 64]
+
+
+def test_da_capo_al_fine(saved):
+    def go(word, attribute):
+        words = f"<direction-type><words>{word}</words></direction-type>"
+        return f'<direction>{words}<sound {attribute}="yes"/></direction>'
+
+    measures = [
+        FOUR_QUARTERS + note("C4", 16) + go("Fine", "fine"),
+        note("D4", 16) + go("D.C. al Fine", "dacapo"),
+    ]
+    score = load_score(saved(document(measures)))
+    assert [n.pitch for n in score.notes] == [60, 62, 60]
+
+
+def test_more_repeats_than_can_be_followed_are_left_out(saved):
+    measures = [FOUR_QUARTERS + note("C4", 4), *[note("C4", 4) + AGAIN] * 60]
+    score = load_score(saved(document(measures)))
+    assert len(score.notes) == 61
+    assert score.remarks == ("repeats that could not be followed are left out",)
+
+
+def test_fingering_of_two_staves_is_taken_over(saved):
+    upper = note("C5", 8, 1, finger(1)) + note("G5", 8, 1, finger(5))
+    lower = note("C3", 8, 2, finger(5)) + note("G3", 8, 2)
+    score = load_score(saved(document([FOUR_QUARTERS + upper + BACK + lower])))
+    assert [(n.pitch, n.finger) for n in score.notes] == [(48, 9), (72, 0), (55, -1), (79, 4)]
+
+
+def test_on_one_staff_nobody_knows_whose_finger_it_is(saved):
+    score = load_score(saved(document([FOUR_QUARTERS + note("C5", 8, 1, finger(1))])))
+    assert not score.has_fingering
+
+
+def test_parts_are_tracks(saved):
+    path = saved(document(*([FOUR_QUARTERS + note(p, 4)] for p in ("C5", "C4", "C3"))))
+    score = load_score(path, tracks=(1, 3))
+    assert [n.pitch for n in score.notes] == [48, 72]
+    assert [(t.number, t.name, t.notes) for t in score.tracks] == [
+        (1, "Part 1", 1),
+        (2, "Part 2", 1),
+        (3, "Part 3", 1),
+    ]
+    with pytest.raises(CadenzaError, match="no track 4; the file has tracks 1 to 3"):
+        load_score(path, tracks=[4])
+
+
+def test_transposing_instruments_sound_as_they_do(saved):
+    clarinet = "<transpose><diatonic>-1</diatonic><chromatic>-2</chromatic></transpose>"
+    attributes = FOUR_QUARTERS.replace("</attributes>", f"{clarinet}</attributes>")
+    assert [n.pitch for n in load_score(saved(document([attributes + note("C5", 4)]))).notes] == [
+        70
+    ]
+
+
+LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
+ATTACKS = {
+    "billion laughs": (
+        document(
+            [FOUR_QUARTERS + note("C4", 4)],
+            title="&l9;",
+            head=f'<!DOCTYPE score-partwise [<!ENTITY l0 "ha">{LAUGHS}]>',
+        ),
+        "XML entities",
+    ),
+    "billion laughs in UTF-16": (
+        document(
+            [FOUR_QUARTERS + note("C4", 4)],
+            title="&l9;",
+            head=f'<!DOCTYPE score-partwise [<!ENTITY l0 "ha">{LAUGHS}]>',
+        ).encode("utf-16"),
+        "XML entities",
+    ),
+    "file of this machine": (
+        document(
+            [FOUR_QUARTERS + note("C4", 4)],
+            title="&x;",
+            head='<!DOCTYPE score-partwise [<!ENTITY x SYSTEM "file:///etc/passwd">]>',
+        ),
+        "XML entities",
+    ),
+    "zip bomb": (compressed(b" " * (MAX_XML_BYTES + 1)), "over 16 MiB unpacked"),
+    "zip of nothing": (compressed(b"", "x")[:60], "damaged"),
+    "zip without a score": (compressed(b"<a/>", "&quot;"), "damaged"),
+    "deep": ("<score-partwise>" + "<a>" * 100_000, "cannot be read as MusicXML"),
+    "too many tags": ("<score-partwise>" + "<a/>" * MOST[b"<"], "too large for a song"),
+    "too many words": ("<score-partwise>" + "<words/>" * 4_000, "too large for a song"),
+    "timewise": ("<score-timewise/>", "score-partwise"),
+    "not a score": ("<html></html>", "cannot be read as MusicXML"),
+    "cut short": (document([FOUR_QUARTERS + note("C4", 4)])[:-30], "cannot be read as MusicXML"),
+    "not XML": (b"MThd and so on", "does not begin as XML"),
+    "no notes": (document([FOUR_QUARTERS]), "there are no notes"),
+    "endless note": (document([FOUR_QUARTERS + note("C4", 10**9)]), "minutes; the longest is 60"),
+    "no parts": (document(), "there are no notes"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), ATTACKS.values(), ids=ATTACKS.keys())
+def test_attacks_and_accidents_end_in_one_line(content, message, saved):
+    path = saved(content)
+    with pytest.raises(CadenzaError) as error:
+        read_musicxml(path)
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+VALID = document([FOUR_QUARTERS + tempo(90) + note("C4", 4) + AGAIN, note("D4", 4, 1, finger(2))])
+
+
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.integers(0, len(VALID)), st.integers(0, 30), st.binary(max_size=20))
+def test_damaged_files_read_or_explain(saved, at, gone, instead):
+    data = VALID.encode()
+    path = saved(data[:at] + instead + data[at + gone :])
+    with contextlib.suppress(CadenzaError):
+        assert read_musicxml(path).notes
+
+
+def test_no_sound_font_is_fetched_where_fluidsynth_is_installed(tmp_path, saved):
+    """partitura fetches one on import, and fails where there is no net."""
+    (tmp_path / "fluidsynth.py").write_text("class Synth: pass\n")
+    path = saved(document([FOUR_QUARTERS + note("C4", 4)]))
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
+        "from cadenza.music.musicxml import read_musicxml; "
+        f"notes = read_musicxml({str(path)!r}).notes; "
+        "from partitura.utils.fluidsynth import HAS_FLUIDSYNTH; "
+        "from fluidsynth import Synth; print(len(notes), HAS_FLUIDSYNTH)"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "1 False\n"
