@@ -133,8 +133,16 @@ def find_fingering(
     """
     if all(note.finger != UNKNOWN_FINGER for note in score.notes):
         return score, ()
-    found = solve(score, sides, progress)
-    return found.score, found.dropped
+    asked = score, tuple(sides)
+    if asked not in _last_found:
+        found = solve(score, sides, progress)
+        _last_found.clear()
+        _last_found[asked] = found.score, found.dropped
+    return _last_found[asked]
+
+
+# What was found last: a planner asks again for the score that its task has asked for.
+_last_found: dict[tuple[Score, tuple[Side, ...]], tuple[Score, tuple[Dropped, ...]]] = {}
 
 
 def solve(
@@ -144,13 +152,14 @@ def solve(
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
     places = [_STANDS if side in sides else _ELSEWHERE for side in BOTH]
-    moments = [_beginning(places)]
+    moment = _beginning(places)
+    choices: list[_Choice] = []
     reasons: dict[int, str] = {}
     fingers: dict[int, int] = {}
     unheeded: list[int] = []
     for time, begin in _onsets(score):
-        moment, left_out = _next_moment(moments[-1], time, begin, places)
-        moments.append(moment)
+        moment, left_out = _next_moment(moment, time, begin, places)
+        choices.append(moment.choice)
         for press, reason in left_out:
             if press.finger == UNKNOWN_FINGER:
                 reasons |= dict.fromkeys(press.notes, reason)
@@ -159,7 +168,7 @@ def solve(
                 unheeded += press.notes
         if progress:
             progress(begin[-1].notes[-1] + 1, len(score.notes))
-    fingers |= _cheapest(moments)
+    fingers |= _cheapest(moment.cost, choices)
     notes = tuple(
         replace(note, finger=fingers.get(i, UNKNOWN_FINGER))
         if note.finger == UNKNOWN_FINGER
@@ -171,7 +180,7 @@ def solve(
         score=replace(score, notes=notes),
         dropped=tuple(Dropped(notes[i], f"{reasons[i]} {whose}") for i in sorted(reasons)),
         unheeded=tuple(notes[i] for i in sorted(unheeded)),
-        cost=float(moments[-1].cost.min()),
+        cost=float(moment.cost.min()),
     )
 
 
@@ -333,6 +342,15 @@ def _states(y: Array, wanted: Array, stands: Array) -> _States:
 # From moment to moment
 
 
+class _Choice(NamedTuple):
+    """What has to be remembered of a moment, to tell in the end what the hands do in it."""
+
+    presses: tuple[_Press, ...]
+    fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
+    left_before: NDArray[np.uint8]
+    right_before: NDArray[np.uint8]
+
+
 @dataclass(frozen=True, eq=False)
 class _Moment:
     """All states at a moment, and what they cost at the least.
@@ -350,6 +368,11 @@ class _Moment:
     cost: Array
     left_before: NDArray[np.uint8]
     right_before: NDArray[np.uint8]
+
+    @property
+    def choice(self) -> _Choice:
+        fingers = tuple(hand.fingers.astype(np.uint8) for hand in self.hands)
+        return _Choice(self.presses, fingers, self.left_before, self.right_before)
 
 
 def _beginning(places: Sequence[Array]) -> _Moment:
@@ -488,18 +511,17 @@ def _closeness(right: _States, left: _States) -> Array:
     return _CLOSE * near**2 + _NEVER * touch
 
 
-def _cheapest(moments: Sequence[_Moment]) -> dict[int, int]:
-    """Index of each note played -> its finger, on the cheapest way."""
+def _cheapest(cost: Array, choices: Sequence[_Choice]) -> dict[int, int]:
+    """Index of each note played -> its finger, on the way to the least of the last costs (R, L)."""
     fingers: dict[int, int] = {}
-    last = moments[-1].cost
-    state = np.unravel_index(last.argmin(), last.shape)
-    for moment in reversed(moments[1:]):
-        for side, (hand, s) in enumerate(zip(moment.hands, state, strict=True)):
-            presses = moment.presses if side == 0 else moment.presses[::-1]
-            for press, finger in zip(presses, hand.fingers[s].tolist(), strict=True):
+    state = np.unravel_index(cost.argmin(), cost.shape)
+    for choice in reversed(choices):
+        for side, (hand, s) in enumerate(zip(choice.fingers, state, strict=True)):
+            presses = choice.presses if side == 0 else choice.presses[::-1]
+            for press, finger in zip(presses, hand[s].tolist(), strict=True):
                 if finger != _NO_FINGER:
                     fingers |= dict.fromkeys(press.notes, 5 * side + finger)
         right, left = state
-        right_before = moment.right_before[right, left]
-        state = (right_before, moment.left_before[right_before, left])
+        right_before = choice.right_before[right, left]
+        state = (right_before, choice.left_before[right_before, left])
     return fingers
