@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Progress, ReportingAgent, silent
 from cadenza.episode import Episode
@@ -95,12 +95,11 @@ class _Record:
 
     def __init__(self, task: PianoTask) -> None:
         self._task = task
-        self._rows: dict[str, list[Any]] = defaultdict(list)
+        self._rows: dict[str, NDArray[Any]] = {}
+        self._done, self._most = 0, int(task.sheets.num_steps[0])
         self._start = {"hand_qpos0": task.state.hand_qpos[0]} | {
             f"{name}0": part for name, part in self._score_observations().items()
         }
-        goal, self._fingers = task.sheets.part(0, 0, int(task.sheets.num_steps[0]))
-        self._goal_keys, self._goal_sustain = goal[:, :NUM_KEYS], goal[:, NUM_KEYS]
 
     def _score_observations(self) -> dict[str, Any]:
         observation, layout = self._task.observation()[0], self._task.observation_layout
@@ -110,7 +109,7 @@ class _Record:
     def add(self, action: Any, total: float, terms: dict[str, float]) -> None:
         task, state = self._task, self._task.state
         row = {
-            "action": action,
+            "action": np.asarray(action, np.float64),
             "hand_qpos": state.hand_qpos[0],
             "hand_qvel": state.hand_qvel[0],
             "key_qpos": state.key_qpos[0],
@@ -121,17 +120,22 @@ class _Record:
         }
         row |= {f"reward_{name}": value for name, value in terms.items()}
         for name, value in {**row, **self._score_observations()}.items():
-            self._rows[name].append(value)
+            if name not in self._rows:
+                values = np.asarray(value)
+                self._rows[name] = np.zeros((self._most, *values.shape), values.dtype)
+            self._rows[name][self._done] = value
+        self._done += 1
 
     def sums(self) -> dict[str, float]:
-        terms = {n: float(np.sum(v)) for n, v in self._rows.items() if n.startswith("reward_")}
+        rewards = {n: rows for n, rows in self._rows.items() if n.startswith("reward_")}
+        terms = {name: float(np.sum(rows[: self._done])) for name, rows in rewards.items()}
         total = terms.pop("reward_total")
         return {"return": total} | {n.replace("_", "/", 1): value for n, value in terms.items()}
 
     def episode(self, metrics: dict[str, Any]) -> Episode:
         task, scene = self._task, self._task.scene
-        rows = {name: np.array(values) for name, values in self._rows.items()}
-        steps = len(rows["action"])
+        rows = {name: values[: self._done] for name, values in self._rows.items()}
+        goal, fingers = task.sheets.part(0, 0, self._done)
         xpos, xquat = body_poses(scene, rows["hand_qpos"])
         about = {
             "action_min": task.action_low,
@@ -142,9 +146,9 @@ class _Record:
             "physics": np.array(scene.config.physics),
             "sleeping_keys": np.array(scene.config.sleeping_keys),
             "trim_silence": np.array(task.config.trim_silence),
-            "goal_keys": self._goal_keys[:steps],
-            "goal_fingers": self._fingers[:steps],
-            "goal_sustain": self._goal_sustain[:steps],
+            "goal_keys": goal[:, :NUM_KEYS],
+            "goal_fingers": fingers,
+            "goal_sustain": goal[:, NUM_KEYS],
             "body_xpos": xpos,
             "body_xquat": xquat,
             "metrics": np.array(json.dumps(metrics)),
