@@ -16,6 +16,7 @@ import pytest
 import cadenza
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.replay import options_of
+from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.model.config import SceneConfig
@@ -73,21 +74,90 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in said
 
 
-@pytest.mark.parametrize("command", ["play", "plan", "compare", "songs", "info"])
-def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def help_of(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
+) -> str:
+    monkeypatch.setenv("COLUMNS", "100")
     with pytest.raises(SystemExit) as stop:
-        main([command, "--help"])
+        main(arguments)
     assert stop.value.code == 0
-    said = capsys.readouterr().out
-    assert ("SONG" in said) == (command != "songs")
-    options = ("--output", "--seed", "--wrong-press-termination", "--hands", "--planner.method")
+    return capsys.readouterr().out
+
+
+COMMANDS = ("play", "plan", "compare", "train", "curves", "songs", "info")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_fits_a_screen(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = help_of(capsys, monkeypatch, command, "--help")
+    assert said.startswith(f"usage: cadenza {command}")
+    assert said.count("\n") <= 40
+    assert "None" not in said
+    asks = command in ("play", "plan", "compare", "train")
+    for option in ("--stretch", "--transpose", "--hands", "--quiet", "--help-all"):
+        assert (option in said) == asks
+    assert ("SONG" in said) == (command not in ("songs", "curves"))
+    assert not any(option in said for option in ("--gravity-compensation", "--planner.", "--tau"))
+    assert help_of(capsys, monkeypatch, command, "-h") == said
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_all_has_every_option(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = help_of(capsys, monkeypatch, command, "--help-all")
+    assert "None" not in said
     performs = command in ("play", "plan", "compare")
-    assert all((option in said) == performs for option in options)
-    assert ("--agent" in said) == ("--ilqg.horizon" in said) == (command in ("play", "compare"))
+    asks = performs or command == "train"
+    assert ("--gravity-compensation" in said) == ("--wrong-press-termination" in said) == asks
+    assert ("--planner.method" in said) == performs
+    assert ("--ilqg.horizon" in said) == (command in ("play", "compare"))
+    assert ("--tau" in said) == ("--wandb" in said) == (command == "train")
+    assert ("--forearm-dofs {tx,ty,tz,roll,pitch,yaw} ..." in said) == asks
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--version"])
+    assert capsys.readouterr().out == f"cadenza {cadenza.__version__}\n"
+
+
+def test_quiet_prints_nothing(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", str(tune), *QUICK, "-q", "-o", str(tmp_path / "played")])
+    assert capsys.readouterr() == ("", "")
+    assert (tmp_path / "played/report.html").exists()
+    assert "no song named" in refused_in_a_line(capsys, "play", "nothing", "--quiet")
+
+
+def test_bash_completes_commands_and_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--completion", "bash"])
+    assert not stop.value.code
+    script = tmp_path / "completion"
+    script.write_text(capsys.readouterr().out)
+    complete = """
+        source "$1"; shift
+        COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))
+        COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}
+        $(complete -p cadenza | grep -o -- '-F [^ ]*' | cut -c 4-)
+        printf '%s\\n' "${COMPREPLY[@]}"
+    """
+
+    def completions(*words: str) -> list[str]:
+        command = ["bash", "-c", complete, "bash", str(script), *words]
+        return [line.strip() for line in subprocess.check_output(command, text=True).splitlines()]
+
+    assert sorted(completions("cadenza", "pl")) == ["plan", "play"]
+    assert "--predictive-sampling.sigma" in completions("cadenza", "play", "--pred")
 
 
 def test_starts_without_the_heavy_libraries() -> None:
-    heavy = ("mujoco", "scipy", "mir_eval", "av", "mido")
+    heavy = ("mujoco", "scipy", "mir_eval", "av", "mido", "jax", "tqdm")
     code = f"import sys, cadenza.cli; print([m for m in {heavy} if m in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
 
@@ -142,6 +212,36 @@ def test_a_reader_that_leaves_early_gets_no_traceback(arguments: list[str]) -> N
     assert process.stderr
     assert process.stderr.read() == b""
     assert process.wait(timeout=60) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        ("songs >&-", 0),
+        ("songs <&- >&- 2>&-", 0),
+        ("play --help >&-", 0),
+        ("info nothing >&- 2>&-", 2),
+        ("info nothing 2>/dev/full", 2),
+        ("songs >/dev/full", 2),
+        ("play --help >/dev/full", 2),
+    ],
+)
+def test_streams_that_cannot_be_written(arguments: str, status: int) -> None:
+    command = f"{shlex.quote(sys.executable)} -m cadenza {arguments}"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert result.returncode == status
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert result.stderr.count("\n") <= 1
+
+
+def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
+    """No file of the results is taken for stdout or stderr."""
+    command = [sys.executable, "-m", "cadenza", "play", str(tune), *QUICK, "-o", str(tmp_path)]
+    closing = f"{shlex.join(command)} <&- >&- 2>&-"
+    assert subprocess.run(["bash", "-c", closing], check=False).returncode == 0
+    assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 23
+    assert load_episode(tmp_path / "episode.npz").num_steps == 23
 
 
 # Playing
@@ -516,21 +616,45 @@ def test_options_that_make_no_sense(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "word"),
+    ("arguments", "message"),
     [
-        ([], "play"),
-        (["dance"], "dance"),
-        (["play"], "SONG"),
-        (["play", "OdeToJoy", "--seed", "x"], "--seed"),
-        (["play", "OdeToJoy", "--agent", "pianist"], "pianist"),
-        (["play", "OdeToJoy", "--hands", "three"], "three"),
-        (["play", "OdeToJoy", "--loud"], "--loud"),
+        ([], "name a command: play, plan"),
+        (["dance"], "there is no command dance; see cadenza --help"),
+        (["plya"], "there is no command plya; did you mean play?"),
+        (["--versoin"], "there is no option --versoin; did you mean --version?"),
+        (["--completion", "dos"], "--completion: choose from bash, zsh, fish"),
+        (["play"], "SONG is missing; see cadenza play --help"),
+        (["play", "OdeToJoy", "FurElise"], "one argument too many: FurElise"),
+        (["play", "OdeToJoy", "--seed", "x"], "--seed x: give a whole number"),
+        (["play", "OdeToJoy", "--seed"], "--seed needs a value"),
+        (["play", "OdeToJoy", "--n-seconds-lookahead", "x"], "lookahead x: give a number"),
+        (["play", "OdeToJoy", "--agent", "pianist"], "no agent 'pianist'"),
+        (["play", "OdeToJoy", "--hands", "three"], "three: choose from both, right, left, none"),
+        (["play", "OdeToJoy", "--loud"], "--loud; cadenza play --help-all lists them"),
+        (["play", "OdeToJoy", "-x"], "there is no option -x"),
+        (["play", "--sed", "1"], "there is no option --sed; did you mean --seed?"),
+        (["play", "OdeToJoy", "--no_vido"], "there is no option --no-vido; did you mean --no-vid"),
+        (["play", "OdeToJoy", "--sigma=1"], "did you mean --predictive-sampling.sigma?"),
+        (["train", "OdeToJoy", "--discuont", "1"], "did you mean --discount?"),
     ],
 )
 def test_arguments_that_cannot_be_read(
-    arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert word in refused(capsys, *arguments)
+    assert message in refused_in_a_line(capsys, *arguments)
+
+
+def test_another_parser_refuses_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where tyro has no hook for errors any more it says in its own words what is wrong."""
+    monkeypatch.setattr(cli_arguments, "errors", None)
+    assert "--loud" in refused(capsys, "play", "OdeToJoy", "--loud")
+
+
+def test_options_of_other_commands_are_not_suggested(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--seeds" not in refused_in_a_line(capsys, "plan", "OdeToJoy", "--seds")
+    assert "--agent" not in refused_in_a_line(capsys, "train", "OdeToJoy", "--agnet").split(";")[1]
 
 
 @pytest.mark.parametrize("place", ["", "below", "further/below"])

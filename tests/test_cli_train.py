@@ -97,7 +97,7 @@ def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None
     shown = {}
     for name in ("paper", "published", "fast"):
         with pytest.raises(SystemExit):
-            main(["train", "--preset", name, "--help"])
+            main(["train", "--preset", name, "--help-all"])
         shown[name] = " ".join(capsys.readouterr().out.split())
     assert "--discount FLOAT" in shown["paper"]
     for name, discount in (("paper", "0.99"), ("published", "0.8"), ("fast", "0.84")):
@@ -124,7 +124,7 @@ def test_a_run_goes_on_to_another_end(
     assert rows(longer)[-1]["eval_step"] == 304
     assert [page[-1] for page in pages] == [True, False]  # while it went on, and at its end
     with pytest.raises(SystemExit):
-        main(["train", "--resume", str(longer), "--help"])
+        main(["train", "--resume", str(longer), "--help-all"])
     shown = " ".join(capsys.readouterr().out.split())
     assert "(default: 300)" in shown  # the run's own
     assert "(default: 16 16)" in shown

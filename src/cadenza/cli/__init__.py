@@ -9,78 +9,109 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
 from io import TextIOWrapper
-from typing import Annotated, Any, TextIO, Union
-
-import tyro
+from typing import NoReturn, TextIO, get_args
 
 from cadenza.cli import about, compare, plan, play, train
+from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Performing
+from cadenza.cli.progress import QUIET
 from cadenza.errors import CadenzaError, CadenzaWarning
 
-_PERFORMS: dict[type, Callable[[Any, Callable[[Any], Any]], None]] = {
-    play.Play: play.play,
-    plan.Plan: plan.plan,
-    compare.Compare: compare.compare,
-}
-"""What also wants to read the command line again, over other defaults."""
-_COMMANDS: dict[type, Callable[[Any], None]] = {
-    train.Train: train.train,
-    train.Curves: train.curves,
-    about.Songs: about.songs,
-    about.Info: about.info,
+_COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
+    "play": (play.Play, play.play),
+    "plan": (plan.Plan, plan.plan),
+    "compare": (compare.Compare, compare.compare),
+    "train": (train.Train, train.train),
+    "curves": (train.Curves, train.curves),
+    "songs": (about.Songs, about.songs),
+    "info": (about.Info, about.info),
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
+    _open_closed_streams()
     if isinstance(sys.stdout, TextIOWrapper):  # as stderr: names of files need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        arguments = sys.argv[1:] if arguments is None else arguments
-        training = train.begins_with(arguments)
-        command = _read(arguments, train.Train(training=training))
-        with _warnings_in_a_line():
-            if isinstance(command, Performing):
-                _PERFORMS[type(command)](command, partial(_read, arguments))
-            else:
-                _COMMANDS[type(command)](command)
-        sys.stdout.flush()
+        try:
+            _run(sys.argv[1:] if arguments is None else list(arguments))
+        finally:
+            sys.stdout.flush()
     except BrokenPipeError:  # whoever read the output has left, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        _exit(1)
     except (CadenzaError, OSError) as error:
-        print(f"cadenza: {error}", file=sys.stderr)
-        sys.exit(2)
+        _exit(2, str(error))
     except RuntimeError as error:
         if "MUJOCO_GL" not in str(error):  # what MuJoCo says of a backend that it does not know
             raise
-        print(f"cadenza: {error}; unset it, or choose egl or osmesa", file=sys.stderr)
-        sys.exit(2)
+        _exit(2, f"{error}; unset it, or choose egl or osmesa")
     except KeyboardInterrupt:
-        print("cadenza: interrupted", file=sys.stderr)
-        sys.exit(130)
+        _exit(130, "interrupted")
 
 
-def _read(arguments: Sequence[str], default: Any) -> Any:
-    """The command of a command line; `default` is what it begins with if it is of that kind."""
-    kinds: Any = tuple(
-        Annotated[
-            kind,
-            tyro.conf.subcommand(
-                kind.__name__.lower(),
-                default=default if isinstance(default, kind) else tyro.MISSING_NONPROP,
-            ),
-        ]
-        for kind in (*_PERFORMS, *_COMMANDS)
-    )
-    return tyro.cli(
-        Union[kinds],  # noqa: UP007 - made of what there is
-        prog="cadenza",
-        description="Two simulated robot hands play the piano from any MIDI file.",
-        args=arguments,
+def _run(arguments: list[str]) -> None:
+    name, *rest = arguments or [""]
+    if name not in _COMMANDS:
+        _run_without_command(arguments)
+        return
+    kind, run = _COMMANDS[name]
+    default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
+    read = partial(parse, kind, f"cadenza {name}", rest)
+    command = read(default)
+    with _warnings_in_a_line(), _quietly(getattr(command, "quiet", False)):
+        if isinstance(command, Performing):  # and may read its options over other defaults
+            run(command, read)
+        else:
+            run(command)
+
+
+@contextmanager
+def _quietly(quiet: bool) -> Iterator[None]:
+    """Shows no progress and no results if it is to be `quiet`."""
+    if not quiet:
+        yield
+        return
+    token = QUIET.set(True)
+    try:
+        with open(os.devnull, "w", errors="backslashreplace") as nowhere, redirect_stdout(nowhere):
+            yield
+    finally:
+        QUIET.reset(token)
+
+
+def _run_without_command(arguments: list[str]) -> None:
+    match arguments:
+        case ["--version"]:
+            from importlib.metadata import version
+
+            print(f"cadenza {version('cadenza')}")
+        case ["-h" | "--help" | "--help-all", *_]:
+            _about_all(["--help"])
+        case ["--completion", shell] if shell in get_args(Shell):
+            _about_all(arguments)
+        case ["--completion", *_]:
+            raise CadenzaError(f"--completion: choose from {', '.join(get_args(Shell))}")
+        case []:
+            raise CadenzaError(f"name a command: {', '.join(_COMMANDS)}; see cadenza --help")
+        case [word, *_]:
+            what = "option" if word.startswith("-") else "command"
+            known = [*_COMMANDS, "--help", "--version", "--completion"]
+            meant = similar(word, known) or "; see cadenza --help"
+            raise CadenzaError(f"there is no {what} {word}{meant}")
+
+
+def _about_all(arguments: list[str]) -> None:
+    kinds = {name: kind for name, (kind, _) in _COMMANDS.items()}
+    help_or_completion(
+        kinds,
+        "cadenza",
+        "Two simulated robot hands play the piano from any MIDI file.\n\n"
+        'Run "cadenza COMMAND --help" for the options of a command.',
+        arguments,
     )
 
 
@@ -107,3 +138,26 @@ def _warnings_in_a_line() -> Iterator[None]:
         warnings.simplefilter("always", CadenzaWarning)
         warnings.showwarning = print_ours
         yield
+
+
+def _open_closed_streams() -> None:
+    """Where the caller has closed stdin, stdout or stderr, nothing is read and what is said lost.
+
+    They are opened in this order, so that no file of ours is taken for one of them.
+    """
+    for name, mode in ("stdin", "r"), ("stdout", "w"), ("stderr", "w"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, errors="backslashreplace"))  # noqa: SIM115 - as long as we run
+
+
+def _exit(status: int, message: str = "") -> NoReturn:
+    """Says why, and drops what cannot be written, of which Python would complain at its end."""
+    with suppress(OSError):
+        if message:
+            print(f"cadenza: {message}", file=sys.stderr)
+    for stream in sys.stdout, sys.stderr:
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    sys.exit(status)

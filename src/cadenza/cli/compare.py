@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cadenza.cli.arguments import Quiet
 from cadenza.cli.performing import Again, WithOtherPlanners, as_cast, cast_of, default_folder
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
@@ -34,6 +35,7 @@ class Compare(WithOtherPlanners):
     """Each agent plays once with each."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for compare.html and compare.json; played/SONG by default."""
+    quiet: Quiet = False
 
 
 def compare(command: Compare, again: Again[Compare]) -> None:

@@ -31,11 +31,9 @@ Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
 
 AGENTS_HELP = (
-    "Who plays: "
-    + "; ".join(f"{name}: {agent.about}" for name, agent in AGENTS.items())
-    + f"; {PRETRAINED}: the policy that comes with the song; {REPLAY}: the actions of --plan; the "
-    "folder of a policy; or module:Class, an agent of your own. By default the planner, or the "
-    "policy whose folder is SONG."
+    f"Who plays: {', '.join(AGENTS)}; {PRETRAINED}, the policy that comes with the song; {REPLAY}, "
+    "the actions of --plan; the folder of a policy; or module:Class, your own agent. By default "
+    "the planner, or the policy whose folder is SONG."
 )
 
 
@@ -44,8 +42,7 @@ class Performing:
     """What all that perform a song have in common."""
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
-    """A bundled song (see "cadenza songs"), the path of a MIDI or MusicXML file, or the folder of a
-    policy, which holds the song that it has learnt."""
+    """A bundled song (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)

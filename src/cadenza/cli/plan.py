@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from cadenza.agents.named import PLANNER
+from cadenza.cli.arguments import Quiet
 from cadenza.cli.performing import (
     Again,
     Performing,
@@ -37,6 +38,7 @@ class Plan(Performing):
     as text beside it, in a file of the same name that ends in .fingering."""
     seed: int = 0
     """Of everything random; the same seed plans the same."""
+    quiet: Quiet = False
 
 
 def plan(command: Plan, _: Again[Plan]) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
@@ -38,8 +39,7 @@ class Play(WithOtherPlanners):
 
     agent: Annotated[str | None, tyro.conf.arg(help=AGENTS_HELP)] = None
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results; played/SONG/AGENT by default. Files of an earlier run are
-    replaced."""
+    """Folder for the results, whose files it replaces; by default played/SONG/AGENT."""
     seed: int = 0
     """Of everything random; the same seed plays the same."""
     plan: Path | None = None
@@ -47,11 +47,11 @@ class Play(WithOtherPlanners):
     (T, A) in actuator units."""
     video: bool = True
     """Write video.mp4 too, where this machine can draw."""
-    video_size: tuple[int, int] = (1280, 720)
+    video_size: Advanced[tuple[int, int]] = (1280, 720)
     """Width and height of the video [px], up to 1920 1080."""
     video_camera: str = "player"
-    """From where the video looks: player, close over the keys of the song, or one of the published
-    cameras, closeup, left, right, back, egocentric, topdown."""
+    """Where the video looks from: player, closeup, left, right, back, egocentric or topdown."""
+    quiet: Quiet = False
 
 
 def play(command: Play, again: Again[Play]) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import tyro
 
 from cadenza.agents.rl.config import Preset, TrainingConfig, preset
+from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.results import check_name, check_writable
@@ -49,11 +50,12 @@ class Train:
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
     """Cores to work on, of those that no other run has claimed."""
-    wandb: str | None = None
+    wandb: Advanced[str | None] = None
     """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
-    video: bool = True
+    video: Advanced[bool] = True
     """Write a video of the best policy too, where this machine can draw."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    quiet: Quiet = False
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
         default_factory=lambda: preset("fast")
     )

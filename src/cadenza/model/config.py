@@ -16,7 +16,7 @@ class SceneConfig:
     """The simulated instrument and the hands over it."""
 
     hands: Hands = "both"
-    """Which hands play; with none the 88 keys are actuated and the piano plays itself."""
+    """Which hands play; with none, actuators at the keys do."""
     reduced_action_space: bool = True
     """Leave out thumb joints 5 and 1 and little finger joint 5, as the paper does."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")

@@ -14,9 +14,9 @@ class Arrangement:
     """Which notes of a song are played."""
 
     tracks: tuple[int, ...] = ()
-    """Play only these tracks, numbered as "cadenza info SONG" lists them; all by default."""
+    """Only these tracks, with their numbers in "cadenza info SONG"; by default all."""
     reduce: Literal["off", "melody-bass"] = "off"
-    """Leave only the highest and the lowest voice: two hands cannot play five instruments."""
+    """Leave only the highest and the lowest voice, where there is too much to play."""
 
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.

@@ -1,0 +1,304 @@
+"""How the command line is read: options from the fields of dataclasses, their help, plain errors.
+
+Every field is an option, and always accepted. --help shows what most need, --help-all the rest:
+of a command's own dataclass all fields but those marked `Advanced[...]`; of the configurations in
+it (task, scene, planners, learner) only those named in `COMMON`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import is_dataclass, make_dataclass, replace
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import tyro
+from tyro.constructors import (
+    ConstructorRegistry,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
+
+from cadenza.agents.rl.config import TrainingConfig
+from cadenza.errors import CadenzaError
+from cadenza.model.config import SceneConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.tasks.config import TaskConfig
+
+try:
+    from tyro import _errors as errors
+except ImportError:  # it may go in any version of tyro
+    errors = None  # type: ignore[assignment]
+
+T = TypeVar("T")
+Command = TypeVar("Command")
+
+_ADVANCED = object()
+Advanced = Annotated[T, _ADVANCED]
+"""Marks a field of a command that only --help-all shows, as in `wandb: Advanced[str | None]`."""
+
+Shell = Literal["bash", "zsh", "fish"]
+
+_Flag = tyro.conf.FlagCreatePairsOff[bool]
+_COMPLETION = tyro.conf.arg(
+    help="Print what completes commands and options in a shell (docs/command-line.md).",
+    help_behavior_hint="",
+)
+
+Quiet = Annotated[
+    _Flag, tyro.conf.arg(aliases=["-q"], help="Print nothing but warnings and errors.")
+]
+"""The option of all commands that show how far they are."""
+
+COMMON: dict[type, tuple[str, ...]] = {
+    Arrangement: ("tracks", "reduce"),
+    TaskConfig: ("stretch", "transpose"),
+    SceneConfig: ("hands",),
+    TrainingConfig: ("num_steps", "residual", "seed"),
+}
+"""The fields of configurations that --help shows."""
+
+
+def parse(
+    kind: type[Command], prog: str, arguments: Sequence[str], default: Command | None = None
+) -> Command:
+    """Reads a command of the type `kind`, or prints its help and exits.
+
+    Args:
+        prog: what stands before the arguments, as in "cadenza play".
+        default: where the options begin, if not with the defaults of `kind`.
+
+    Raises:
+        CadenzaError: something is missing, unknown or cannot be read.
+    """
+    words = arguments[: arguments.index("--")] if "--" in arguments else arguments
+    asked = {"-h", "--help", "--help-all"}.intersection(words)
+    with _plain_errors(kind, prog, words):
+        return tyro.cli(
+            kind,
+            prog=prog,
+            description=inspect.getdoc(kind),
+            args=["--help"] if asked else arguments,
+            default=tyro.MISSING_NONPROP if default is None else default,
+            registry=_registry([kind], short=bool(asked) and "--help-all" not in asked),
+        )
+
+
+def help_or_completion(
+    commands: Mapping[str, type], prog: str, description: str, arguments: Sequence[str]
+) -> None:
+    """Prints what there is, for --help, or what completes it, and exits."""
+    kinds: Any = Union[tuple(_subcommand(*command) for command in commands.items())]  # noqa: UP007
+    overall = make_dataclass(
+        "Overall",
+        [
+            ("command", Annotated[kinds, tyro.conf.OmitSubcommandPrefixes]),
+            ("version", Annotated[_Flag, tyro.conf.arg(help="Print the version and exit.")], False),
+            ("completion", Annotated[Shell, _COMPLETION], "bash"),
+        ],
+    )
+    if arguments[0] == "--completion":
+        arguments = ["--tyro-write-completion", *arguments[1:], "-"]
+    tyro.cli(
+        overall,
+        prog=prog,
+        description=description,
+        args=arguments,
+        registry=_registry([*commands.values()], short=False),
+    )
+
+
+def _subcommand(name: str, kind: type) -> Any:
+    """With the first line of what the help of the command says."""
+    about = (inspect.getdoc(kind) or "").split("\n")[0]
+    return Annotated[kind, tyro.conf.subcommand(name, description=about)]
+
+
+def similar(word: str, known: Sequence[str]) -> str:
+    """Asks whether one of `known` was meant; empty where none is like `word`."""
+    close = [name for name in known if name.endswith("." + word.lstrip("-"))]
+    close = close or difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {' or '.join(close)}?" if close else ""
+
+
+# Options
+
+_HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
+
+
+def _registry(commands: Collection[type], short: bool) -> ConstructorRegistry:
+    """How tyro makes options of the fields of `commands` and of their configurations."""
+    registry = ConstructorRegistry()
+    asking = False
+
+    @registry.struct_rule
+    def described(info: StructTypeInfo) -> StructConstructorSpec | None:
+        nonlocal asking
+        if asking or not is_dataclass(info.type):
+            return None
+        asking = True  # tyro for its own rule, of which we change the fields
+        try:
+            spec: Any = ConstructorRegistry.get_struct_spec(info)
+        finally:
+            asking = False
+        fields = [_option(field) for field in spec.fields]
+        if info.type not in commands:
+            return replace(spec, fields=tuple(fields))
+        leaves = list(_leaves(info.type, fields))
+        common = [
+            field
+            for owner, field in leaves
+            if (field.name in COMMON.get(owner, ()))
+            or (owner is info.type and _ADVANCED not in _parts(field.type))
+        ]
+        if len(common) == len(leaves):
+            return replace(spec, fields=tuple(fields))
+
+        def instantiate(**values: Any) -> Any:
+            del values[_HELP_ALL.name]
+            return spec.instantiate(**values)
+
+        options = common if short else fields
+        return StructConstructorSpec(instantiate, (_option(_HELP_ALL), *options))
+
+    return registry
+
+
+def _option(field: StructFieldSpec) -> StructFieldSpec:
+    """With our help."""
+    kind, *marks = _parts(field.type)
+    if is_dataclass(kind):
+        return field
+    behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
+    ours = tyro.conf.arg(metavar=_metavar(kind), help_behavior_hint=behaviour)
+    return replace(
+        field,
+        type=Annotated[(kind, ours, *marks)],  # type: ignore[arg-type]
+        helptext=lambda: _unwrapped(field.helptext),
+    )
+
+
+def _leaves(
+    owner: type, fields: Sequence[StructFieldSpec]
+) -> Iterator[tuple[type, StructFieldSpec]]:
+    """The options of `owner`, and then those of its configurations, each with whose it is."""
+    nested: list[tuple[Any, Any]] = []
+    for field in fields:
+        kind, *_ = _parts(field.type)
+        if is_dataclass(kind):
+            nested.append((kind, field.default))
+        else:
+            yield owner, field
+    for kind, default in nested:
+        info = StructTypeInfo.make(kind, default, in_union_context=False)
+        spec: Any = ConstructorRegistry.get_struct_spec(info)
+        yield from _leaves(kind, spec.fields)
+
+
+def _parts(hint: Any) -> tuple[Any, ...]:
+    """A type, and the marks on it."""
+    return get_args(hint) if get_origin(hint) is Annotated else (hint,)
+
+
+def _unwrapped(helptext: Any) -> str:
+    """Without the line breaks of the source."""
+    text = helptext() if callable(helptext) else helptext
+    return " ".join((text or "").split())
+
+
+def _default_hint(default: str) -> str:
+    if default in ("None", ""):
+        return ""
+    return f"(default: {({'True': 'yes', 'False': 'no'}).get(default, default)})"
+
+
+def _metavar(kind: Any) -> str | None:
+    """PATH for Path | None, {a,b} ... for any number of choices; None for what tyro says."""
+    kinds = [k for k in get_args(kind) if k not in (NoneType, ...)]
+    match get_origin(kind):
+        case origin if origin in (Union, UnionType) and len(kinds) == 1:
+            return _metavar(kinds[0]) or kinds[0].__name__.upper()
+        case origin if origin is tuple and ... in get_args(kind):
+            return f"{_metavar(kinds[0]) or kinds[0].__name__.upper()} ..."
+        case origin if origin is Literal:
+            return "{" + ",".join(map(str, kinds)) + "}"
+    return None
+
+
+# Errors
+
+
+@contextmanager
+def _plain_errors(kind: type, prog: str, arguments: Sequence[str]) -> Iterator[None]:
+    """Raises what tyro finds wrong as a CadenzaError of a line; it prints a box if it cannot."""
+
+    if errors is None:
+        yield
+        return
+
+    def raise_error(event: errors.ParseErrorEvent) -> None:
+        if (what := _what_is_wrong(event, kind, prog, arguments)) is not None:
+            raise CadenzaError(what)
+
+    with errors.on_parse_error(raise_error):
+        yield
+
+
+def _what_is_wrong(
+    event: errors.ParseErrorEvent, kind: type, prog: str, arguments: Sequence[str]
+) -> str | None:
+    """In a line; None where tyro should say it."""
+    known = ["--help", "--help-all", *_options(kind)]
+    names = [word.split("=")[0].replace("_", "-") for word in arguments]
+    unknown = [name for name in names if name.startswith("--") and name not in known]
+    match event:
+        case errors.UnrecognizedArgs() | errors.MissingArgs() | errors.BadValue() if unknown:
+            hint = similar(unknown[0], known) or f"; {prog} --help-all lists them"
+            return f"there is no option {unknown[0]}{hint}"
+        case errors.UnrecognizedArgs(tokens=tokens):
+            about = "there is no option" if tokens[0].startswith("-") else "one argument too many:"
+            return f"{about} {tokens[0]}; see {prog} --help"
+        case errors.MissingArgs(missing_arguments=missing):
+            return f"{' and '.join(_name(m.arg) for m in missing)} is missing; see {prog} --help"
+        case errors.BadValue(argument=argument):
+            return f"{_name(argument)} needs a value; see {prog} --help"
+        case errors.InvalidChoice(argument=argument, value=value, choices=choices):
+            return f"{_name(argument)} {value}: choose from {', '.join(choices)}"
+        case errors.InstantiationFailure(argument=argument, message=message) if argument:
+            metavar, *_ = str(argument.lowered.metavar).split()
+            wanted = {"INT": "a whole number", "FLOAT": "a number"}.get(metavar, metavar)
+            given = re.findall("'([^']*)'", message)[-1:]
+            return f"{' '.join([_name(argument), *given])}: give {wanted}"
+    return None
+
+
+def _name(argument: Any) -> str:
+    return argument.lowered.metavar if argument.is_positional() else argument.display_name()
+
+
+def _options(kind: Any, prefix: str | None = "") -> Iterator[str]:
+    """The names of all options of a command; with the prefix None also those nested have none."""
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        field, *marks = _parts(hint)
+        option = name.replace("_", "-")
+        if is_dataclass(field):
+            bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
+            yield from _options(field, None if bare else f"{prefix}{option}.")
+        elif tyro.conf.Positional not in marks:
+            yield f"--{prefix or ''}{option}"
+            if field is bool:
+                yield f"--{prefix or ''}no-{option}"
