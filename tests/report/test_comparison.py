@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import make_episode
+from headless import Browser, needs_chromium
 
 from cadenza.report.comparison import COLUMNS, Run, in_text, means, write_comparison
 
@@ -58,7 +60,8 @@ def test_the_table_in_text_stands_in_columns() -> None:
 
 
 def test_the_page_tells_the_means(page: str) -> None:
-    words = re.sub(r"<style>.*</style>|<[^>]+>", " ", page, flags=re.DOTALL).split()
+    unseen = r"<(style|script)[^>]*>.*?</\1>|<[^>]+>"
+    words = re.sub(unseen, " ", page, flags=re.DOTALL).split()
     assert words.count("0.850") == 8  # a bar and a cell for each of four
     assert "&lt;zero&gt;" in words
 
@@ -88,12 +91,89 @@ def test_strips_show_how_many_keys_were_right_missing_and_wrong(page: str) -> No
 
 
 def test_the_page_stands_alone(page: str) -> None:
-    assert not re.search(r"https?://|<script|<link rel=\"stylesheet|@import|url\(", page)
+    for tag, attributes in Elements(page).found:
+        assert tag not in ("object", "embed", "base"), tag
+        for name in ("src", "href", "srcset", "data", "poster", "action"):
+            assert (attributes.get(name) or "data:").startswith("data:"), (tag, attributes)
+    assert "default-src 'none'" in page
     assert "{{" not in page
 
 
 def test_an_episode_that_ended_early(tmp_path: Path) -> None:
     short = replace(RUNS[2], episode=make_episode(steps=10))
     write_comparison(tmp_path / "compare.html", [short, RUNS[0]])
-    views = re.findall(r'viewBox="0 \S+ (\d+) ', (tmp_path / "compare.html").read_text())
-    assert set(views) == {"40"}
+    found = Elements((tmp_path / "compare.html").read_text()).found
+    views = [str(a["viewbox"]) for tag, a in found if tag == "svg"]
+    assert {view.split()[2] for view in views} == {"40"}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    browser = Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+def opened(browser: Browser, path: Path) -> None:
+    browser.events.clear()
+    browser.call("Page.navigate", url=path.as_uri())
+    browser.wait("!!window.comparison && comparison.ready")
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_each_run_is_seen_and_heard(browser: Browser, tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script>{{js}}"
+    late = make_episode()
+    late.arrays["key_activation"][:, :] = False
+    runs = [*RUNS, replace(RUNS[0], agent=evil, episode=late)]
+    write_comparison(tmp_path / "compare.html", runs)
+    opened(browser, tmp_path / "compare.html")
+    inside = "document.getElementById('frame').contentWindow"
+    facts = f"{inside}.document.querySelector('.facts').textContent"
+    recall = f"{inside}.document.querySelector('#roll canvas').getAttribute('aria-label')"
+    assert "agent planner" in browser.evaluate(facts)
+    assert "20 were hit" not in browser.evaluate(recall)
+
+    browser.evaluate(f"{inside}.cadenza.seek(0.3)")
+    browser.evaluate(f"{inside}.cadenza.play()")
+    browser.wait(f"{inside}.cadenza.time > 0.5")
+    browser.evaluate("document.querySelector('button[data-run=\"3\"]').click()")
+    browser.wait("comparison.ready")
+    assert evil in browser.evaluate(facts)
+    assert " 0 were hit" in browser.evaluate(recall)
+    browser.wait(f"{inside}.cadenza.playing && {inside}.cadenza.time > 0.5")
+
+    browser.evaluate(
+        "(strip => strip.dispatchEvent(new MouseEvent('click', { bubbles: true, clientX:"
+        " strip.getBoundingClientRect().left + 0.75 * strip.clientWidth })))"
+        "(document.querySelector('.strip[data-run=\"1\"]'))"
+    )
+    browser.wait("comparison.ready")
+    assert browser.evaluate("document.getElementById('choice').value") == "1"
+    assert 1.5 <= browser.evaluate(f"{inside}.cadenza.time") < 1.9
+    assert browser.problems() == []
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_labels_do_not_overlap_on_any_screen(browser: Browser, tmp_path: Path) -> None:
+    long = run("a/folder/with_a_rather_long_name_of_a_run/best", 12, 0.5)
+    write_comparison(tmp_path / "compare.html", [*RUNS, long])
+    for width in (320, 390, 900, 1280):
+        screen = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+        browser.call("Emulation.setDeviceMetricsOverride", **screen)
+        opened(browser, tmp_path / "compare.html")
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        overlaps = browser.evaluate("""(() => {
+            const labels = ".bars dt, .bars dd b, .whose, .strip, .seconds span, h2, .legend span";
+            const boxes = [...document.querySelectorAll(labels)]
+              .filter((label) => getComputedStyle(label).visibility !== "hidden")
+              .map((label) => [label.textContent, label.getBoundingClientRect()]);
+            const apart = (a, b) => a.right < b.left + 1 || a.bottom < b.top + 1;
+            return boxes.flatMap(([text, a], i) => boxes.slice(i + 1)
+              .filter(([, b]) => !apart(a, b) && !apart(b, a))
+              .map(([other]) => `${text} | ${other}`));
+        })()""")
+        assert overlaps == []
+        assert browser.problems() == []

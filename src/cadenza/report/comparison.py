@@ -1,6 +1,7 @@
-"""Several agents at the same song as one HTML file: figures, and what went right when.
+"""Several agents at the same song as one HTML file: figures, what went right when, and every run.
 
-Plain HTML with drawings in SVG: no script, no network, no server.
+No network, no server. The file grows by about a megabyte for each minute of each run, nearly all
+of it sound.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.music.keyboard import IS_BLACK, note_name
-from cadenza.music.performance import key_runs
-from cadenza.report.page import asset, write_page
-from cadenza.report.recording import verdict
+from cadenza.music.performance import key_runs, performed_score
+from cadenza.report.page import asset, own_parts, pieces, shared_parts, write_page
+from cadenza.report.recording import embedded, in_json, verdict
+from cadenza.report.sound import SAMPLE_RATE, synthesize
 
 COLUMNS = {
     "f1": ("F1", 3),
@@ -86,8 +88,15 @@ def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = (
         "bars": "".join(_bars(name, runs) for name in _BARS),
         "roll": _roll(longest),
         "remarks": "".join(f"<p>{html.escape(remark)}</p>" for remark in remarks),
-        "strips": "".join(_strip(run, _duration(longest)) for run in runs),
+        "strips": "".join(_strip(i, run, _duration(longest)) for i, run in enumerate(runs)),
         "seconds": _seconds(_duration(longest)),
+        "choices": "".join(
+            f'<option value="{i}">{html.escape(_name(run))}</option>' for i, run in enumerate(runs)
+        ),
+        "duration": f"{_duration(longest):g}",
+        "runs": chain.from_iterable(map(_embedded, runs)),
+        "shared": in_json(list(shared_parts().values())),
+        "js": asset("comparison.js"),
         "css": asset("page.css") + asset("comparison.css"),
     }
     write_page(path, "comparison.html", parts)
@@ -95,6 +104,24 @@ def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = (
 
 def _duration(episode: Episode) -> float:
     return episode.num_steps * episode.dt
+
+
+def _name(run: Run) -> str:
+    return f"{run.agent}, seed {run.seed}"
+
+
+def _embedded(run: Run) -> Iterator[str]:
+    """The page of a run as JSON: its texts, and a number where a part is shared with the others."""
+    episode = run.episode
+    keys, pedal = episode["key_activation"], episode["sustain_activation"]
+    audio = synthesize(performed_score(keys, pedal, episode.dt, episode["key_qpos"]))
+    shared = dict.fromkeys(shared_parts(), "")
+    settings = {"agent": run.agent, "seed": run.seed}
+    own = own_parts(episode, run.figures, settings, embedded(episode, audio, SAMPLE_RATE))
+    yield '<script type="application/json" class="run">[""'
+    for name, text in pieces("page.html", own | shared):
+        yield f",{list(shared).index(name) if name in shared else in_json(text)}"
+    yield "]</script>"
 
 
 def _facts(runs: Sequence[Run], longest: Episode) -> str:
@@ -178,7 +205,7 @@ def _roll(episode: Episode) -> str:
     )
 
 
-def _strip(run: Run, duration: float) -> str:
+def _strip(index: int, run: Run, duration: float) -> str:
     """Of each step, keys that rightly sound and missing ones above the line, wrong ones below."""
     steps = round(duration / run.episode.dt)
     verdicts = verdict(run.episode["goal_keys"], run.episode["key_activation"])
@@ -191,10 +218,11 @@ def _strip(run: Run, duration: float) -> str:
     drawn += f'<path class="line" d="M0 0H{steps}"/>'
     shares = (np.count_nonzero(verdicts == v) for v in (1, 3, 2))
     words = "{} key steps right, {} missing, {} wrong".format(*shares)
-    name = html.escape(run.agent)
     return (
-        f'<div class="whose"><b>{name}</b> <small>seed {run.seed}</small></div>'
-        f"<div>{_svg(steps, -up - 1, up + down + 2, words, drawn)}</div>"
+        f'<button type="button" class="whose" data-run="{index}"><b>{html.escape(run.agent)}</b> '
+        f"<small>seed {run.seed}</small></button>"
+        f'<div class="strip" data-run="{index}">'
+        f"{_svg(steps, -up - 1, up + down + 2, words, drawn)}</div>"
     )
 
 
@@ -209,5 +237,5 @@ def _blocks(start: NDArray[np.intp], end: NDArray[np.intp]) -> Iterator[str]:
 
 def _seconds(duration: float) -> str:
     tick = next((t for t in (0.5, 1, 2, 5, 10, 20, 30, 60) if duration / t <= 12), 120)
-    times = np.arange(0, duration, tick)
+    times = np.arange(0, 0.95 * duration, tick)  # a label has to fit after the last
     return "".join(f'<span style="left:{100 * t / duration:.2f}%">{t:g} s</span>' for t in times)

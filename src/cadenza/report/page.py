@@ -28,6 +28,8 @@ from cadenza.report.sound import SAMPLE_RATE
 
 _SCRIPTS = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "charts.js", "page.js")
 
+Parts = Mapping[str, str | Iterable[str]]
+"""By the names that they have in a template; a long one comes in pieces, and stands there once."""
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),
@@ -63,9 +65,24 @@ def write_report(
         midi: a MIDI file to download.
         video: name of a file beside the page to download.
     """
+    recording = embedded(episode, audio, sample_rate, goal_mp3)
+    own = own_parts(episode, metrics, settings, recording, misses, midi, video)
+    write_page(path, "page.html", own | shared_parts())
+
+
+def own_parts(
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    recording: Iterable[str],
+    misses: Sequence[Mapping[str, Any]] = (),
+    midi: bytes = b"",
+    video: str = "",
+) -> dict[str, str | Iterable[str]]:
+    """What the page of an episode does not share with others; `recording` is what it embeds."""
     shown = _metrics_shown(episode, metrics)
     facts = _facts(episode, dict(flat(settings)))
-    parts = {
+    return {
         "title": html.escape(episode.song or "Untitled"),
         "facts": "".join(
             f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts
@@ -76,26 +93,33 @@ def write_report(
         "settings": _folded("Settings", _table(dict(flat(settings)))),
         "downloads": _downloads(midi, video),
         "roll_label": html.escape(_in_words(episode)),
-        "recording": embedded(episode, audio, sample_rate, goal_mp3),
+        "recording": recording,
+    }
+
+
+def shared_parts() -> dict[str, str]:
+    """Looks and scripts of the page of any episode."""
+    return {
         "css": asset("page.css"),
         "three": asset("three.min.js"),
         "js": "\n".join(map(asset, _SCRIPTS)),
     }
-    write_page(path, "page.html", parts)
 
 
-def write_page(path: Path, template: str, parts: Mapping[str, str | Iterable[str]]) -> None:
-    """Writes the asset `template` to `path`, each `{{name}}` in it replaced by its part.
-
-    A long part comes in pieces; each stands in the template once.
-    """
-    texts = re.split(r"{{(\w+)}}", asset(template))
+def write_page(path: Path, template: str, parts: Parts) -> None:
+    """Writes the asset `template` to `path`, each `{{name}}` in it replaced by its part."""
     with write_atomically(path) as file:
-        for text, name in zip_longest(texts[::2], texts[1::2]):
-            file.write(text.encode())
-            part = parts[name] if name else ""
-            for piece in [part] if isinstance(part, str) else part:
-                file.write(piece.encode("utf-8", "replace"))  # names of files need not be text
+        for _, text in pieces(template, parts):
+            file.write(text.encode("utf-8", "replace"))  # names of files need not be text
+
+
+def pieces(template: str, parts: Parts) -> Iterator[tuple[str, str]]:
+    """The asset `template` piece by piece, each with the name of its part, or "" between parts."""
+    texts = re.split(r"{{(\w+)}}", asset(template))
+    for text, name in zip_longest(texts[::2], texts[1::2], fillvalue=""):
+        yield "", text
+        part = parts[name] if name else ""
+        yield from ((name, piece) for piece in ([part] if isinstance(part, str) else part))
 
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:

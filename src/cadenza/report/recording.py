@@ -33,7 +33,9 @@ def embedded(
 
     `goal_mp3` is what it should have sounded like, for pages on which one can compare.
     """
-    yield f'<script type="application/json" class="recording">{_json(_recording(episode))}</script>'
+    yield '<script type="application/json" class="recording">'
+    yield in_json(_recording(episode))
+    yield "</script>"
     # At least as long as the episode: the page's clock is this sound.
     sound = encode_mp3(audio, sample_rate, seconds=episode.num_steps * episode.dt)
     for kind, mp3 in (("sound", sound), ("goal", goal_mp3)):
@@ -85,6 +87,6 @@ def _packed(values: NDArray[Any]) -> str:
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
 
 
-def _json(content: Any) -> str:
+def in_json(content: Any) -> str:
     """JSON that cannot end the script element it stands in."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
