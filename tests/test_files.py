@@ -183,6 +183,7 @@ def test_json_becomes_what_was_asked_for(tmp_path: Path) -> None:
         (b'{"name": "", "part": {"syze": 1}}', r"Unknown field 'syze' - at `\$\.part`"),
         (b'{"name": "", "kind": "a\\nb"}', r"at `\$\.kind`"),
         (b'{"name": "", "more": {"n": "\\ud800"}}', r"Expected text, got '\\ud800'"),
+        (b'{"name": "", "part": {"size": "\\ud800"}}', r"Expected text.* at `\$\.part\.size`"),
     ],
 )
 def test_json_of_something_else_is_refused_in_one_line(

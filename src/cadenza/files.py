@@ -107,8 +107,9 @@ def checked(value: Any, kind: type[T], where: object) -> T:
             finite; `where` and which value it is are named.
     """
     try:
+        _check_values(value, "$")
         result = msgspec.convert(value, kind)
-        _check_same(value, msgspec.to_builtins(result), "$")
+        _check_names(value, msgspec.to_builtins(result), "$")
     except (msgspec.ValidationError, CadenzaError) as error:
         wrong = " ".join(str(error).split())  # it may quote what it found
         raise CadenzaError(f"{where}: {wrong}; {_ANOTHER}") from error
@@ -117,21 +118,31 @@ def checked(value: Any, kind: type[T], where: object) -> T:
     return result
 
 
-def _check_same(given: Any, understood: Any, at: str) -> None:
-    """For what `msgspec.convert` leaves out or lets through."""
+def _check_values(value: Any, at: str) -> None:
+    """For what JSON of Python has beyond that of others, and nobody can write again."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            _check_values(name, at)
+            _check_values(part, f"{at}.{name}")
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            _check_values(part, f"{at}[{i}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise CadenzaError(f"Expected a finite number, got {value} - at `{at}`")
+    elif isinstance(value, str) and not _is_text(value):
+        raise CadenzaError(f"Expected text, got {value!a} - at `{at}`")
+
+
+def _check_names(given: Any, understood: Any, at: str) -> None:
+    """For fields that `msgspec.convert` leaves out."""
     if isinstance(given, dict):
         for name, part in given.items():
-            _check_same(name, name, at)
             if name not in understood:
                 raise CadenzaError(f"Unknown field {name!r} - at `{at}`")
-            _check_same(part, understood[name], f"{at}.{name}")
+            _check_names(part, understood[name], f"{at}.{name}")
     elif isinstance(given, list):
         for i, (part, other) in enumerate(zip(given, understood, strict=True)):
-            _check_same(part, other, f"{at}[{i}]")
-    elif isinstance(given, float) and not math.isfinite(given):
-        raise CadenzaError(f"Expected a finite number, got {given} - at `{at}`")
-    elif isinstance(given, str) and not _is_text(given):
-        raise CadenzaError(f"Expected text, got {given!a} - at `{at}`")
+            _check_names(part, other, f"{at}[{i}]")
 
 
 def _is_text(value: str) -> bool:
@@ -161,7 +172,8 @@ class ArrayOf(NamedTuple):
     kinds: str
     """Of its type, as `numpy.dtype.kind`."""
     shape: tuple[int | str, ...] | None = ()
-    """A name stands for any size, the same in all arrays of a file; None for any shape."""
+    """A name stands for any size, the same in all arrays of a file; `*` for any; None for any
+    shape."""
     needed: bool = False
     finite: bool = False
 
@@ -256,7 +268,7 @@ def _fits(
     if form is None:
         return True
     return len(shape) == len(form) and all(
-        size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
+        want == "*" or size == (sizes.setdefault(want, size) if isinstance(want, str) else want)
         for size, want in zip(shape, form, strict=True)
     )
 

@@ -306,7 +306,7 @@ def test_one_lost_file_of_old_experience_costs_that_experience(
     assert loaded_step(run) == 40
     what, then = capsys.readouterr().err.splitlines()
     assert saving.chunks[1].file in what
-    assert then == f"{run.path}: going on without 15 transitions"
+    assert then == f"{run.path}: up to 15 transitions are lost"
 
 
 def test_goes_back_where_less_is_lost_by_it(
@@ -321,7 +321,7 @@ def test_goes_back_where_less_is_lost_by_it(
     assert loaded_step(run) == 20
     *_, back, without = capsys.readouterr().err.splitlines()
     assert back.endswith("going back to step 20")
-    assert without.endswith("going on without 10 transitions")
+    assert without.endswith("up to 10 transitions are lost")
 
 
 def test_shortened_figures_are_not_lengthened(

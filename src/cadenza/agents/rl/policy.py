@@ -45,6 +45,11 @@ class Policy:
         depth = sum(name.endswith("/kernel") for name in weights) - 2
         self._hidden = [f"hidden_{i}" for i in range(depth)]
 
+    @property
+    def num_actions(self) -> int:
+        """A."""
+        return len(self.weights["mean/bias"])
+
     def best(self, observation: Floats) -> Floats:
         """(N, A) the mean, squashed."""
         return np.tanh(self._layer("mean", self._features(observation)))

@@ -34,18 +34,31 @@ class PolicyAgent:
         CadenzaError: the task shows other things than the policy has learnt to observe, or the
             policy corrects a plan for another one.
         """
-        self._task, plan = task, self._plan
-        size = (int(task.sheets.num_steps[0]), task.action_size - 1)
-        if plan is not None and plan.ctrl.shape != size:
-            raise CadenzaError(
-                f"the policy corrects a plan of {len(plan.ctrl)} steps and {plan.ctrl.shape[1]} "
-                f"servos, and here are {size[0]} and {size[1]}: it plays what it has learnt only"
-            )
-        self._control = control_of(task, plan, self._ranges)
+        self._task = task
+        self._check_fits(task)
+        self._control = control_of(task, self._plan, self._ranges)
         sheets, scores = task.sheets, Scores(task)
         scores.add(*sheets.part(0, 0, int(sheets.num_steps[0])))
         self._observer = Observer(task, scores, self._inputs, self._control.plan, self._ranges)
         self._action = np.zeros((1, task.action_size), np.float32)
+
+    def _check_fits(self, task: PianoTask) -> None:
+        steps, actions = int(task.sheets.num_steps[0]), task.action_size
+        joints = len(range(*task.observation_layout["joints"].indices(task.observation_size)))
+        plan, ranges = self._plan, self._ranges
+        known = len(ranges.joints[0]) if ranges else joints
+        if (self._policy.num_actions, known) != (actions, joints):
+            raise CadenzaError(
+                f"the policy moves {known} joints by {self._policy.num_actions} actions, and this "
+                f"task has {joints} and {actions}: choose the options of the task and the scene "
+                "that it was trained with"
+            )
+        planned = (steps, actions - 1, steps + 1)
+        if plan is not None and (*plan.ctrl.shape, len(plan.expected)) != planned:
+            raise CadenzaError(
+                f"the policy corrects a plan of {len(plan.ctrl)} steps and {plan.ctrl.shape[1]} "
+                f"servos, and here are {steps} and {actions - 1}: it plays what it has learnt only"
+            )
 
     def act(self) -> Array:
         """(A,) as an `Agent`."""

@@ -50,8 +50,12 @@ _EXPECTED = {
     "plan/reach": ArrayOf(FLOATS, ("servos",), finite=True),
     "ranges/joints": ArrayOf(FLOATS, (2, "joints"), finite=True),
     "ranges/actions": ArrayOf(FLOATS, (2, "actions"), finite=True),
-    "mean/bias": ArrayOf(FLOATS, ("actions",), finite=True),
-    "*": ArrayOf(FLOATS, None, finite=True),
+    "mean/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
+    "mean/bias": ArrayOf(FLOATS, ("actions",), needed=True, finite=True),
+    "log_std/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
+    "log_std/bias": ArrayOf(FLOATS, ("actions",), needed=True, finite=True),
+    "hidden_*/kernel": ArrayOf(FLOATS, ("*", "*"), finite=True),
+    "hidden_*/bias": ArrayOf(FLOATS, ("*",), finite=True),
 }
 
 

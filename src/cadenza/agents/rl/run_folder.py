@@ -296,7 +296,7 @@ class RunFolder:
         if best != saved[-1]:
             print(f"{self.path}: going back to step {found[best].facts.step}", file=sys.stderr)
         if lost := _lost(found[best]):
-            print(f"{self.path}: going on without {lost} transitions", file=sys.stderr)
+            print(f"{self.path}: up to {lost} transitions are lost", file=sys.stderr)
         self._cut_rows(found[best].facts.metrics_size)
         return found[best]
 

@@ -1,0 +1,132 @@
+"""Whatever is wrong with a checkpoint, the run goes on from it, or it is refused in one line."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mutations
+from cadenza.agents.rl import training
+from cadenza.agents.rl.config import LearnerConfig, TrainingConfig
+from cadenza.agents.rl.run_folder import RunFolder
+from cadenza.agents.rl.training import Training
+from cadenza.model.config import SceneConfig
+from cadenza.music.score import Note, Score
+from cadenza.tasks.config import TaskConfig
+
+SONG = Score((Note(0, 0.2, 60),))
+CONFIG = TrainingConfig(
+    learner=LearnerConfig(hidden_sizes=(16,), batch_size=8),
+    task=TaskConfig(initial_buffer_time=0.1),
+    scene=SceneConfig(hands="right", physics="fast"),
+    num_steps=64,
+    num_envs=2,
+    seed_steps=16,
+    steps_per_round=4,
+    eval_interval=1000,
+    log_interval=20,
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "Learner", functools.cache(training.Learner))
+        yield
+
+
+def go_on(path: Path, rounds: int = 2) -> int:
+    """The step from which a run goes on; it does some rounds more."""
+    left = iter(range(rounds))
+    with closing(Training(CONFIG, SONG, RunFolder(path))) as run:
+        first = run.step
+        run.run(lambda: next(left, None) is not None)
+    return first
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With two checkpoints, each with a file of experience."""
+    path = tmp_path_factory.mktemp("run")
+    go_on(path, 3)
+    go_on(path, 2)
+    return path
+
+
+@pytest.fixture
+def copy(begun: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(begun, tmp_path / "copy"))
+
+
+def newest(run: Path) -> Path:
+    return max((run / "checkpoints").iterdir())
+
+
+def change(rng: np.random.Generator, run: Path) -> None:
+    """Something in its newest checkpoint or experience, of which no digest tells."""
+    checkpoint = newest(run)
+    facts, arrays = checkpoint / "facts.json", checkpoint / "arrays.npz"
+    chunk = max((run / "replay").iterdir())
+    match rng.integers(4):
+        case 0:
+            other = mutations.other_json(rng, json.loads(facts.read_text()))
+            mutations.reseal(checkpoint, {"facts.json": mutations.json_bytes(other)})
+        case 1:
+            with np.load(arrays) as file:
+                changed = mutations.other_arrays(rng, dict(file))
+            mutations.reseal(checkpoint, {"arrays.npz": mutations.npz_bytes(changed)})
+        case 2:
+            with np.load(chunk) as file:
+                changed = mutations.other_arrays(rng, dict(file))
+            chunk.write_bytes(mutations.npz_bytes(changed))
+        case _:
+            chunk.write_bytes(mutations.other_bytes(rng, chunk.read_bytes()))
+
+
+@pytest.mark.parametrize("number", [6, pytest.param(200, marks=pytest.mark.slow)])
+def test_goes_on_or_says_what_is_wrong(number: int, begun: Path, tmp_path: Path) -> None:
+    for seed in range(number):
+        run = tmp_path / str(seed)
+        shutil.copytree(begun, run)
+        change(np.random.default_rng(seed), run)
+        with mutations.at_most_refused():
+            assert go_on(run) in (24, 40)
+
+
+def test_experience_that_is_lost_is_done_without(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    min((copy / "replay").iterdir()).unlink()
+    assert go_on(copy) == 40
+    assert "up to 26 transitions are lost" in capsys.readouterr().err
+    assert go_on(copy) == 56
+    assert capsys.readouterr().err == ""  # what is lost is forgotten
+
+
+def test_another_end_and_since_when_it_holds_is_kept(copy: Path) -> None:
+    """Learning rates that fall know where they are."""
+    longer = replace(CONFIG, num_steps=128)
+    with closing(Training(longer, SONG, RunFolder(copy))) as run:
+        run.run(lambda: run.step < 80)
+    with closing(Training(longer, SONG, RunFolder(copy))) as run:
+        assert run._ends == ((0, 64), (40, 128))
+
+
+def test_a_run_whose_learner_has_other_threads_says_so(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its bits are not those of other runs with the same seed."""
+    for threads, said in ((2, 0), (None, 0), (7, 1)):
+        monkeypatch.setattr(training, "num_threads", lambda threads=threads: threads)
+        go_on(copy, 1)
+        assert capsys.readouterr().err.count("JAX was started before this run, with 7") == said
+        facts = json.loads((newest(copy) / "facts.json").read_text())
+        assert facts["threads"] == threads

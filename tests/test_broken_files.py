@@ -1,0 +1,175 @@
+"""Whatever is wrong with a file, it is played, or refused in one line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mutations
+from cadenza.agents.agent import ZeroAgent
+from cadenza.agents.play import play
+from cadenza.agents.replay import check_options, load_plan, options_of, physics_of, save_plan
+from cadenza.agents.rl.config import TrainingConfig
+from cadenza.agents.rl.policy_folder import load_policy
+from cadenza.agents.rl.pretrained import pretrained_folder
+from cadenza.agents.rl.run_folder import RunFolder
+from cadenza.episode import load_episode
+from cadenza.model.config import SceneConfig
+from cadenza.music.fingering_file import read_fingering, write_fingering
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.report.page import write_report
+from cadenza.report.training import Curve, write_training
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+SONG = Score((Note(0, 0.1, 60), Note(0.1, 0.2, 64)), (PedalEvent(0.05, 127),), "Für")
+TASK, SCENE = TaskConfig(), SceneConfig(hands="right")
+
+
+@pytest.fixture(scope="module")
+def performance() -> Any:
+    with closing(PianoTask([SONG], TASK, SCENE)) as task:
+        return play(task, ZeroAgent())
+
+
+def draws(number: int) -> Iterator[tuple[int, np.random.Generator]]:
+    return ((seed, np.random.default_rng(seed)) for seed in range(number))
+
+
+def other_npz(rng: np.random.Generator, path: Path) -> bytes:
+    """With arrays changed, also JSON in them, or bytes, or members."""
+    content = path.read_bytes()
+    with np.load(path) as file:
+        arrays = dict(file)
+    match rng.integers(6):
+        case 0:
+            return mutations.other_bytes(rng, content)
+        case 1:
+            return mutations.other_members(rng, content)
+        case 2:
+            name = next(n for n in ("options", "scene") if n in arrays)
+            changed = mutations.other_json(rng, json.loads(str(arrays[name])))
+            arrays[name] = np.str_(mutations.json_bytes(changed).decode())
+        case _:
+            arrays = mutations.other_arrays(rng, arrays)
+    return mutations.npz_bytes(arrays, compressed=True)
+
+
+def many(fast: int, slow: int) -> Any:
+    return pytest.mark.parametrize("number", [fast, pytest.param(slow, marks=pytest.mark.slow)])
+
+
+@many(150, 3000)
+def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.npz", tmp_path / "plan.npz"
+    options = options_of(TASK, SCENE, 0)
+    save_plan(whole, performance.episode, performance.metrics, options, SONG)
+    for _, rng in draws(number):
+        path.write_bytes(other_npz(rng, whole))
+        for read in (load_plan, physics_of, lambda path: check_options(path, options)):
+            with mutations.at_most_refused():
+                read(path)
+
+
+@many(30, 2000)
+def test_episodes(number: int, performance: Any, tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
+    performance.episode.save(whole)
+    for _, rng in draws(number):
+        path.write_bytes(other_npz(rng, whole))
+        with mutations.at_most_refused():
+            episode = load_episode(path)
+            write_report(tmp_path / "page.html", episode, {}, {}, np.zeros((100, 2), np.float32))
+
+
+def other_sealed(rng: np.random.Generator, whole: Path, folder: Path) -> None:
+    """A copy of a sealed folder with something wrong in it that its digests do not tell."""
+    folder.mkdir(exist_ok=True)
+    for path in whole.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    facts, arrays = (whole / name for name in ("facts.json", "arrays.npz"))
+    match rng.integers(5):
+        case 0:
+            content = mutations.other_json(rng, json.loads((whole / "manifest.json").read_text()))
+            (folder / "manifest.json").write_bytes(mutations.json_bytes(content))
+        case 1 | 2:
+            changed = mutations.other_json(rng, json.loads(facts.read_text()))
+            mutations.reseal(folder, {"facts.json": mutations.json_bytes(changed)})
+        case 3:
+            changed = mutations.other_bytes(rng, arrays.read_bytes())
+            mutations.reseal(folder, {"arrays.npz": changed})
+        case _:
+            with np.load(arrays) as file:
+                changed = mutations.other_arrays(rng, dict(file))
+            mutations.reseal(folder, {"arrays.npz": mutations.npz_bytes(changed)})
+
+
+@many(6, 400)
+@pytest.mark.parametrize("song", ["TwinkleTwinkleLittleStar", "OdeToJoy"])
+def test_policies(number: int, song: str, tmp_path: Path) -> None:
+    """With the ranges of a song, and with a plan."""
+    for _, rng in draws(number):
+        other_sealed(rng, pretrained_folder(song), tmp_path / "policy")
+        with mutations.at_most_refused():
+            learnt = load_policy(tmp_path / "policy")
+            with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
+                task.reset([np.random.default_rng(0)], [0])
+                agent = learnt.agent
+                agent.reset(task, np.random.default_rng(0))
+                for _ in range(3):
+                    task.step(agent.act()[None])
+
+
+@many(100, 3000)
+def test_runs(number: int, tmp_path: Path) -> None:
+    run = RunFolder(tmp_path)
+    run.begin(TrainingConfig(), SONG)
+    whole = (tmp_path / "run.json").read_bytes()
+    for seed, rng in draws(number):
+        if seed % 4:
+            changed = mutations.json_bytes(mutations.other_json(rng, json.loads(whole)))
+        else:
+            changed = mutations.other_bytes(rng, whole)
+        (tmp_path / "run.json").write_bytes(changed)
+        with mutations.at_most_refused():
+            config, _ = run.settings()
+            assert isinstance(run.id, str)
+            assert json.dumps(asdict(config))
+
+
+ROW = {"step": 100, "seconds": 2.5, "eval_step": 90, "eval/f1": 0.5, "train/value": None}
+
+
+@many(100, 3000)
+def test_figures(number: int, tmp_path: Path) -> None:
+    lines = [json.dumps(ROW | {"step": step}).encode() for step in range(100, 600, 100)]
+    for seed, rng in draws(number):
+        content = list(lines)
+        at = rng.integers(len(lines))
+        content[at] = mutations.json_bytes(mutations.other_json(rng, json.loads(lines[at])))
+        whole = b"\n".join([*content, b""])
+        changed = whole if seed % 3 else mutations.other_bytes(rng, whole)
+        (tmp_path / "metrics.jsonl").write_bytes(changed)
+        with mutations.at_most_refused():
+            rows = RunFolder(tmp_path).rows()
+            assert len(rows) >= (4 if seed % 3 else 0)
+            if not any(abs(v or 0) > 1e15 for row in rows for v in row.values()):
+                write_training(tmp_path / "page.html", "", [Curve("run", rows)], {})
+
+
+@many(200, 5000)
+def test_fingerings(number: int, tmp_path: Path) -> None:
+    path = tmp_path / "song.fingering"
+    write_fingering(SONG, path)
+    whole = path.read_bytes()
+    for _, rng in draws(number):
+        path.write_bytes(mutations.other_bytes(rng, whole))
+        with mutations.at_most_refused():
+            read_fingering(path, SONG)
