@@ -9,11 +9,16 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from cadenza.cli import main
+from cadenza.agents.rl import training
+from cadenza.agents.rl.run_folder import RunFolder
+from cadenza.cli import main, train
+from cadenza.music.library import load_score
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
 
@@ -176,6 +181,45 @@ def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: 
     assert "Traceback" not in said
     assert list((folder / "checkpoints").iterdir())
     assert (folder / "report.html").exists()
+
+
+@pytest.mark.parametrize("when", ["while it is made", "before the first figures"])
+def test_a_run_that_is_stopped_at_once_can_go_on(
+    when: str,
+    tune: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @contextmanager
+    def at_once(_: str) -> Iterator[Callable[[], bool]]:
+        yield lambda: True
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        if when == "while it is made":
+            patch.setattr(training, "plan_of", interrupted)
+        else:
+            patch.setattr(train, "asked_to_stop", at_once)
+        with pytest.raises(SystemExit) as stop:
+            main(["train", str(tune), "-o", str(folder), *SMALL, "--residual"])
+    assert stop.value.code == 130
+    said = capsys.readouterr().err
+    assert f"to go on: cadenza train --resume {folder}" in said
+    assert "figures" not in said
+    assert RunFolder(folder).settings()[1].notes == load_score(str(tune)).notes
+
+
+def test_a_run_is_begun_by_one_process_alone(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second neither begins another run in the folder nor changes the first."""
+    with RunFolder(tmp_path / "run").locked():
+        assert "another process" in refused(capsys, "train", tune, "-o", tmp_path / "run", *SMALL)
+    assert not (tmp_path / "run" / "run.json").exists()
 
 
 def test_what_makes_no_sense_is_said_in_a_line(
