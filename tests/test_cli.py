@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import av
 import mido
 import numpy as np
 import pytest
@@ -252,6 +253,19 @@ def perfect_plan(score: Score, path: Path) -> Path:
     goals = score_to_goals(score, 0.05)
     np.savez(path, action=np.column_stack([goals.keys * KEY_TRAVEL, goals.sustain]))
     return path
+
+
+def test_the_video_has_the_size_and_the_camera_that_were_asked_for(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    song = ["play", str(tune), "--agent", "zero", "-o", str(tmp_path)]
+    assert "no camera 'front'" in refused_in_a_line(capsys, *song, "--video-camera", "front")
+    assert "choose up to 1920 x 1080" in refused_in_a_line(capsys, *song, "--video-size", 0, 90)
+    assert not (tmp_path / "report.html").exists()
+    main([*song, "--video-size", "160", "90", "--video-camera", "topdown"])
+    if "no video: " not in capsys.readouterr().err:
+        with av.open(str(tmp_path / "video.mp4")) as file:
+            assert (file.streams.video[0].width, file.streams.video[0].height) == (160, 90)
 
 
 def test_play_leaves_what_it_promises(

@@ -158,7 +158,7 @@ def test_a_miss_seeks_to_shortly_before_it(browser, write, episode):
 
 @pytest.mark.slow
 def test_the_goal_is_heard_from_where_the_performance_was(browser, write, episode):
-    silence = encode_mp3(np.zeros((1000, 2), np.int16))
+    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
     browser.open(write(episode, goal_mp3=silence))
     browser.evaluate("(cadenza.seek(0.4), cadenza.play())")
     browser.evaluate("document.querySelector('[data-sound=goal]').click()")
@@ -238,7 +238,7 @@ SIZES = {"laptop": (1280, 720), "desktop": (1920, 1080), "phone": (390, 844)}
 def test_everything_fits_the_window(tmp_path, write, episode, size):
     width, height = SIZES[size]
     phone = size == "phone"
-    silence = encode_mp3(np.zeros((1000, 2), np.int16))
+    silence = encode_mp3(np.zeros((0, 2), np.int16), seconds=STEPS * DT)
     path = write(
         episode, misses=MISSES, goal_mp3=silence, midi=b"MThd", video="a_rather_long_name.mp4"
     )

@@ -95,19 +95,21 @@ class Performance:
         goal = encode_mp3(synthesize(self._goal), bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)
         audio = synthesize(played)
-        path = folder / "video.mp4"
-        drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
-        write_report(
-            folder / "report.html",
-            self.episode,
-            self.metrics,
-            self.settings,
-            audio,
-            misses=lost,
-            goal_mp3=goal,
-            midi=(folder / "played.mid").read_bytes(),
-            video=path.name if drawn else "",
-        )
+        path, drawn = folder / "video.mp4", False
+        try:
+            drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
+        finally:  # who does not wait for the video has the page all the same
+            write_report(
+                folder / "report.html",
+                self.episode,
+                self.metrics,
+                self.settings,
+                audio,
+                misses=lost,
+                goal_mp3=goal,
+                midi=(folder / "played.mid").read_bytes(),
+                video=path.name if drawn else "",
+            )
 
     @property
     def _goal(self) -> Score:

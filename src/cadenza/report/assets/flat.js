@@ -69,12 +69,16 @@ function createFlatRenderer(canvas) {
 
   function drawBox(record) {
     const { axes, homogeneous: h, corners } = record;
+    let left = Infinity, right = -Infinity;
     for (let i = 0; i < 8; i++) {
       const a = i & 1 ? 1 : -1, b = i & 2 ? 1 : -1, c = i & 4 ? 1 : -1;
       const w = h[11] + a * h[2] + b * h[5] + c * h[8];
       corners[2 * i] = screenX(h[9] + a * h[0] + b * h[3] + c * h[6], w);
       corners[2 * i + 1] = screenY(h[10] + a * h[1] + b * h[4] + c * h[7], w);
+      left = Math.min(left, corners[2 * i]);
+      right = Math.max(right, corners[2 * i]);
     }
+    if (right < 0 || left > width) return;
     for (let axis = 0; axis < 3; axis++) {
       const x = axes[3 * axis], y = axes[3 * axis + 1], z = axes[3 * axis + 2], square = x * x + y * y + z * z;
       const towards = x * (eyeX - axes[9]) + y * (eyeY - axes[10]) + z * (eyeZ - axes[11]);
