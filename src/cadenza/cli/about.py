@@ -25,10 +25,10 @@ class Songs:
 
 @dataclass(frozen=True)
 class Info:
-    """Tell what a song asks for; without a song, what this installation can do."""
+    """Describe a song: length, notes, range, fingering. Without a song, this installation."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A bundled song or the path of a MIDI or MusicXML file."""
+    """A bundled song, or a MIDI or MusicXML file."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
 
 

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Compare(WithOtherPlanners):
-    """Have several agents play the same song, and draw how they do.
+    """Compare agents on one song, in a table and on a page.
 
     Example: cadenza compare OdeToJoy --agents planner predictive-sampling --seeds 0 1 2
     """
 
     agents: tuple[str, ...] = ("planner", "predictive-sampling")
-    """Who plays, named as in "cadenza play", without replay."""
+    """Agents to compare, named as in "cadenza play". All but replay."""
     seeds: tuple[int, ...] = (0,)
-    """Each agent plays once with each."""
+    """Random seeds. Each agent plays once with each seed."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for compare.html and compare.json; played/SONG by default."""
     quiet: Quiet = False

@@ -28,16 +28,16 @@ from cadenza.tasks.config import with_time_to_begin
 
 @dataclass(frozen=True)
 class Plan(Performing):
-    """Plan how to play a song, and keep the actions and the fingers.
+    """Plan a song, and write the actions and the fingering to files.
 
     Example: cadenza plan OdeToJoy -o joy.npz
     """
 
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The plan, a .npz file; played/SONG/plan.npz by default. Which finger plays which note stands
-    as text beside it, in a file of the same name that ends in .fingering."""
+    """The plan, a .npz file; played/SONG/plan.npz by default. The fingering is written beside it as
+    text, to a file that ends in .fingering."""
     seed: int = 0
-    """Of everything random; the same seed plans the same."""
+    """Random seed. The same seed gives the same plan."""
     quiet: Quiet = False
 
 

@@ -32,25 +32,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Play(WithOtherPlanners):
-    """Have the hands play a song, and leave sound, video, scores and a page to look at.
+    """Play a song, and write a report page with sound, scores, MIDI and a video.
 
     Example: cadenza play OdeToJoy -o joy
     """
 
     agent: Annotated[str | None, tyro.conf.arg(help=AGENTS_HELP)] = None
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the results, whose files it replaces; by default played/SONG/AGENT."""
+    """Folder for the results, which replace older ones; played/SONG/AGENT by default."""
     seed: int = 0
-    """Of everything random; the same seed plays the same."""
+    """Random seed. The same seed gives the same performance."""
     plan: Path | None = None
-    """For --agent replay: what "cadenza plan" wrote, or another .npz file with an array "action"
-    (T, A) in actuator units."""
+    """For --agent replay: a plan from "cadenza plan", or any .npz file with an array "action" of
+    shape (T, A) in actuator units."""
     video: bool = True
-    """Write video.mp4 too, where this machine can draw."""
+    """Write video.mp4, if this machine can render."""
     video_size: Advanced[tuple[int, int]] = (1280, 720)
     """Width and height of the video [px], up to 1920 1080."""
     video_camera: str = "player"
-    """Where the video looks from: player, closeup, left, right, back, egocentric or topdown."""
+    """Camera of the video: player, closeup, left, right, back, egocentric or topdown."""
     quiet: Quiet = False
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Train:
-    """Have a policy learn a song, to be stopped at any moment and resumed.
+    """Train a policy on a song. Ctrl-C stops the run, --resume continues it.
 
     Example: cadenza train TwinkleTwinkleLittleStar -o twinkle; cadenza train --resume twinkle
     """
@@ -41,19 +41,18 @@ class Train:
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
     """A bundled song (see "cadenza songs") or the path of a MIDI or MusicXML file."""
     preset: Preset = "fast"
-    """Where the options below begin: what suits few cores; the table of the paper; or what the
-    published run script says."""
+    """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
+    the published run script."""
     resume: Path | None = None
-    """Folder of a run that is to go on with the options that it has; with --num-steps to another
-    end."""
+    """Continue the run in this folder, with its own options. --num-steps changes its end."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
-    """Cores to work on, of those that no other run has claimed."""
+    """CPU cores to use. Cores that other runs have claimed are left out."""
     wandb: Advanced[str | None] = None
-    """Project of Weights & Biases to send figures to; TensorBoard files are always written."""
+    """Also log to this Weights & Biases project. TensorBoard files are always written."""
     video: Advanced[bool] = True
-    """Write a video of the best policy too, where this machine can draw."""
+    """Write a video of the best policy, if this machine can render."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     quiet: Quiet = False
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
@@ -63,7 +62,7 @@ class Train:
 
 @dataclass(frozen=True)
 class Curves:
-    """Draw the learning curves of several runs together.
+    """Plot the learning curves of several runs on one page.
 
     Example: cadenza curves runs/joy_0 runs/joy_1 -o curves.html
     """
@@ -71,7 +70,7 @@ class Curves:
     runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN...")]
     """Folders of runs, finished or not."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("curves.html")
-    """The page."""
+    """The page, a .html file."""
 
 
 def begins_with(arguments: Sequence[str]) -> TrainingConfig:

@@ -13,27 +13,29 @@ Physics = Literal["published", "fast"]
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """The simulated instrument and the hands over it."""
+    """The scene: the piano, the hands and the physics."""
 
     hands: Hands = "both"
-    """Which hands play; with none, actuators at the keys do."""
+    """Which hands play. With none, the piano plays itself."""
     reduced_action_space: bool = True
-    """Leave out thumb joints 5 and 1 and little finger joint 5, as the paper does."""
+    """Lock thumb joints 5 and 1 and little finger joint 5, as in the paper."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")
-    """How the forearms can move: slides along (tx), towards (ty) and above (tz) the keys, turns."""
+    """Degrees of freedom of the forearms: slides along (tx), towards (ty) and above (tz) the keys,
+    and rotations."""
     hand_spacing: float = 0.3
-    """Distance along the keyboard between the two forearms where they are mounted [m]."""
+    """Distance between the forearms' mounts along the keyboard [m]."""
     attachment_yaw: float = 0.0
-    """Turn of both hands where they are mounted, thumbs inwards if positive [degree]."""
+    """Yaw of both hands at their mounts, positive with thumbs inwards [degree]."""
     gravity_compensation: bool = True
-    """Hold the weight of the hands, as the paper does."""
+    """Compensate gravity on the hands, as in the paper."""
     primitive_fingertips: bool = True
-    """Collide fingertips as capsules; otherwise as ellipsoids with the bounds of their shells."""
+    """Use capsules as collision geometry of the fingertips. Otherwise ellipsoids of the size of
+    their shells."""
     hand_collisions: bool = True
-    """Let the two hands (and the fingers of one) hit each other."""
+    """Enable collisions between the hands, and between fingers of one hand."""
     sleeping_keys: bool = True
-    """Let keys at rest cost nothing, which moves others by some micrometres; without, recordings
-    of the published system replay bit for bit."""
+    """Skip the simulation of keys at rest, which is faster and moves the others by micrometres.
+    Without it, recordings of the published system replay bit for bit."""
     physics: Physics = "published"
-    """Published dynamics, or faster ones for training: physics steps twice as long, joints without
-    dry friction (docs/speed.md says what that changes)."""
+    """The published dynamics, or faster ones for training: twice the physics timestep, no dry
+    friction in joints. See docs/speed.md for the difference."""

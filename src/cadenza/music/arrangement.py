@@ -14,9 +14,9 @@ class Arrangement:
     """Which notes of a song are played."""
 
     tracks: tuple[int, ...] = ()
-    """Only these tracks, with their numbers in "cadenza info SONG"; by default all."""
+    """Play only these tracks, numbered as in "cadenza info SONG"."""
     reduce: Literal["off", "melody-bass"] = "off"
-    """Leave only the highest and the lowest voice, where there is too much to play."""
+    """Reduce the song to its highest and lowest voice."""
 
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.

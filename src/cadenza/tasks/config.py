@@ -10,44 +10,45 @@ Fingering = Literal["auto", "transport", "off"]
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """What is asked for, what is observed, what is rewarded, when an episode ends."""
+    """The task: goals, observations, rewards and termination."""
 
     control_timestep: float = 0.05
-    """Time between actions [s]."""
+    """Time between two actions [s]."""
     n_steps_lookahead: int = 10
-    """How many control steps of the score ahead are observed."""
+    """Lookahead of the goal observation, in control steps."""
     n_seconds_lookahead: float | None = None
-    """The same in seconds, rounded up to steps; if given it takes the place of the steps."""
+    """The lookahead in seconds, rounded up to control steps. Replaces --n-steps-lookahead."""
     trim_silence: bool = True
-    """Begin with the first note and end with the last."""
+    """Remove silence before the first note and after the last."""
     stretch: float = 1.0
-    """Multiply all times by this: 2 is half as fast."""
+    """Scale all times by this factor: 2 is half the tempo."""
     transpose: int = 0
-    """Move all notes by this many semitones."""
+    """Transpose by this many semitones."""
     initial_buffer_time: float = 0.0
-    """Silence before the first note, in which the hands can get into place [s]; they begin 10 cm
-    above the keys, and a note at time 0 cannot be played in time."""
+    """Silence before the first note [s]. The hands start 10 cm above the keys and need it to reach
+    a note at time 0."""
     wrong_press_termination: bool = False
-    """End the episode when a key sounds that should not."""
+    """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"
-    """Reward fingers near their keys: auto: those that the score names, and where it names none
-    those that a search finds; transport: whichever get there by the least way; or off."""
+    """Fingering reward. auto: fingers from the score, or from a search for notes without any.
+    transport: the assignment of fingers to keys with the shortest total distance. off: none."""
     energy_coefficient: float = 0.005
-    """Weight of the energy term."""
+    """Weight of the energy penalty."""
     sustain_term: bool = False
-    """Reward the pedal too, as the published code does."""
+    """Add the reward for the sustain pedal, as in the published code."""
     forearm_term: bool = False
-    """Reward forearms that do not touch, as the published code does."""
+    """Add the reward for forearms that do not collide, as in the published code."""
     random_hand_position: float = 0.0
-    """Start both hands up to this far to the left or right, drawn per episode [m]."""
+    """Randomise the initial position of both hands along the keyboard, up to this far either way
+    [m]."""
     random_stretch: float = 0.0
-    """Draw the tempo per episode: times multiplied by 1 - r to 1 + r."""
+    """Randomise the tempo per episode: times are scaled by a factor between 1 - r and 1 + r."""
     random_pitch_shift: int = 0
-    """Draw a transposition per episode, up to this many semitones."""
+    """Randomise the transposition per episode, up to this many semitones."""
     random_octave_shift: int = 0
-    """Draw a transposition per episode, up to this many octaves."""
+    """Randomise the transposition per episode, up to this many octaves."""
     randomization_probability: float = 1.0
-    """How likely each of the random changes of the score happens."""
+    """Probability that each randomisation of the score is applied in an episode."""
 
 
 def with_time_to_begin() -> TaskConfig:

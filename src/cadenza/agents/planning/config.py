@@ -8,38 +8,39 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class PredictiveSamplingConfig:
-    """Predictive sampling; the defaults are the paper's settings."""
+    """Predictive sampling. The defaults are the paper's."""
 
     num_candidates: int = 10
-    """Plans compared at a time, the last best one always among them."""
+    """Candidate plans per iteration, including the best one so far."""
     sigma: float = 0.05
-    """Standard deviation of the knots, in units of half the control range."""
+    """Standard deviation of the noise on the knots, as a fraction of half the control range."""
     num_knots: int = 2
-    """Knots of the cubic spline that a plan is."""
+    """Knots of the cubic spline that parametrises a plan."""
     horizon: float = 0.2
-    """How far a plan looks ahead [s]."""
+    """Planning horizon [s]."""
     planning_timestep: float = 0.01
-    """How often its cost is counted [s]."""
+    """Timestep at which the cost is evaluated in a rollout [s]."""
     iterations: int = 1
-    """How many times a control step draws and compares plans."""
+    """Iterations of sampling per control step."""
 
 
 @dataclass(frozen=True)
 class ILQGConfig:
-    """iLQG, the planner with derivatives; the defaults are the paper's where it has any."""
+    """iLQG, the derivative-based planner. The defaults are the paper's where it states any."""
 
     horizon: float = 0.2
-    """How far a plan looks ahead [s]; a whole number of control steps."""
+    """Planning horizon [s]: a whole number of control steps."""
     planning_timestep: float = 0.01
-    """How often its cost is counted [s]; a control step holds a whole number of them."""
+    """Timestep at which the cost is evaluated in a rollout [s]. It must divide the control
+    timestep."""
     iterations: int = 1
-    """How many times a control step improves the plan."""
+    """Iterations of optimisation per control step."""
     num_step_sizes: int = 10
-    """Step sizes compared at a time, spaced evenly on a logarithmic scale from 1 to 0.001."""
+    """Step sizes in the line search, spaced logarithmically from 1 to 0.001."""
     control_weight: float = 1e-2
-    """Weight of the squared distance of servos from rest, in half ranges."""
+    """Weight of the squared control cost. Controls count from rest, in half ranges."""
     centred: bool = False
-    """Centred finite differences, which take twice the time of forward ones."""
+    """Use centred finite differences. They take twice as long as forward differences."""
 
 
 SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
@@ -47,23 +48,24 @@ SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
 
 @dataclass(frozen=True)
 class ScorePlannerConfig:
-    """Inverse kinematics of the whole song, refined by sampling around it."""
+    """The planner: inverse kinematics of the whole song, refined by sampling."""
 
     fingering: Literal["found", "score"] = "found"
-    """Which fingers play: those that suit these hands, or as far as it says those of the score."""
+    """Fingering to plan with. found: what suits these hands. score: the score's, where it has
+    any."""
     method: SamplingMethod | Literal["none"] = "predictive-sampling"
-    """How the plan is refined; with none, it is played as it is, with feedback."""
+    """Sampling method that refines the plan. With none, the plan is executed with feedback only."""
     num_candidates: int = 16
-    """Plans compared at a time, for each hand, where what is planned goes wrong."""
+    """Candidate plans per hand and iteration, where the plan makes mistakes."""
     iterations: int = 3
-    """How many times they are drawn and compared at most, until one makes no mistake."""
+    """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35
-    """How far a plan looks ahead [s]."""
+    """Planning horizon [s]."""
 
 
 @dataclass(frozen=True)
 class TrackedPressesConfig:
-    """Trajectory optimisation of the presses beforehand, tracked by time-varying LQR."""
+    """Key presses optimised beforehand and tracked with time-varying LQR."""
 
     iterations: int = 4
-    """How many times the controls around a press are improved at most, until no key is wrong."""
+    """Maximum iterations of trajectory optimisation per press. It stops when no key is wrong."""

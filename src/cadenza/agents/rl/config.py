@@ -16,50 +16,50 @@ Activation = Literal["relu", "gelu"]
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """DroQ (Hiraoka et al., ICLR 2022) on SAC; the defaults are the paper's."""
+    """The learner: DroQ (Hiraoka et al., ICLR 2022) on SAC. The defaults are the paper's."""
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
-    """Widths of the hidden layers, of actor and critics."""
+    """Hidden layer widths of the actor and the critics."""
     activation: Activation = "relu"
-    """After every hidden layer."""
+    """Activation function of the hidden layers."""
     num_critics: int = 2
-    """Q-functions, of which the least counts."""
+    """Critics in the ensemble. The minimum of their Q-values is used."""
     dropout: float = 0.01
-    """Share of what each linear layer of a critic puts out that is dropped."""
+    """Dropout rate in the critics."""
     layer_norm: bool = True
-    """Normalise what each linear layer of a critic puts out, after dropout."""
+    """Use layer normalisation in the critics, after dropout."""
     log_std_min: float = -20.0
-    """Least logarithm of the standard deviation of actions, before they are squashed."""
+    """Minimum log standard deviation of the policy, before tanh."""
     log_std_max: float = 2.0
-    """The most."""
+    """Maximum log standard deviation of the policy, before tanh."""
     initial_temperature: float = 1.0
-    """Weight of the entropy to begin with; it is learnt."""
+    """Initial entropy temperature. It is learnt."""
     target_entropy: float | None = None
-    """What the entropy is to become; minus half the number of actions by default."""
+    """Target entropy. By default minus half the action dimension."""
     actor_learning_rate: float = 3e-4
-    """Adam's, of the actor."""
+    """Learning rate of the actor (Adam)."""
     critic_learning_rate: float = 3e-4
-    """Adam's, of the critics."""
+    """Learning rate of the critics (Adam)."""
     temperature_learning_rate: float = 3e-4
-    """Adam's, of the logarithm of the temperature."""
+    """Learning rate of the log temperature (Adam)."""
     final_learning_rates: float = 1.0
-    """Share of all three that is left at the end of a run; they fall evenly. If a run is given
-    another end, they fall from what they are then."""
+    """Fraction of the learning rates that is left at the end of a run. They decay linearly. If a
+    resumed run gets another end, they decay from their current values."""
     adam_beta1: float = 0.9
-    """Adam's decay of the mean gradient."""
+    """Adam's decay rate of the first moment."""
     adam_beta2: float = 0.999
-    """Adam's decay of the mean squared gradient."""
+    """Adam's decay rate of the second moment."""
     discount: float = 0.99
-    """What a reward one control step later is worth."""
+    """Discount factor per control step."""
     tau: float = 0.005
-    """Share of the critics that goes into their targets at every update."""
+    """Soft update rate of the target critics."""
     actor_update_period: int = 1
-    """Updates of the critics for one of the actor and the temperature."""
+    """Critic updates per update of the actor and the temperature."""
     actor_average: float = 1.0
-    """Share of the actor that goes into the one that is evaluated and kept at every update of it;
-    with 1 that is the latest."""
+    """Update rate of the exponential moving average of the actor, which is evaluated and saved.
+    With 1 it is the latest actor."""
     batch_size: int = 256
-    """Transitions an update."""
+    """Transitions per update."""
 
 
 @dataclass(frozen=True)
@@ -70,34 +70,34 @@ class TrainingConfig:
     task: TaskConfig = field(default_factory=TaskConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
     num_steps: int = 5_000_000
-    """Control steps of experience, of all environments together."""
+    """Environment steps of the run, summed over all environments."""
     num_envs: int = 1
-    """Environments that gather it side by side."""
+    """Parallel environments."""
     seed_steps: int = 5_000
-    """Control steps with uniformly random actions before learning begins."""
+    """Environment steps with uniformly random actions before the first update."""
     steps_per_round: int = 1
-    """Control steps in each environment before the policy is renewed."""
+    """Rollout length: control steps per environment between policy updates."""
     updates_per_round: int = 1
-    """Updates in that time."""
+    """Gradient updates per rollout."""
     parallel: bool = False
-    """Learn from earlier rounds while the next is played, with the policy of the round before."""
+    """Update while the next rollout is collected, with a policy one rollout old."""
     replay_capacity: int = 1_000_000
-    """Transitions that are kept to learn from."""
+    """Size of the replay buffer, in transitions."""
     keep_zero_inputs: bool = False
-    """Observe also what is always zero for this song, which changes nothing and takes longer."""
+    """Keep observations that are always zero for this song. Slower, with the same result."""
     song_range: bool = False
-    """Move the forearms along the keys that the song needs only, and see joints and actions on the
-    scale of their ranges."""
+    """Restrict the forearms to the keys of the song, and normalise joint positions and actions by
+    their ranges."""
     residual: bool = False
-    """Correct the plan that inverse kinematics makes, instead of starting from nothing."""
+    """Learn residual actions on top of a plan from inverse kinematics."""
     eval_interval: int = 10_000
-    """Control steps from one evaluation to the next, in the background."""
+    """Environment steps between evaluations, which run in the background."""
     checkpoint_interval: float = 120.0
-    """Time from one checkpoint to the next [s]."""
+    """Time between checkpoints [s]."""
     log_interval: int = 1_000
-    """Control steps from one row of figures to the next."""
+    """Environment steps between logged metrics."""
     seed: int = 0
-    """Of everything random."""
+    """Random seed."""
 
     def updates_by(self, step: int) -> int:
         """Updates that a run makes until it has done so many steps."""
