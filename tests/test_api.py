@@ -16,6 +16,8 @@ from cadenza import Note, SceneConfig, Score, TaskConfig
 from cadenza.cli import main
 from cadenza.music.fingering_file import read_fingering
 from cadenza.music.midi import read_midi, write_midi
+from cadenza.performing.casting import cast, set_up
+from cadenza.performing.performance import perform
 
 ROOT = Path(__file__).parents[1]
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), title="A tune")
@@ -99,6 +101,17 @@ def test_an_agent_of_ones_own_plays() -> None:
     )
     with pytest.raises(cadenza.CadenzaError, match=r"shape \(1,\), and the task .* \(39,\)"):
         cadenza.play(TUNE, OneFinger())
+
+
+def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
+    steps_left = iter(range(12))
+    with set_up(cast(TUNE, "planner")) as setup:
+        performance = perform(setup, stop=lambda: next(steps_left, None) is None)
+    assert (performance.episode.num_steps, setup.num_steps) == (13, 23)
+    assert performance.metrics["steps"] == 13
+    assert len(performance.misses) <= 1
+    performance.save(tmp_path)
+    assert (tmp_path / "report.html").exists()
 
 
 def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:

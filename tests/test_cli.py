@@ -199,6 +199,7 @@ def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
     assert told["cadenza"] == cadenza.__version__
     assert int(told["cores"]) >= 1
     assert told["can draw video"].startswith(("yes", "no; "))
+    assert told["agent ilqg"] == "the paper's planner with derivatives"
 
 
 @pytest.mark.parametrize("arguments", [["songs"], ["play", "--help"]])

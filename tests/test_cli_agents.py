@@ -185,6 +185,30 @@ def test_each_agent_is_compared_in_its_own_task(
     assert (len(own["remarks"]), len(same["remarks"])) == (1, 0)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--hands", "right", "with hands both, here it is right"),
+        ("--n-steps-lookahead", "3", "with n_steps_lookahead 10, here it is 3"),
+    ],
+)
+def test_what_a_policy_cannot_observe(
+    option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run")
+    assert said in refused(capsys, "play", "run", option, value)
+    main(["play", "run", "--n-seconds-lookahead", "0.5", "--no-video"])  # as many steps
+
+
+def test_the_folder_of_a_run_is_not_that_of_a_policy(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run" / "best")
+    for arguments in (["run"], ["OdeToJoy", "--agent", "run"]):
+        line = refused(capsys, "play", *arguments)
+        assert line == "cadenza: run: is that of a run; its best policy is run/best"
+
+
 # Songs and folders
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
     from cadenza.model.config import SceneConfig
+    from cadenza.music.arrangement import Arrangement
     from cadenza.music.library import songs
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.casting import load_song
@@ -26,6 +27,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Agent",
+    "Arrangement",
     "CadenzaError",
     "CadenzaWarning",
     "Episode",
@@ -50,6 +52,7 @@ _MODULES = {
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
     "model.config": ("SceneConfig",),
+    "music.arrangement": ("Arrangement",),
     "music.library": ("songs",),
     "music.score": ("Note", "PedalEvent", "Score"),
     "performing.casting": ("load_song",),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cadenza.agents.named import AGENTS
 from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import Arrangement
 from cadenza.tasks.config import TaskConfig
@@ -134,4 +135,4 @@ def _installation_facts() -> dict[str, Any]:
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
         "can draw video": drawing,
-    }
+    } | {f"agent {name}": agent.about for name, agent in AGENTS.items()}

@@ -176,8 +176,6 @@ def set_up(
     """
     task, scene = task or casting.task, scene or casting.scene
     options = options_of(task, scene, seed, **asdict(casting.arrangement))
-    if casting.learnt is not None:
-        casting.learnt.check_plan(casting.name, task, scene)
     if casting.plan is not None:
         check_options(casting.plan, options)
         if scene.physics != casting.scene.physics:
@@ -196,4 +194,6 @@ def set_up(
     if is_dataclass(config) and not isinstance(config, type):
         settings[casting.name.replace("-", "_")] = asdict(config)
     with closing(PianoTask([casting.score], task, scene)) as piano_task:
+        if casting.learnt is not None:
+            casting.learnt.check(casting.name, piano_task)
         yield Setup(casting.score, casting.agent, piano_task, seed, settings, options)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.rl.config import Activation
-from cadenza.agents.rl.observation import Inputs
+from cadenza.agents.rl.observation import Inputs, inputs_of
 from cadenza.agents.rl.policy import Policy
 from cadenza.agents.rl.policy_agent import PolicyAgent
 from cadenza.agents.rl.ranges import Ranges
@@ -21,6 +21,7 @@ from cadenza.files import FLOATS, ArrayOf, checked
 from cadenza.model.config import SceneConfig
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
 
 _KIND = "policy"
 _FORMAT = 2
@@ -41,6 +42,15 @@ _CHANGE_THE_PLAN = (
     "forearm_dofs",
     "hand_spacing",
     "attachment_yaw",
+)
+_CHANGE_WHAT_IS_OBSERVED = (
+    "n_steps_lookahead",
+    "n_seconds_lookahead",
+    "control_timestep",
+    "fingering",
+    "hands",
+    "reduced_action_space",
+    "forearm_dofs",
 )
 _EXPECTED = {
     "plan/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
@@ -106,12 +116,19 @@ class LearntPolicy:
         notes = score.without_fingers().notes
         return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
 
-    def check_plan(self, name: str, task: TaskConfig, scene: SceneConfig) -> None:
-        """Raises: CadenzaError: `name`, as it is known, corrects a plan, which options change."""
-        if self.plan is None:
-            return
-        learnt, here = vars(self.task) | vars(self.scene), vars(task) | vars(scene)
-        for option in _CHANGE_THE_PLAN:
+    def check(self, name: str, task: PianoTask) -> None:
+        """Raises:
+        CadenzaError: `name`, as it is known, corrects another plan than is needed for `task`, or
+            observes other things than that shows.
+        """
+        options: tuple[str, ...] = () if self.plan is None else _CHANGE_THE_PLAN
+        if self.inputs.total != inputs_of(task, None, self.plan is not None).total:
+            options += _CHANGE_WHAT_IS_OBSERVED
+        learnt, here = (
+            vars(self.task) | vars(self.scene),
+            vars(task.config) | vars(task.scene.config),
+        )
+        for option in options:
             if here[option] != learnt[option]:
                 raise CadenzaError(
                     f"{name}: learnt the song with {option} {learnt[option]}, here it is "
@@ -149,6 +166,8 @@ def load_policy(folder: Path) -> LearntPolicy:
     """Raises:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
+    if (folder / "best").is_dir():
+        raise CadenzaError(f"{folder}: is that of a run; its best policy is {folder / 'best'}")
     plain, arrays = read_sealed(folder, _KIND, _EXPECTED)
     if (number := plain.get("format")) not in _READ:
         raise CadenzaError(
