@@ -204,6 +204,21 @@ def test_after_a_kill_at_any_moment_the_old_or_the_new_is_whole(
     assert seen == {(1, 0), (1, 1), (2, 0), (2, 1), (2, 2)}
 
 
+def test_no_link_is_written_through(folder: Path, tmp_path: Path) -> None:
+    """Whichever of the names that it uses is one."""
+    dear = tmp_path / "dear"
+    dear.mkdir()
+    (dear / "facts.json").write_text("dear")
+    for name in (".policy.new", ".policy.old", "policy"):
+        path = folder.with_name(name)
+        shutil.rmtree(path, ignore_errors=True)
+        path.symlink_to(dear)
+        write_sealed(folder, "thing", FACTS, ARRAYS)
+        assert read_sealed(folder, "thing")[0] == FACTS
+        assert [path.name for path in folder.parent.iterdir()] == ["policy"]
+    assert [path.read_text() for path in dear.iterdir()] == ["dear"]
+
+
 def test_who_reads_moves_nothing(folder: Path) -> None:
     """The one who writes may be between the two renames that put the new folder in place."""
     old = folder.with_name(".policy.old")

@@ -188,7 +188,7 @@ _AT_LEAST: dict[str, float] = {
     "actor_update_period": 1,
     "batch_size": 1,
 }
-_AT_MOST = 2**53
+_AT_MOST = {"num_envs": 10_000}
 _SHARES = ("discount", "tau", "actor_average", "final_learning_rates")
 _BELOW_ONE = ("dropout", "adam_beta1", "adam_beta2")
 _ABOVE_ZERO = (
@@ -205,8 +205,8 @@ def check(config: TrainingConfig) -> None:
     for name, least in _AT_LEAST.items():
         if not values[name] >= least:
             raise CadenzaError(f"{name} {values[name]}: choose {least:g} or more")
-        if isinstance(values[name], int) and values[name] > _AT_MOST:
-            raise CadenzaError(f"{name} {values[name]}: choose {_AT_MOST:g} or less")
+        if isinstance(values[name], int) and values[name] > (most := _AT_MOST.get(name, 2**53)):
+            raise CadenzaError(f"{name} {values[name]}: choose {most:g} or less")
     for name in _SHARES:
         if not 0 <= values[name] <= 1:
             raise CadenzaError(f"{name} {values[name]}: choose 0 to 1")

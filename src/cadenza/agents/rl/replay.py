@@ -39,13 +39,27 @@ class Replay:
     """
 
     def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
-        """`capacity` is the number of frames of all environments together."""
+        """`capacity` is the number of frames of all environments together.
+
+        Raises:
+            CadenzaError: there is no room for them.
+        """
         self._observer = observer
         # With four, one that was acted on outlives the end of its episode and the next beginning.
         length = max(-(-capacity // num_envs), 4)
         self._shape = (num_envs, length)
-        self._frames: dict[str, NDArray[Any]] = {
-            "rest": np.zeros((*self._shape, observer.rest_size), np.float32),
+        try:
+            self._frames = self._empty(observer.rest_size, action_size)
+        except MemoryError as error:
+            raise CadenzaError(
+                f"replay_capacity {capacity}: there is no memory for so much; choose less"
+            ) from error
+        self._count = np.zeros(num_envs, np.int64)  # frames ever added
+        self._size = 0  # transitions
+
+    def _empty(self, rest_size: int, action_size: int) -> dict[str, NDArray[Any]]:
+        return {
+            "rest": np.zeros((*self._shape, rest_size), np.float32),
             "action": np.zeros((*self._shape, action_size), np.float32),
             "reward": np.zeros(self._shape, np.float32),
             "row": np.zeros(self._shape, np.int32),
@@ -53,8 +67,6 @@ class Replay:
             "terminated": np.zeros(self._shape, bool),
             "complete": np.zeros(self._shape, bool),
         }
-        self._count = np.zeros(num_envs, np.int64)  # frames ever added
-        self._size = 0  # transitions
 
     def __len__(self) -> int:
         """How many transitions there are to learn from."""

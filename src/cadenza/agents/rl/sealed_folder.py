@@ -41,7 +41,8 @@ def write_sealed(
         arrays: without objects.
     """
     new, old = _beside(folder, "new"), _beside(folder, "old")
-    shutil.rmtree(new, ignore_errors=True)
+    _remove(new)
+    new.mkdir(parents=True)  # nobody else's
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     files = {
@@ -55,13 +56,13 @@ def write_sealed(
             with write_atomically(new / name) as file:
                 file.write(content)
     except BaseException:
-        shutil.rmtree(new, ignore_errors=True)
+        _remove(new)
         raise
     if folder.exists():  # else the old one may be all that there is
-        shutil.rmtree(old, ignore_errors=True)
+        _remove(old)
         os.rename(folder, old)
     os.rename(new, folder)
-    shutil.rmtree(old, ignore_errors=True)
+    _remove(old)
 
 
 def read_sealed(
@@ -89,6 +90,14 @@ def read_sealed(
     facts = parsed_json(contents["facts.json"], dict[str, Any], folder / "facts.json")
     arrays = read_arrays(contents["arrays.npz"], expected, where=folder / "arrays.npz")
     return facts, arrays
+
+
+def _remove(path: Path) -> None:
+    """Whatever is there, but nothing that it links to."""
+    if path.is_symlink() or path.is_file():
+        path.unlink()
+    else:
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def _beside(folder: Path, suffix: str) -> Path:
