@@ -44,7 +44,8 @@ class PolicyAgent:
 
     def _check_fits(self, task: PianoTask) -> None:
         steps, actions = int(task.sheets.num_steps[0]), task.action_size
-        joints = len(range(*task.observation_layout["joints"].indices(task.observation_size)))
+        shown = task.observation_layout.get("joints", slice(0, 0))  # none without hands
+        joints = shown.stop - shown.start
         plan, ranges = self._plan, self._ranges
         known = len(ranges.joints[0]) if ranges else joints
         if (self._policy.num_actions, known) != (actions, joints):
