@@ -168,7 +168,7 @@ TEXT = [
     *(("soft", ground) for ground in ("page", "card", "row")),
     ("accent", "card"),
     ("card", "accent"),
-    *((f"{verdict}-text", "card") for verdict in ("hit", "wrong", "missed")),
+    *((name, "glass") for name in ("ink", "soft", "hit-text", "wrong-text", "missed-text")),
 ]
 SIGNS = [*((verdict, "card") for verdict in ("hit", "wrong", "missed")), ("edge", "card")]
 
@@ -180,7 +180,11 @@ def test_colours_contrast_enough(scheme):
         dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6});", part))
         for part in asset("page.css").split("@media (prefers-color-scheme: dark)")
     )
-    colours = light if scheme == "light" else dark
+    glass = re.findall(r"--glass: rgb\((\d+) (\d+) (\d+) / (\d+)%\)", asset("page.css"))
+    colours, behind = (light, 0) if scheme == "light" else (dark, 255)
+    *rgb, opacity = map(int, glass[scheme == "dark"])
+    over_the_worst = [round(opacity / 100 * c + (1 - opacity / 100) * behind) for c in rgb]
+    colours["glass"] = "#" + bytes(over_the_worst).hex()
 
     def luminance(name):
         rgb = np.array([int(colours[name][i : i + 2], 16) / 255 for i in (1, 3, 5)])

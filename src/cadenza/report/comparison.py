@@ -217,7 +217,7 @@ def _strip(index: int, run: Run, duration: float) -> str:
     )
     drawn += f'<path class="line" d="M0 0H{steps}"/>'
     shares = (np.count_nonzero(verdicts == v) for v in (1, 3, 2))
-    words = "{} key steps right, {} missing, {} wrong".format(*shares)
+    words = "{} key steps hit, {} missed, {} wrong".format(*shares)
     return (
         f'<button type="button" class="whose" data-run="{index}"><b>{html.escape(run.agent)}</b> '
         f"<small>seed {run.seed}</small></button>"

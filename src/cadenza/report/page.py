@@ -158,7 +158,7 @@ def _headline(name: str, value: Any) -> str:
 def _figures(metrics: Mapping[str, Any]) -> str:
     """A table of those without a headline, nothing if there are none."""
     rows = {
-        _spoken(name): _with_unit(name, value)
+        _spoken(name.removesuffix("_seconds")): _with_unit(name, value)
         for name, value in metrics.items()
         if name not in _HEADLINES
     }
@@ -182,15 +182,17 @@ def _folded(title: str, content: str) -> str:
 
 def _table(settings: Mapping[str, Any]) -> str:
     rows = (
-        f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(_base_name(value))}</td></tr>'
+        f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(_plain(value))}</td></tr>'
         for name, value in settings.items()
         if value is not None
     )
     return f"<table>{''.join(rows)}</table>"
 
 
-def _base_name(value: Any) -> str:
-    """What to show of a value: folders of this machine say nothing to whoever reads the page."""
+def _plain(value: Any) -> str:
+    """Of a path only its name: folders of this machine say nothing to whoever reads the page."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value)) or "none"
     path = Path(text := str(value))
     return path.name if path.is_absolute() else text
 

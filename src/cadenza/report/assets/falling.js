@@ -4,14 +4,14 @@
 const TRACK = { ahead: 2.4, past: 0.35, speed: 0.075, slope: 0.5 }; // [s], [s], [m/s], [rad]
 const TRACK_LENGTH = (TRACK.ahead + TRACK.past) * TRACK.speed;
 
-/** `keys` of the scene; `keyboard` and `range` are what to stand behind, [m] and key numbers. */
-function createFallingNotes(data, keys, keyboard, range, colours) {
+/** Behind those `keys` of the scene that lie from number `low` to `high` of the `keyboard`. */
+function createFallingNotes(data, keys, keyboard, [low, high], colours) {
   const goal = notes(data, wanted), played = notes(data);
   const longest = longestOf(goal), longestPlayed = longestOf(played);
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
-  const [left, right] = [keys[range[0]].pos[1] - 0.03, keys[range[1]].pos[1] + 0.03];
+  const [left, right] = [keys[low].pos[1] - 0.03, keys[high].pos[1] + 0.03];
   const strip = (from, length, colour, height) => {
     const solid = mesh("box", [length / 2, (right - left) / 2, 0.001], new THREE.Color(colour), 0.8);
     solid.position.set(from + length / 2, (left + right) / 2, height);
@@ -44,7 +44,7 @@ function createFallingNotes(data, keys, keyboard, range, colours) {
 
   return {
     track,
-    /** The far end's corners, for the camera. */
+    /** How far the track goes back and up [m]. */
     end: [TRACK_LENGTH * Math.cos(TRACK.slope), TRACK_LENGTH * Math.sin(TRACK.slope)],
     move(time) {
       used = 0;

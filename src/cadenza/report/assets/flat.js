@@ -10,6 +10,7 @@ function createFlatRenderer(canvas) {
   const records = new Map(), shapes = [];
   const clip = new Float64Array(16); // of the camera, column by column
   let ratio = 1, width = 1, height = 1, eyeX = 0, eyeY = 0, eyeZ = 0;
+  let enlarged = 1; // halves of the picture's height that a metre fills at a distance of one
 
   /** The matrix product of what the camera sees and where it is. */
   function aim(camera) {
@@ -23,6 +24,7 @@ function createFlatRenderer(canvas) {
     }
     const e = camera.matrixWorld.elements;
     [eyeX, eyeY, eyeZ] = [e[12], e[13], e[14]];
+    enlarged = p[5];
   }
   /** Writes x, y [px] and w of a point of the world (`one` is 1) or of a direction (0). */
   function project(out, at, x, y, z, one) {
@@ -96,11 +98,11 @@ function createFlatRenderer(canvas) {
     }
   }
 
-  /** Adds the outline of an ellipsoid around the centre, moved by `shift` of its long axis. */
-  function addEllipse(h, shift, thirds) {
+  /** Adds the outline of an ellipsoid, or of a disc (`axes` 2), moved by `shift` of the last axis. */
+  function addEllipse(h, shift, axes) {
     const w = h[11] + shift * h[8], x = h[9] + shift * h[6], y = h[10] + shift * h[7];
     let xx = 0, xy = 0, yy = 0;
-    for (let i = 0; i < thirds; i++) { // derivative of the projection along each half axis
+    for (let i = 0; i < axes; i++) { // derivative of the projection along each half axis
       const dx = ((h[3 * i] - (x / w) * h[3 * i + 2]) / w) * 0.5 * width, dy = (-(h[3 * i + 1] - (y / w) * h[3 * i + 2]) / w) * 0.5 * height;
       xx += dx * dx; xy += dx * dy; yy += dy * dy;
     }
@@ -110,12 +112,12 @@ function createFlatRenderer(canvas) {
     context.ellipse(cx, cy, major, Math.sqrt(Math.max(mean - spread, 0)), angle, 0, 2 * Math.PI);
   }
 
-  /** Adds what lies between two circles of a rod of this radius. */
+  /** Adds a rod with `round` ends or discs for ends. */
   function addRod(record, round) {
     const { homogeneous: h, half } = record;
     const x0 = screenX(h[9] - h[6], h[11] - h[8]), y0 = screenY(h[10] - h[7], h[11] - h[8]);
     const x1 = screenX(h[9] + h[6], h[11] + h[8]), y1 = screenY(h[10] + h[7], h[11] + h[8]);
-    const scale = half[0] * clip5 * 0.5 * height, r0 = scale / (h[11] - h[8]), r1 = scale / (h[11] + h[8]);
+    const scale = half[0] * enlarged * 0.5 * height, r0 = scale / (h[11] - h[8]), r1 = scale / (h[11] + h[8]);
     const length = Math.hypot(x1 - x0, y1 - y0) || 1, nx = (y1 - y0) / length, ny = (x0 - x1) / length;
     context.moveTo(x0 + r0 * nx, y0 + r0 * ny);
     context.lineTo(x1 + r1 * nx, y1 + r1 * ny);
@@ -132,7 +134,6 @@ function createFlatRenderer(canvas) {
       addEllipse(h, 1, 2);
     }
   }
-  let clip5 = 1; // pixels of half the picture's height for each metre at a distance of one
 
   function addOutline(record) {
     if (record.type === "ellipsoid" || record.type === "sphere") addEllipse(record.homogeneous, 0, 3);
@@ -182,7 +183,6 @@ function createFlatRenderer(canvas) {
       camera.updateMatrixWorld();
       scene.updateMatrixWorld();
       aim(camera);
-      clip5 = camera.projectionMatrix.elements[5];
       count = 0;
       collect(scene);
       shapes.length = count;
