@@ -11,6 +11,7 @@ import tyro
 
 from cadenza.agents.named import PLANNER
 from cadenza.cli.arguments import Quiet
+from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.performing import (
     Again,
     Performing,
@@ -52,6 +53,7 @@ def plan(command: Plan, _: Again[Plan]) -> None:
     path = command.output or default_folder(casting) / "plan.npz"
     with set_up(casting, command.task, command.scene, command.seed) as setup:
         check_writable(path.parent)
+        tell_how_long(setup)
         with stages("planning") as progress:
             planned = make_plan(setup, progress)
     planned.save(path)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
@@ -65,6 +66,7 @@ def play(command: Play, again: Again[Play]) -> None:
     folder = command.output or default_folder(casting) / _name_of(casting.name)
     with set_up(casting, command.task, command.scene, command.seed) as setup:
         check_writable(folder)
+        tell_how_long(setup)
         with stages("playing") as progress, asked_to_stop("this step") as stop:
             performance = perform(setup, progress, stop)
             stopped = stop()

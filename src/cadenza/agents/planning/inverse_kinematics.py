@@ -64,6 +64,7 @@ _WALL = 0.001  # [m] into black keys
 _FOREARMS_APART = 0.16  # [m] they touch at 0.149
 _FOREARMS_SIGMA = 0.005  # [m]
 
+_AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 _ITERATIONS = 25
 _CONVERGED = 1e-3  # relative decrease of the cost
 
@@ -129,9 +130,9 @@ def solve_postures(
 
 
 class _Linearised(NamedTuple):
-    residual: Array  # (S - 1, R)
-    slope: Array  # (S - 1, R, A)
     cost: Array  # (S - 1,) half the squares of all residuals, those in time at their first posture
+    pull: Array  # (S - 1, A) the gradient of the residuals that belong to one posture
+    blocks: Array  # (S - 1, A, A) the products of their derivatives
 
 
 class _Problem:
@@ -184,14 +185,33 @@ class _Problem:
         return band
 
     def linearise(self, postures: Array) -> _Linearised:
-        moving = postures[1:]
+        count, size = len(postures) - 1, postures.shape[1]
+        squares, pull, blocks = (
+            np.zeros(count),
+            np.zeros((count, size)),
+            np.zeros((count, size, size)),
+        )
+        for first in range(0, count, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            residual, slope = self._residuals(postures[1:][some], some)
+            squares[some] = (residual**2).sum(axis=1)
+            pull[some] = np.einsum("sra,sr->sa", slope, residual)
+            blocks[some] = slope.transpose(0, 2, 1) @ slope
+        in_time = self._inertia * self._second_differences(postures) ** 2
+        at_ease = self._stiffness * (postures[1:] - self._rest) ** 2
+        cost = 0.5 * (squares + (in_time + at_ease).sum(axis=1))
+        return _Linearised(cost, pull, blocks)
+
+    def _residuals(self, moving: Array, some: slice) -> tuple[Array, Array]:
+        """(N, R) those of N postures by themselves, and their derivatives (N, R, A)."""
+        low, high, sigma = self._low[some], self._high[some], self._sigma[some]
         points, jacobian = self._kinematics.fingers(moving)
         tips = points[:, :, TIP]
-        outside = (tips - np.clip(tips, self._low, self._high)) / self._sigma
-        pulled = jacobian[:, :, TIP] * ((outside != 0) / self._sigma)[..., None]
+        outside = (tips - np.clip(tips, low, high)) / sigma
+        pulled = jacobian[:, :, TIP] * ((outside != 0) / sigma)[..., None]
         overlap, overlap_slope = self._links.overlaps(points, jacobian)
         count, size = moving.shape
-        into_wall = np.minimum(tips[:, :, 0] - self._wall, 0.0) / _WALL
+        into_wall = np.minimum(tips[:, :, 0] - self._wall[some], 0.0) / _WALL
         out_of_wall = jacobian[:, :, TIP, 0] * ((into_wall < 0) / _WALL)[..., None]
         residuals = [outside.reshape(count, -1), into_wall, overlap / _OVERLAP]
         slopes = [pulled.reshape(count, -1, size), out_of_wall, overlap_slope / _OVERLAP]
@@ -199,11 +219,7 @@ class _Problem:
             near, near_slope = self._forearms(moving)
             residuals.append(near)
             slopes.append(near_slope)
-        residual = np.concatenate(residuals, axis=1)
-        in_time = self._inertia * self._second_differences(postures) ** 2
-        at_ease = self._stiffness * (moving - self._rest) ** 2
-        cost = 0.5 * ((residual**2).sum(axis=1) + (in_time + at_ease).sum(axis=1))
-        return _Linearised(residual, np.concatenate(slopes, axis=1), cost)
+        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
 
     def _forearms(self, moving: Array) -> tuple[Array, Array]:
         right, left = self._slides
@@ -222,17 +238,15 @@ class _Problem:
         """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""
         servos = self._servos
         count, size = len(postures) - 1, len(servos.low)
-        gradient = np.einsum("sra,sr->sa", at.slope, at.residual)
-        gradient += self._stiffness * (postures[1:] - self._rest)
+        gradient = at.pull + self._stiffness * (postures[1:] - self._rest)
         change = self._inertia * self._second_differences(postures)
         gradient += change
         gradient[:-1] -= 2 * change[1:]
         gradient[:-2] += change[2:]
-        blocks = at.slope.transpose(0, 2, 1) @ at.slope
         band = self._base.copy()
         for above in range(size):  # diagonals of the blocks
             row = band[-1 - above].reshape(count, size)
-            row[:, above:] += np.diagonal(blocks, above, axis1=1, axis2=2)
+            row[:, above:] += np.diagonal(at.blocks, above, axis1=1, axis2=2)
         outwards = np.where(gradient > 0, postures[1:] <= servos.low, postures[1:] >= servos.high)
         band[-1] += 1e9 * outwards.ravel()
         return band, np.where(outwards, 0.0, gradient)

@@ -1,0 +1,60 @@
+"""How long planning and playing will take, told before it begins."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from cadenza.cli.progress import QUIET
+
+if TYPE_CHECKING:
+    from cadenza.model.scene import Scene
+    from cadenza.performing.casting import Setup
+
+_WORTH_TELLING = 30.0  # [s]
+# On two cores the planner takes as long for a control step as for this many plain ones: so many,
+# and more for every note a second. By the times in docs/planners.md, from which pieces differ.
+_STEPS, _STEPS_PER_DENSITY = 15, 9
+_LEAST, _MOST = 0.6, 1.8
+
+
+def tell_how_long(setup: Setup) -> None:
+    """Says on stderr about how long the planner will take, where that is long."""
+    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.sim.simulation import available_cores
+
+    agent, config, score = setup.agent, setup.task.config, setup.task.scores[0]
+    if QUIET.get() or not isinstance(agent, ScorePlanner) or agent.config.method == "none":
+        return
+    seconds = score.total_time + config.initial_buffer_time
+    steps = seconds / config.control_timestep
+    plain_steps = _STEPS + _STEPS_PER_DENSITY * len(score.notes) / seconds
+    plain_steps *= 2 / min(available_cores(), 2)
+    about = steps * plain_steps * seconds_of_a_step(setup.task.scene, config.control_timestep)
+    if about > _WORTH_TELLING:
+        music = f"{seconds // 60:.0f}:{seconds % 60:02.0f} of music"
+        how_long = _in_words(_LEAST * about, _MOST * about)
+        print(f"planning and playing {music} takes about {how_long}", file=sys.stderr)
+
+
+def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
+    """What a control step of hands that are still takes on this machine now [s]."""
+    import numpy as np
+
+    from cadenza.sim.simulation import Simulation
+
+    simulation = Simulation(scene, 1, control_timestep)
+    still = np.zeros((1, scene.model.nu))
+    simulation.step(still)
+    began, steps = time.perf_counter(), 40
+    for _ in range(steps):
+        simulation.step(still)
+    return (time.perf_counter() - began) / steps
+
+
+def _in_words(least: float, most: float) -> str:
+    """Such as "40 to 120 s" or "6 to 18 min"."""
+    if most < 180:
+        return f"{round(least, -1):.0f} to {round(most, -1):.0f} s"
+    return f"{max(least / 60, 1):.0f} to {most / 60:.0f} min"
