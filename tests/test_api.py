@@ -139,6 +139,23 @@ def test_what_is_repaired_in_a_song_is_a_warning(tmp_path: Path) -> None:
         assert cadenza.load_song(tmp_path / "twice.mid").remarks
 
 
+def test_agents_that_belong_to_a_song() -> None:
+    for name in ("pretrained", "replay"):
+        with pytest.raises(cadenza.CadenzaError, match=r"belongs to a song: .* cadenza\.play"):
+            cadenza.make_agent(name)
+
+
+@pytest.mark.slow
+def test_what_the_documentation_shows_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code = (ROOT / "docs" / "python.md").read_text().split("```")[1].removeprefix("python")
+    exec(compile(code, "python.md", "exec"), {})
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"joy", "scale.npz", "scale.fingering"}
+
+
 @pytest.mark.slow
 def test_the_example_runs(tmp_path: Path) -> None:
     write_midi(TUNE, tmp_path / "tune.mid")

@@ -209,6 +209,11 @@ def test_the_folder_of_a_run_is_not_that_of_a_policy(
         assert line == "cadenza: run: is that of a run; its best policy is run/best"
 
 
+def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "compare", "OdeToJoy", "--agents", "replay", "-o", tmp_path)
+    assert line == "cadenza: replay plays one file: name agents that play by themselves"
+
+
 # Songs and folders
 
 

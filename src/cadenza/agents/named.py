@@ -82,6 +82,8 @@ def make_agent(name: str, config: Any = None) -> Agent:
         return kind() if config is None else kind(config)
     if ":" in name:
         return _checked(_class_at(name)(), name)
+    if name in NAMES:
+        raise CadenzaError(f"agent {name!r} belongs to a song: give it to cadenza.play")
     close = get_close_matches(name, NAMES, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     raise CadenzaError(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from cadenza.agents.named import REPLAY
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.performing import Again, WithOtherPlanners, as_cast, cast_of, default_folder
 from cadenza.cli.progress import stages
@@ -45,6 +46,8 @@ def compare(command: Compare, again: Again[Compare]) -> None:
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
+    if REPLAY in command.agents:
+        raise CadenzaError("replay plays one file: name agents that play by themselves")
     castings = {name: cast_of(command, name) for name in command.agents}
     commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
     folder = command.output or default_folder(castings[command.agents[0]])
