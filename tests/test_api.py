@@ -83,6 +83,18 @@ def test_the_page_is_there_for_those_who_do_not_wait_for_the_video(
     assert 'href="video.mp4"' in (tmp_path / "report.html").read_text("utf-8")
 
 
+def test_loudness_of_the_score(tmp_path: Path) -> None:
+    notes = (Note(0.0, 0.25, 60, 33), Note(0.25, 0.5, 64, 77), Note(0.25, 0.6, 67, 111))
+    performance = cadenza.play(Score(notes))
+    performance.save(tmp_path, loudness="score")
+    heard, struck = read_midi(tmp_path / "played.mid").notes, performance.played.notes
+    assert [note.velocity for note in heard] == [33, 77, 111]
+    assert [note.start for note in heard] == pytest.approx(
+        [note.start for note in struck], abs=0.01
+    )
+    assert [note.velocity for note in struck] != [33, 77, 111]
+
+
 def test_configurations_are_taken_as_they_are() -> None:
     scene = SceneConfig(hands="left")
     performance = cadenza.play(TUNE, "zero", task=TaskConfig(stretch=2), scene=scene)

@@ -645,7 +645,7 @@ def test_options_that_make_no_sense(
         (["play", "OdeToJoy", "--n-seconds-lookahead", "x"], "lookahead x: give a number"),
         (["play", "OdeToJoy", "--agent", "pianist"], "no agent 'pianist'"),
         (["play", "OdeToJoy", "--hands", "three"], "three: choose from both, right, left, none"),
-        (["play", "OdeToJoy", "--loud"], "--loud; cadenza play --help-all lists them"),
+        (["play", "OdeToJoy", "--xyzzy"], "--xyzzy; cadenza play --help-all lists them"),
         (["play", "OdeToJoy", "-x"], "there is no option -x"),
         (["play", "--sed", "1"], "there is no option --sed; did you mean --seed?"),
         (["play", "OdeToJoy", "--no_vido"], "there is no option --no-vido; did you mean --no-vid"),

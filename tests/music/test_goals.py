@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from music_strategies import scores, seconds
 
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import score_to_goals
+from cadenza.music.performance import key_runs
 from cadenza.music.score import Note, PedalEvent, Score
 
 SONGS = json.loads((Path(__file__).parents[1] / "data/songs.json").read_text())
@@ -62,6 +63,7 @@ def goals_by_loop(score: Score, dt: float):
     return np.array(keys), np.array(fingers), np.array(sustain)
 
 
+@settings(deadline=None)
 @given(st.one_of(scores(), scores(seconds)), st.sampled_from([0.05, 0.02, 0.1, 0.03]))
 def test_goals_agree_with_a_plain_loop(score, dt):
     goals = score_to_goals(score, dt)
@@ -75,6 +77,29 @@ def test_a_key_struck_again_comes_up_for_one_step():
     goals = score_to_goals(Score((Note(0, 0.2, 60, finger=1), Note(0.2, 0.4, 60, finger=2))), 0.05)
     assert goals.keys[:, 39].tolist() == [1, 1, 1, 1, 0, 1, 1, 1, 0]
     assert goals.fingers[:, 39].tolist() == [1, 1, 1, 1, -1, 2, 2, 2, -1]
+
+
+def test_the_note_before_may_be_shortened_instead():
+    score = Score((Note(0, 0.2, 60, finger=1), Note(0.2, 0.4, 60, finger=2)))
+    goals = score_to_goals(score, 0.05, shorten=True)
+    assert goals.keys[:, 39].tolist() == [1, 1, 1, 0, 1, 1, 1, 1, 0]
+    assert goals.fingers[:, 39].tolist() == [1, 1, 1, -1, 2, 2, 2, 2, -1]
+
+
+@settings(deadline=None)
+@given(st.one_of(scores(), scores(seconds)))
+def test_shortening_leaves_something_of_every_note_and_moves_but_one_step_of_each(score):
+    published, shortened = (score_to_goals(score, 0.05, shorten) for shorten in (False, True))
+    assert len(key_runs(published.keys)[0]) <= len(key_runs(shortened.keys)[0])
+    assert published.keys.sum() == shortened.keys.sum()
+    struck = np.zeros_like(published.keys)
+    for note in score.notes:
+        struck[int(note.start * 20), note.key] = True
+    late = struck & ~shortened.keys
+    assert (late <= struck & ~published.keys).all()
+    # Only where the note before has but one step left.
+    for step, key in np.argwhere(late):
+        assert struck[step - 1, key] or not shortened.keys[step - 2, key]
 
 
 def test_the_pedal_holds_between_its_events():

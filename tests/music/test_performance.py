@@ -7,8 +7,8 @@ from music_strategies import scores
 
 from cadenza.music.goals import score_to_goals
 from cadenza.music.midi import read_midi, write_midi
-from cadenza.music.performance import performed_score
-from cadenza.music.score import Note, PedalEvent
+from cadenza.music.performance import performed_score, with_loudness_of
+from cadenza.music.score import Note, PedalEvent, Score
 
 DT = 0.05
 DATA = Path(__file__).parents[1] / "data"
@@ -85,6 +85,28 @@ def test_no_key_that_is_struck_again_in_a_recording_is_silent(name):
         b.velocity for a in notes for b in notes if a.pitch == b.pitch and 0 < b.start - a.end < 0.1
     ]
     assert min(again) > 35
+
+
+def test_the_scores_loudness_with_the_timing_that_was_played():
+    score = Score((Note(0, 0.4, 60, 40), Note(0.5, 0.9, 60, 90), Note(0, 1, 64, 100)))
+    played = Score(
+        (
+            Note(0.05, 0.3, 60),
+            Note(0.4, 0.7, 60),  # the second, a little early
+            Note(1.5, 1.6, 60),  # too late to be any of them
+            Note(0.1, 0.2, 61),  # wrong
+            Note(0.2, 0.3, 64),
+        ),
+        (PedalEvent(0.5, 127),),
+    )
+    heard = with_loudness_of(played, score)
+    assert [note.velocity for note in heard.notes] == [40, 30, 100, 90, 30]
+    assert performed_times(heard) == performed_times(played)
+    assert heard.pedal == played.pedal
+
+
+def performed_times(score):
+    return [(note.start, note.end, note.pitch) for note in score.notes]
 
 
 @given(scores())

@@ -8,17 +8,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cadenza.music.goals import score_to_goals
 from cadenza.music.metrics import playing_metrics, step_metrics
+from cadenza.music.performance import performed_score
+from cadenza.music.score import Note, Score
 
 DATA = Path(__file__).parents[1] / "data"
 STILL = np.zeros(40, bool)
+
+
+def of_rolls(played, sustain, goal, goal_sustain, dt):
+    """Of a score whose notes begin and end on steps as those of the goal do."""
+    score = performed_score(goal, goal_sustain, dt)
+    return playing_metrics(played, sustain, goal, goal_sustain, dt, score)
 
 
 @pytest.mark.parametrize("episode", "abcd")
 def test_metrics_are_those_recorded_from_the_published_system(episode):
     with np.load(DATA / f"episode_{episode}.npz") as recorded:
         observed = np.concatenate([recorded["goal_obs0"][None], recorded["goal_obs"][:-1]])
-        metrics = playing_metrics(
+        metrics = of_rolls(
             recorded["key_activation"],
             recorded["sustain_activation"],
             observed[:, :88],
@@ -46,7 +55,7 @@ def test_step_metrics_by_hand():
 
 
 def note_f1(played, goal):
-    metrics = playing_metrics(played, STILL, goal, STILL, 0.05)
+    metrics = of_rolls(played, STILL, goal, STILL, 0.05)
     return metrics["note_onset_f1"], metrics["note_onset_offset_f1"]
 
 
@@ -69,7 +78,7 @@ def test_a_key_held_through_a_repeated_note_is_one_note_too_few():
 
 
 def timing_error(played, goal):
-    return playing_metrics(played, STILL, goal, STILL, 0.05)["timing_error"]
+    return of_rolls(played, STILL, goal, STILL, 0.05)["timing_error"]
 
 
 def test_the_timing_error_is_the_mean_distance_of_beginnings():
@@ -82,6 +91,44 @@ def test_the_timing_error_is_the_mean_distance_of_beginnings():
     assert timing_error(roll((20, 30, 12), (5, 15, 11)), goal) == 0
     assert np.isnan(timing_error(roll((5, 15, 11)), goal))
     assert np.isnan(timing_error(roll(), goal))
+
+
+def of_goals(score, played=None, shorten=False, dt=0.05):
+    """Of the goals played to the letter, or of other goals."""
+    goals = score_to_goals(score, dt, shorten)
+    keys = goals.keys if played is None else played
+    return playing_metrics(keys, goals.sustain, goals.keys, goals.sustain, dt, score)
+
+
+def test_a_repeated_note_that_begins_a_step_late_is_late():
+    score = Score((Note(0, 0.5, 60), Note(0.5, 1, 60), Note(1, 1.5, 60), Note(1.5, 2, 62)))
+    late = of_goals(score)
+    assert (late["f1"], late["note_onset_f1"]) == (1, 1)
+    assert late["timing_error"] == pytest.approx(2 * 0.05 / 4)
+    in_time = of_goals(score, shorten=True)
+    assert (in_time["f1"], in_time["note_onset_f1"], in_time["timing_error"]) == (1, 1, 0)
+
+
+def test_a_step_late_counts_on_every_step_and_two_do_not():
+    score = Score(tuple(Note(t, t + 1.5, 60) for t in np.arange(0, 600, 2.35)))
+    score = score.with_initial_silence(0.35)
+    goal = score_to_goals(score, 0.05).keys
+    assert of_goals(score, np.roll(goal, 1, axis=0))["note_onset_f1"] == 1
+    assert of_goals(score, np.roll(goal, 2, axis=0))["note_onset_f1"] == 0
+    assert of_goals(score, np.roll(goal, 1, axis=0))["timing_error"] == pytest.approx(0.05)
+
+
+def test_notes_between_steps_are_as_far_off_as_the_score_has_them():
+    score = Score((Note(0.02, 0.5, 60), Note(0.54, 0.9, 62)))
+    assert of_goals(score)["timing_error"] == pytest.approx((0.02 + 0.04) / 2)
+
+
+def test_notes_that_begin_after_the_end_are_not_missed():
+    score = Score((Note(0, 0.5, 60), Note(0.5, 1, 62)))
+    goals = score_to_goals(score, 0.05)
+    keys, sustain = goals.keys[:10], goals.sustain[:10]
+    result = playing_metrics(keys, sustain, keys, sustain, 0.05, score)
+    assert (result["note_onset_f1"], result["note_onset_offset_f1"]) == (1, 1)
 
 
 def test_silence_against_silence_is_perfect_and_against_notes_is_nothing():
@@ -119,7 +166,7 @@ def by_mir_eval(played, goal):
 
 def note_metrics(played, goal):
     still = np.zeros(len(played), bool)
-    metrics = playing_metrics(played, still, goal, still, 0.05)
+    metrics = of_rolls(played, still, goal, still, 0.05)
     return {
         name: metrics[name] for name in ("note_onset_f1", "note_onset_offset_f1", "timing_error")
     }

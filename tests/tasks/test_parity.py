@@ -147,6 +147,7 @@ def test_metrics_follow_from_recorded_states(recording: Recording) -> None:
         goals.keys,
         goals.sustain,
         recording.config.control_timestep,
+        recording.score,
     )
     published = json.loads(str(recording["metrics"]))
     assert_allclose([ours[name] for name in published], list(published.values()), **EXACT)

@@ -13,6 +13,7 @@ from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.model.piano import KEY_TRAVEL
 from cadenza.model.scene import Scene, build_scene
+from cadenza.music.goals import score_to_goals
 from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
@@ -418,6 +419,17 @@ def test_random_stretch(scenes: dict[str, Scene]) -> None:
     assert drawn == songs_drawn(scenes["none"], 200, random_stretch=0.2)
 
 
+@pytest.mark.parametrize("repeats", ["published", "shortened"])
+def test_the_score_is_on_the_clock_of_the_goals(scenes: dict[str, Scene], repeats: str) -> None:
+    song = dataclasses.replace(SONG, notes=(*SONG.notes, Note(0.8, 1.2, 64), Note(1.2, 1.5, 64)))
+    options: dict[str, Any] = {"initial_buffer_time": 0.33, "stretch": 1.5, "random_stretch": 0.2}
+    options |= {"random_pitch_shift": 3, "repeats": repeats}
+    task = Player(scenes["none"], song, **options).task
+    goals = score_to_goals(task.score(0), DT, repeats == "shortened")
+    assert_array_equal(task.sheets.part(0, 0, goals.num_steps)[0][:, :NUM_KEYS], goals.keys)
+    assert task.sheets.num_steps[0] == goals.num_steps
+
+
 @pytest.mark.parametrize(
     ("options", "shifts"),
     [
@@ -531,7 +543,7 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"control_timestep": 0.0}, "control_timestep 0.0 s is not a multiple"),
+        ({"control_timestep": 0.0}, "control_timestep 0.0: choose more than 0"),
         ({"control_timestep": 0.012}, "not a multiple of the physics step"),
         ({"control_timestep": float("nan")}, "control_timestep nan"),
         ({"control_timestep": float("inf")}, "control_timestep inf"),
@@ -541,6 +553,7 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
         ({"initial_buffer_time": -1.0}, "initial_buffer_time -1.0"),
         ({"initial_buffer_time": float("inf")}, "initial_buffer_time inf"),
         ({"fingering": "on"}, "fingering 'on': choose from auto, transport, off"),
+        ({"repeats": "left out"}, "repeats 'left out': choose from published, shortened"),
         ({"energy_coefficient": -1.0}, "energy_coefficient -1.0"),
         ({"random_hand_position": -0.1}, "random_hand_position -0.1"),
         ({"random_hand_position": 0.5}, "end after 0.46 m, choose less"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -46,6 +46,9 @@ class Play(WithOtherPlanners):
     plan: Path | None = None
     """For --agent replay: a plan from "cadenza plan", or any .npz file with an array "action" of
     shape (T, A) in actuator units."""
+    loudness: Advanced[Literal["struck", "score"]] = "struck"
+    """Loudness of the notes in sound and MIDI: as the keys were struck, or as written in the
+    score."""
     video: bool = True
     """Write video.mp4, if this machine can render."""
     video_size: Advanced[tuple[int, int]] = (1280, 720)
@@ -71,7 +74,7 @@ def play(command: Play, again: Again[Play]) -> None:
             performance = perform(setup, progress, stop)
             stopped = stop()
         length = setup.num_steps * performance.episode.dt
-    keep(performance, folder, command.video, picture)
+    keep(performance, folder, command.video, picture, command.loudness)
     if stopped:
         part = f"{performance.seconds:.1f} of {length:.1f} s"
         print(f"stopped after {part}: the results are of that part", file=sys.stderr)
@@ -84,11 +87,15 @@ def _name_of(agent: str) -> str:
 
 
 def keep(
-    performance: Performance, folder: Path, video: bool, picture: Picture | None = None
+    performance: Performance,
+    folder: Path,
+    video: bool,
+    picture: Picture | None = None,
+    loudness: Literal["struck", "score"] = "struck",
 ) -> None:
     """Writes the results of a performance, and says how it went."""
     with stages("playing") as progress:
-        performance.save(folder, video, progress, picture)
+        performance.save(folder, video, progress, picture, loudness)
     print_scores(performance)
     print_what_was_lost(performance)
     print(f"\nOpen {folder / 'report.html'}")

@@ -33,15 +33,17 @@ class Goals:
         return len(self.keys)
 
 
-def score_to_goals(score: Score, dt: float) -> Goals:
+def score_to_goals(score: Score, dt: float, shorten: bool = False) -> Goals:
     """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.
 
     A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
     `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
     key is struck again on a step before which it already was to sound, it is left out of that one
-    step, so that it has to come up. Of notes that share a key and a step the later one's finger
-    counts. A pedal event (down from value 64) acts from step `int(time / dt)` until the next; of
-    several on one step the last counts.
+    step, so that it has to come up, and the note begins a step late. Where such notes are to
+    `shorten` the one before, it is left out of the step before instead, and the note begins in
+    time, unless nothing would be left of the one before. Of notes that share a key and a step the
+    later one's finger counts. A pedal event (down from value 64) acts from step `int(time / dt)`
+    until the next; of several on one step the last counts.
 
     Raises:
         CadenzaError: the score has no notes, `dt` is not a positive number, or there would be more
@@ -63,10 +65,12 @@ def score_to_goals(score: Score, dt: float) -> Goals:
         keys[first:last, note.key] = True
         struck[first, note.key] = True
         fingers[first:last, note.key] = note.finger
-    lifted = np.zeros_like(keys)
-    lifted[1:] = struck[1:] & keys[:-1]
-    keys &= ~lifted
-    fingers[lifted] = UNKNOWN_FINGER
+    again = np.zeros_like(keys)
+    again[1:] = struck[1:] & keys[:-1]
+    for step, key in np.argwhere(again):
+        spare = shorten and not struck[step - 1, key] and keys[step - 2, key]
+        lifted = step - 1 if spare else step
+        keys[lifted, key], fingers[lifted, key] = False, UNKNOWN_FINGER
 
     sustain = np.zeros(num_steps, bool)
     for event in score.pedal:

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.performance import key_runs
+from cadenza.music.performance import SAME_NOTE, key_runs
+from cadenza.music.score import Score
 
 ONSET_TOLERANCE = 0.05  # [s], the default of mir_eval
-LATENESS_TOLERANCE = 0.2  # [s] within which a note counts as played, if at the wrong time
 _OF_LENGTH = 0.2  # of a note that its end may be off; as in mir_eval too, and
 _DECIMALS = 4  # to which differences in time [s] are rounded
 
@@ -34,6 +34,7 @@ def playing_metrics(
     goal_keys: NDArray[Any],
     goal_sustain: NDArray[Any],
     dt: float,
+    score: Score,
 ) -> dict[str, float]:
     """Figures of merit, 0..1 but for the last, of T control steps of `dt` [s].
 
@@ -42,15 +43,25 @@ def playing_metrics(
 
     `note_onset_f1`, `note_onset_offset_f1`: whole notes compared as mir_eval's transcription
     metrics do (Raffel et al., ISMIR 2014) at their defaults, but in a time and a memory that grow
-    with the music and not with its square. A run of steps over which a key is on is a note; it is
+    with the music and not with its square. A run of steps over which a key is on is a note that
+    was played, from the beginning of its first step to the end of its last. A note of the score is
     found if one of the same key starts within 0.05 s, and for the second also ends within 0.05 s
-    or a fifth of the wanted note's length, whichever is more. At steps of 0.05 s a key one step
-    late still counts, two steps late does not.
+    or a fifth of the wanted note's length, whichever is more (times are compared to 0.1 ms). At
+    steps of 0.05 s a key on the step in which its note begins counts, and so does one on the step
+    after it, two steps late does not.
 
-    `timing_error` [s]: how far, on average, the beginnings of notes are from where they should be,
-    of as many pairs of notes of the same key as can be made that begin within 0.2 s of each other,
-    the first with the first; NaN where there is none. Notes begin on steps, so that a hand which is
-    late by less than `dt` is not late.
+    `timing_error` [s]: how far, on average, the beginnings of notes are from where the score has
+    them, of as many pairs of notes of the same key as can be made that begin within 0.2 s of each
+    other, the first with the first; NaN where there is none. Played notes begin on steps: where
+    notes of the score do not, an error of up to `dt` remains.
+
+    Args:
+        key_activation, goal_keys: (T, 88), which keys sound and should sound after each step.
+        sustain_activation, goal_sustain: (T,), the same of the pedal.
+        dt: [s].
+        score: what was to be played, on the clock of the steps; notes that begin later than they
+            end are left out. The goals cannot tell when a note that is struck again begins, because
+            they leave out its first step.
     """
     precision, recall, f1 = step_metrics(key_activation, goal_keys)
     pedal = step_metrics(sustain_activation[:, None], goal_sustain[:, None])
@@ -61,18 +72,18 @@ def playing_metrics(
         "sustain_precision": float(pedal[0].mean()),
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),
-        **_note_metrics(key_activation, goal_keys, dt),
+        **_note_metrics(key_activation, score, dt),
     }
 
 
-def _note_metrics(played: NDArray[Any], goal: NDArray[Any], dt: float) -> dict[str, float]:
-    wanted, sounded = _Notes.of(goal, dt), _Notes.of(played, dt)
+def _note_metrics(played: NDArray[Any], score: Score, dt: float) -> dict[str, float]:
+    wanted, sounded = _Notes.of(score, len(played) * dt), _Notes.played(played, dt)
     if not len(wanted.key) or not len(sounded.key):  # mir_eval calls two empty lists a score of 0
         f1 = float(len(wanted.key) == len(sounded.key))
         return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
     near = wanted.near(sounded, ONSET_TOLERANCE)
     ends = near[:, wanted.ends_with(sounded, near)]
-    pairs = _in_order(wanted.near(sounded, LATENESS_TOLERANCE))
+    pairs = _in_order(wanted.near(sounded, SAME_NOTE))
     errors = [abs(wanted.start[i] - sounded.start[j]) for i, j in pairs]
     return {
         "note_onset_f1": _f1(len(_in_order(near)), wanted, sounded),
@@ -89,7 +100,15 @@ class _Notes(NamedTuple):
     key: NDArray[np.intp]
 
     @classmethod
-    def of(cls, roll: NDArray[Any], dt: float) -> _Notes:
+    def of(cls, score: Score, seconds: float) -> _Notes:
+        """Those that begin in the first `seconds`."""
+        latest = round(seconds, 9)
+        notes = [(n.key, n.start, min(n.end, latest)) for n in score.notes if n.start < latest]
+        key, start, end = np.array(sorted(notes)).reshape(-1, 3).T
+        return cls(start, end, key.astype(np.intp))
+
+    @classmethod
+    def played(cls, roll: NDArray[Any], dt: float) -> _Notes:
         """Those of a roll (T, 88)."""
         first, last, key = key_runs(roll)
         return cls(first * dt, last * dt, key)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect
+from collections import defaultdict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ WHITE_KEY_TRAVEL = 0.0666
 BLACK_KEY_TRAVEL = 0.0887
 
 SOFTEST, LOUDEST = 30, 120  # MIDI velocities
+SAME_NOTE = 0.2  # [s]; notes of a key that begin closer together are one, at the wrong time
 # [s] a key that is struck as hard as can be goes down within this time: as short as tells loud from
 # soft at 20 steps a second.
 STRIKE_TIME = 0.1
@@ -63,6 +67,29 @@ def performed_score(
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
     pedal = (PedalEvent(float(i * dt), 127 if sustain[i] else 0) for i in moved)
     return Score(tuple(notes), tuple(pedal))
+
+
+def with_loudness_of(played: Score, score: Score) -> Score:
+    """`played` with the velocities that `score` writes, on the same clock.
+
+    A note has that of the nearest note of its key that begins within 0.2 s of it, and where there
+    is none, because it is wrong, that of a key let down slowly.
+    """
+    written: dict[int, list[Note]] = defaultdict(list)
+    for note in score.notes:
+        written[note.pitch].append(note)
+    starts = {pitch: [note.start for note in notes] for pitch, notes in written.items()}
+
+    def velocity(note: Note) -> int:
+        after = bisect(starts.get(note.pitch, ()), note.start)
+        near = written[note.pitch][max(0, after - 1) : after + 1]
+        same = [other for other in near if abs(other.start - note.start) <= SAME_NOTE]
+        nearest = min(same, key=lambda other: abs(other.start - note.start), default=None)
+        return nearest.velocity if nearest else SOFTEST
+
+    return replace(
+        played, notes=tuple(replace(note, velocity=velocity(note)) for note in played.notes)
+    )
 
 
 def _velocity(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from cadenza.files import write_json
 from cadenza.model.config import SceneConfig
 from cadenza.model.scene import Scene
 from cadenza.music.midi import write_midi
-from cadenza.music.performance import performed_score
+from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
 from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
 from cadenza.report.page import write_report
@@ -31,6 +31,9 @@ from cadenza.report.video import write_video
 from cadenza.sim.render import ALL_KEYS, VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 
+Loudness = Literal["struck", "score"]
+"""Of a note that was played: as its key was struck, or as the score writes it."""
+
 
 @dataclass(frozen=True)
 class Performance:
@@ -38,6 +41,8 @@ class Performance:
 
     score: Score
     """What was to be played, as the song has it."""
+    goal: Score
+    """The same on the clock of the episode: trimmed, stretched, transposed, after its silence."""
     episode: Episode
     """All that happened, step by step."""
     metrics: dict[str, Any]
@@ -73,6 +78,7 @@ class Performance:
         video: bool = False,
         progress: Progress = silent,
         picture: Picture | None = None,
+        loudness: Loudness = "struck",
     ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
@@ -81,8 +87,11 @@ class Performance:
             video: video.mp4 too, with a warning instead where this machine cannot draw.
             progress: is told how far each stage is.
             picture: how the video looks; 1280 x 720 from the player's side by default.
+            loudness: of the notes that are heard, see `Loudness`.
         """
         folder, played = Path(folder), self.played
+        if loudness == "score":
+            played = with_loudness_of(played, self.goal)
         lost = [asdict(miss) for miss in self.misses or ()]
         self.episode.save(folder / "episode.npz")
         write_json(folder / "metrics.json", self.metrics)
@@ -92,7 +101,7 @@ class Performance:
         write_midi(played, folder / "played.mid")
         progress("making the sound", 0, 2)
         # One after the other: of a long song, each takes hundreds of megabytes until it is encoded.
-        goal = encode_mp3(synthesize(self._goal), bit_rate=48_000, mono=True, seconds=self.seconds)
+        goal = encode_mp3(synthesize(self.goal), bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)
         audio = synthesize(played)
         path, drawn = folder / "video.mp4", False
@@ -110,12 +119,6 @@ class Performance:
                 midi=(folder / "played.mid").read_bytes(),
                 video=path.name if drawn else "",
             )
-
-    @property
-    def _goal(self) -> Score:
-        """What should have sounded, with a step's precision, starting with the first step."""
-        episode = self.episode
-        return performed_score(episode["goal_keys"], episode["goal_sustain"], episode.dt)
 
     def _write_video(
         self, path: Path, audio: NDArray[np.int16], progress: Progress, picture: Picture
@@ -195,6 +198,7 @@ def perform(
     plan = plan if isinstance(plan, SongPlan) else None
     return Performance(
         score=setup.score,
+        goal=setup.task.score(0),
         episode=result.episode,
         metrics=result.metrics,
         settings=setup.settings,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Fingering = Literal["auto", "transport", "off"]
+Repeats = Literal["published", "shortened"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,9 @@ class TaskConfig:
     initial_buffer_time: float = 0.0
     """Silence before the first note [s]. The hands start 10 cm above the keys and need it to reach
     a note at time 0."""
+    repeats: Repeats = "published"
+    """When a key is struck again without a gap, published: the repeated note starts one step late,
+    as in RoboPianist; shortened: the note before it ends one step early."""
     wrong_press_termination: bool = False
     """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"

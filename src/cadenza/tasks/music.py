@@ -21,7 +21,7 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
-from cadenza.tasks.config import Fingering, TaskConfig
+from cadenza.tasks.config import Fingering, Repeats, TaskConfig
 
 _OCTAVE = 12
 _MOST = {  # of options that are 0 or more
@@ -70,6 +70,9 @@ def _check(config: TaskConfig) -> None:
     if config.fingering not in get_args(Fingering):
         choices = ", ".join(get_args(Fingering))
         raise CadenzaError(f"fingering {config.fingering!r}: choose from {choices}")
+    if config.repeats not in get_args(Repeats):
+        choices = ", ".join(get_args(Repeats))
+        raise CadenzaError(f"repeats {config.repeats!r}: choose from {choices}")
     if not config.control_timestep > 0:
         raise CadenzaError(f"control_timestep {config.control_timestep}: choose more than 0")
     for name, most in _MOST.items():
@@ -111,8 +114,8 @@ def _shifted(score: Score, most: int, semitones: int, rng: np.random.Generator) 
 
 def goals_of(score: Score, config: TaskConfig) -> Goals:
     """Goals per control step, after the silent steps of the initial buffer."""
-    goals = score_to_goals(score, config.control_timestep)
-    silent = round(config.initial_buffer_time / config.control_timestep)
+    goals = score_to_goals(score, config.control_timestep, config.repeats == "shortened")
+    silent = _silent_steps(config)
     if not silent:
         return goals
     return Goals(
@@ -120,6 +123,16 @@ def goals_of(score: Score, config: TaskConfig) -> Goals:
         fingers=np.pad(goals.fingers, ((silent, 0), (0, 0)), constant_values=-1),
         sustain=np.pad(goals.sustain, (silent, 0)),
     )
+
+
+def on_the_clock(score: Score, config: TaskConfig) -> Score:
+    """`score` as late as the episode has it, after the initial buffer."""
+    silence = _silent_steps(config) * config.control_timestep
+    return score.with_initial_silence(silence) if silence else score
+
+
+def _silent_steps(config: TaskConfig) -> int:
+    return round(config.initial_buffer_time / config.control_timestep)
 
 
 class Sheets:

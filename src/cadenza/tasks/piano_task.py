@@ -292,6 +292,10 @@ class PianoTask:
             result[:, layout["joints"]] = self.state.hand_qpos
         return result
 
+    def score(self, env: int) -> Score:
+        """What environment `env` is to play, on the clock of its episode."""
+        return music.on_the_clock(self.sheets.songs[env], self.config)
+
     def episode_metrics(self, env: int) -> dict[str, float]:
         """How well environment `env` has played its score so far (see `music.metrics`)."""
         done = int(self.sheets.steps_done[env])
@@ -302,6 +306,7 @@ class PianoTask:
             goal[:, :NUM_KEYS],
             goal[:, NUM_KEYS],
             self.config.control_timestep,
+            self.score(env),
         )
 
     def close(self) -> None:
