@@ -110,9 +110,8 @@ def medians(entered: dict[str, Contestant], rounds: int) -> dict[str, float]:
     speeds: dict[str, list[float]] = {name: [] for name in entered}
     for done in range(rounds):
         for name, run in entered.items():
-            print(f"\rround {done + 1} of {rounds}: {name:44}", end="", file=sys.stderr)
             speeds[name].append(run())
-    print(file=sys.stderr)
+        print(f"round {done + 1} of {rounds} done", file=sys.stderr)
     return {name: float(np.median(values)) for name, values in speeds.items()}
 
 

@@ -70,7 +70,7 @@ COMMON: dict[type, tuple[str, ...]] = {
     SceneConfig: ("hands",),
     TrainingConfig: ("num_steps", "residual", "seed"),
 }
-"""The fields of configurations that --help shows."""
+"""The fields that --help shows of configurations whose options have no prefix."""
 
 
 def parse(
