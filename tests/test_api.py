@@ -129,6 +129,7 @@ def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
 def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
     plan = cadenza.plan(TUNE)
     assert plan.actions.shape == (23, 39)
+    assert plan.performance.settings["agent"] == "planner"
     assert min(plan.fingering) >= 0
     plan.save(tmp_path / "tune.npz")
     fingered = read_fingering(tmp_path / "tune.fingering", TUNE)

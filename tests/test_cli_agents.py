@@ -214,6 +214,15 @@ def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert line == "cadenza: replay plays one file: name agents that play by themselves"
 
 
+def test_who_cannot_play_is_told_before_anyone_has_played(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy(here / "run")
+    line = refused(capsys, "compare", "tune.mid", "--agents", "zero", "run", "--hands", "right")
+    assert line.startswith("cadenza: run: learnt the song with hands both")
+    assert not (here / "played").exists()
+
+
 # Songs and folders
 
 

@@ -50,6 +50,9 @@ def compare(command: Compare, again: Again[Compare]) -> None:
         raise CadenzaError("replay plays one file: name agents that play by themselves")
     castings = {name: cast_of(command, name) for name in command.agents}
     commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
+    for name, casting in castings.items():
+        with set_up(casting, commands[name].task, commands[name].scene):
+            pass  # who cannot play is told before anyone has played
     folder = command.output or default_folder(castings[command.agents[0]])
     check_writable(folder)
     runs = []

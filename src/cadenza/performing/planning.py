@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.named import PLANNER, make_agent
+from cadenza.agents.named import PLANNER
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.replay import save_plan
@@ -78,7 +78,7 @@ def plan(
         CadenzaError: the song is not there, an option makes no sense, or the hands could not play
             to the end.
     """
-    casting = cast(song, make_agent(PLANNER, config))
+    casting = cast(song, PLANNER, configs={PLANNER: config})
     with set_up(casting, task, scene, seed) as setup:
         return make_plan(setup, progress)
 
