@@ -84,7 +84,7 @@ def _packed(values: NDArray[Any]) -> str:
     patterns = np.ascontiguousarray(values).view(f"u{size}").reshape(len(values), -1)
     steps = np.diff(patterns, axis=0, prepend=np.zeros_like(patterns[:1]))
     planes = steps.T.astype(f"<u{size}", order="C").view(np.uint8).reshape(-1, size).T
-    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
+    return base64.b64encode(zlib.compress(planes.tobytes())).decode()
 
 
 def in_json(content: Any) -> str:
