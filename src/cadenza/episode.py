@@ -32,7 +32,7 @@ from cadenza.files import (
 
 _NUM_KEYS = 88
 _LONGEST = 4 * 3600.0  # [s]
-_MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a quarter of it
+_MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a sixth of it
 
 
 class _Geom(TypedDict):

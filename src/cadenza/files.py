@@ -28,7 +28,7 @@ from cadenza.errors import CadenzaError
 T = TypeVar("T")
 
 TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
-_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _ANOTHER = "it is damaged, changed or of another version; take another copy"
 
 # Writing
@@ -43,8 +43,9 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"  # short: `path` may be as long
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK  # as a name can be
+    # Short, since the name of `path` may be as long as a name can be.
+    temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FLAGS
     try:
         with os.fdopen(os.open(temporary, flags, 0o666), "wb") as file:
             yield file
@@ -66,7 +67,7 @@ def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         OSError: it is a symbolic link, among others.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | _FLAGS, 0o666)
     with os.fdopen(handle, "r+b") as file:
         yield file
 

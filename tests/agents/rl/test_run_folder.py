@@ -369,7 +369,7 @@ def test_lines_that_are_no_rows_are_left_out(
     assert run.rows() == [row, row]
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "1 lines are no rows of figures" in said
+    assert "left out what is no row of figures, lines: 1\n" in said
 
 
 # Links

@@ -267,8 +267,26 @@ class RunFolder:
         """
         self._drop_unfinished()
         saved = self._saved()
+        if not saved:
+            self._metrics.unlink(missing_ok=True)
+            return None
+        found = self._found(saved, expected)
+        if not found:
+            raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
+        # The older one if they lose the same.
+        best = min(found, key=lambda folder: (_lost(found[folder]) - int(folder.name), folder))
+        for later in saved[saved.index(best) + 1 :]:
+            shutil.rmtree(later, ignore_errors=True)
+        if best != saved[-1]:
+            print(f"{self.path}: going back to step {int(best.name)}", file=sys.stderr)
+        if lost := _lost(found[best]):
+            print(f"{self.path}: up to {lost} transitions are lost", file=sys.stderr)
+        self._cut_rows(found[best].facts.metrics_size)
+        return found[best]
+
+    def _found(self, saved: list[Path], expected: Expected) -> dict[Path, Checkpoint]:
+        """The newest that are whole, down to one that has lost nothing."""
         found: dict[Path, Checkpoint] = {}
-        loss: dict[Path, int] = {}
         chunks: dict[str, Arrays | None] = {}
         for folder in reversed(saved):
             try:
@@ -276,29 +294,12 @@ class RunFolder:
             except CadenzaError as error:
                 print(error, file=sys.stderr)
                 continue
-            for chunk in facts.replay:
-                if chunk.file not in chunks:
-                    chunks[chunk.file] = self._chunk(chunk.file)
-            found[folder] = Checkpoint(
-                facts, arrays, [chunks[chunk.file] for chunk in facts.replay]
-            )
-            loss[folder] = int(saved[-1].name) - facts.step + _lost(found[folder])
+            names = [chunk.file for chunk in facts.replay]
+            chunks |= {name: self._chunk(name) for name in names if name not in chunks}
+            found[folder] = Checkpoint(facts, arrays, [chunks[name] for name in names])
             if not _lost(found[folder]):
                 break
-        if not found:
-            if saved:
-                raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
-            self._metrics.unlink(missing_ok=True)
-            return None
-        best = min(reversed(found), key=loss.__getitem__)  # the older one if they lose the same
-        for later in saved[saved.index(best) + 1 :]:
-            shutil.rmtree(later, ignore_errors=True)
-        if best != saved[-1]:
-            print(f"{self.path}: going back to step {found[best].facts.step}", file=sys.stderr)
-        if lost := _lost(found[best]):
-            print(f"{self.path}: up to {lost} transitions are lost", file=sys.stderr)
-        self._cut_rows(found[best].facts.metrics_size)
-        return found[best]
+        return found
 
     def _chunk(self, name: str) -> Arrays | None:
         try:
@@ -379,5 +380,5 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
         else:
             others += 1
     if others:
-        print(f"{path}: {others} lines are no rows of figures and are left out", file=sys.stderr)
+        print(f"{path}: left out what is no row of figures, lines: {others}", file=sys.stderr)
     return rows
