@@ -181,6 +181,7 @@ function createRewards(element, { rewards, dt, steps }, seek) {
     return { values, output, canvas, low: Math.min(0, ...known.length ? [known.reduce((a, b) => Math.min(a, b))] : []), high: Math.max(0, ...known.length ? [known.reduce((a, b) => Math.max(a, b))] : []) };
   });
   const point = timeline(element, () => [0, steps * dt], seek);
+  let shownRow = -1;
 
   function draw() {
     for (const { values, canvas, low, high } of terms) {
@@ -205,7 +206,8 @@ function createRewards(element, { rewards, dt, steps }, seek) {
     draw,
     move(time) {
       const { row } = rowAt(time, dt, steps);
-      for (const { values, output } of terms) output.textContent = Number.isNaN(values[row]) ? "–" : decimals(values[row]);
+      if (row !== shownRow) for (const { values, output } of terms) output.textContent = Number.isNaN(values[row]) ? "–" : decimals(values[row]);
+      shownRow = row;
       point(time);
     },
   };

@@ -56,8 +56,10 @@ function show(time) {
   roll.move(time);
   rewards.move(time);
   $("scrub").value = time;
-  $("clock").textContent = minutes(time);
-  $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(duration)}`);
+  if ($("clock").textContent !== minutes(time)) { // to change the page costs, even to the same
+    $("clock").textContent = minutes(time);
+    $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(duration)}`);
+  }
   const { row } = rowAt(time, data.dt, data.steps);
   if (row === shownRow) return;
   shownRow = row;
