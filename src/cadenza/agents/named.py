@@ -40,7 +40,7 @@ class NamedAgent:
 _PLANNING = "cadenza.agents.planning"
 AGENTS = {
     PLANNER: NamedAgent(
-        "inverse kinematics of the whole song, refined by sampling",
+        "inverse kinematics of the song, refined by sampling",
         f"{_PLANNING}.score_planner:ScorePlanner",
         ScorePlannerConfig,
     ),

@@ -48,7 +48,7 @@ SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
 
 @dataclass(frozen=True)
 class ScorePlannerConfig:
-    """The planner: inverse kinematics of the whole song, refined by sampling."""
+    """The planner: inverse kinematics of the song, refined by sampling."""
 
     fingering: Literal["found", "score"] = "found"
     """Fingering to plan with. found: what suits these hands. score: the score's, where it has

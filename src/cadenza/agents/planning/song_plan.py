@@ -1,4 +1,4 @@
-"""What all that plan a whole song begin with: its fingers, its goals, and the nominal plan."""
+"""What all that plan a song begin with: its fingers, its goals, and the nominal plan."""
 
 from __future__ import annotations
 
