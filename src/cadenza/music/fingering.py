@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import combinations
 from typing import Literal, NamedTuple
 
@@ -71,8 +71,9 @@ _HOME = 0.15  # [m] from the keyboard's middle, where the forearms are mounted
 _APART = 0.149  # [m] forearms touch when they are nearer: twice their radius
 _AT_EASE = 0.18  # [m] from here on the forearms do not mind each other
 # Where a hand without notes can be [m]: there is always room for it beyond the other.
-_STANDS = np.linspace(-0.75, 0.75, 32)
-_ELSEWHERE = np.array([10.0])  # [m] where a hand that is not there is
+_STANDS = tuple(np.linspace(-0.75, 0.75, 32).tolist())
+_ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
+_Place = tuple[float, ...]
 _NO_FINGER = 5  # in place of a finger: not played by this hand
 _NEVER = 1e9
 
@@ -252,6 +253,8 @@ class _Shapes:
     rest (S,)           the mean of their fingers' offsets from the forearm [m]
     outward (S, m)      how far beyond each note the forearm can be [m]
     least, ease, most (S, P)    of the distances between the notes of each pair [m]
+    longer, shorter (S, P)      from ease to most and to least
+    played (S, P)       1 for pairs of which both notes are played, else 0
     """
 
     fingers: NDArray[np.intp]
@@ -265,6 +268,8 @@ class _Shapes:
     least: Array
     ease: Array
     most: Array
+    longer: Array
+    shorter: Array
     played: Array
 
 
@@ -282,6 +287,9 @@ def _shapes(m: int) -> _Shapes:
     weights = played / np.maximum(count, 1)[:, None]
     first, second = np.triu_indices(m, 1)
     pair = fingers[:, first], fingers[:, second]
+    least = _with_no_finger(LEAST, -10.0)[pair]
+    ease = _with_no_finger(REST - REST[:, None], 0.0)[pair]
+    most = _with_no_finger(MOST, 10.0)[pair]
     return _Shapes(
         fingers=fingers,
         one_hot=np.eye(6)[fingers].reshape(len(sets), 6 * m),
@@ -291,9 +299,11 @@ def _shapes(m: int) -> _Shapes:
         outward=np.append(OUTWARD, 10.0)[fingers],
         first=first,
         second=second,
-        least=_with_no_finger(LEAST, -10.0)[pair],
-        ease=_with_no_finger(REST - REST[:, None], 0.0)[pair],
-        most=_with_no_finger(MOST, 10.0)[pair],
+        least=least,
+        ease=ease,
+        most=most,
+        longer=most - ease,
+        shorter=ease - least,
         played=(played[:, first] & played[:, second]).astype(float),
     )
 
@@ -307,34 +317,53 @@ class _States:
 
     fingers: NDArray[np.intp]  # (S, m)
     one_hot: Array  # (S, 6 m)
-    count: NDArray[np.intp]  # (S,)
+    count: NDArray[np.intp]  # (S,) falls
+    playing: tuple[slice, ...]  # (6,) the states in which it plays 0..5 of the notes
     centre: Array  # (S,) where the forearm is when the fingers are at rest [m]
     outmost: Array  # (S,) where it can be on the side of the little finger [m]
     cost: Array  # (S,)
 
 
-def _states(y: Array, wanted: Array, stands: Array) -> _States:
-    """What a hand can do about notes at `y` (m,), with `wanted` (m, 6) costs of finger and note."""
+class _Asked(NamedTuple):
+    """A note that a hand is asked to begin, with the `finger` if it is known, or to go on with."""
+
+    key: int
+    begins: bool
+    finger: int
+
+
+@lru_cache(maxsize=1024)  # chords come again
+def _states(side: int, asked: tuple[_Asked, ...], stands: _Place) -> _States:
+    """What a hand can do about the notes it is `asked` for, from the thumb's side.
+
+    Without notes it is where it `stands` [m].
+    """
+    y = (1.0, -1.0)[side] * KEY_Y[[note.key for note in asked]]
+    wanted = _wanted(asked, side)
     shapes = _shapes(len(y))
     distance = y[shapes.second] - y[shapes.first]
     beyond = distance - shapes.ease
-    room = np.where(beyond > 0, shapes.most - shapes.ease, shapes.ease - shapes.least)
+    room = np.where(beyond > 0, shapes.longer, shapes.shorter)
     cost = shapes.one_hot @ wanted.ravel()
     cost += _STRETCH * (shapes.played * (beyond / room) ** 2).sum(axis=1)
     out = (distance < shapes.least) | (distance > shapes.most)
     able = ~out.any(axis=1) & (cost < _NEVER)
     able[-1] = False
-    if stands is _ELSEWHERE:
+    if stands == _ELSEWHERE:
         able[:] = False
-    rows = np.append(np.flatnonzero(able), np.full(len(stands), len(able) - 1))
+    nothing = np.full(len(stands), len(able) - 1)
+    rows = np.concatenate([able.nonzero()[0], nothing])
     centre = shapes.mean @ y - shapes.rest
     outmost = (y + shapes.outward).min(axis=1, initial=10.0)
+    count = shapes.count[rows]
+    first = len(count) - np.cumsum(np.bincount(count, minlength=6))  # of each number of notes
     return _States(
         fingers=shapes.fingers[rows],
         one_hot=shapes.one_hot[rows],
-        count=shapes.count[rows],
-        centre=np.append(centre[able], stands),
-        outmost=np.append(outmost[able], stands),
+        count=count,
+        playing=tuple(map(slice, first.tolist(), [len(count), *first[:-1].tolist()])),
+        centre=np.concatenate([centre[able], stands]),
+        outmost=np.concatenate([outmost[able], stands]),
         cost=cost[rows],
     )
 
@@ -370,43 +399,53 @@ class _Moment:
     right_before: NDArray[np.uint8]
 
     @property
+    def shared(self) -> list[tuple[slice, slice]]:
+        """States of the right and of the left hand that play all notes between them."""
+        right, left = self.hands
+        m = len(self.presses)
+        return [
+            (right.playing[k], left.playing[m - k]) for k in range(max(0, m - 5), min(m, 5) + 1)
+        ]
+
+    @property
     def choice(self) -> _Choice:
         fingers = tuple(hand.fingers.astype(np.uint8) for hand in self.hands)
         return _Choice(self.presses, fingers, self.left_before, self.right_before)
 
 
-def _beginning(places: Sequence[Array]) -> _Moment:
+def _beginning(places: Sequence[_Place]) -> _Moment:
+    right, left = (
+        _states(side, (), (_HOME,) if place == _STANDS else place)
+        for side, place in enumerate(places)
+    )
     nothing = np.zeros((1, 1), np.uint8)
-    hands = [
-        _states(np.zeros(0), np.zeros((0, 6)), np.array([_HOME]) if s is _STANDS else s)
-        for s in places
-    ]
-    return _Moment(-1.0, (), (hands[0], hands[1]), np.zeros((1, 1)), nothing, nothing)
+    return _Moment(-1.0, (), (right, left), np.zeros((1, 1)), nothing, nothing)
 
 
 def _next_moment(
-    before: _Moment, time: float, begin: Sequence[_Press], places: Sequence[Array]
+    before: _Moment, time: float, begin: Sequence[_Press], places: Sequence[_Place]
 ) -> tuple[_Moment, list[tuple[_Press, str]]]:
     """The moment `time` with as many of the notes that `begin` as can be played."""
     struck = {press.key for press in begin}
     held = [p for p in before.presses if p.end > time + LETTING_GO and p.key not in struck]
-    most = 5 * sum(place is _STANDS for place in places)
+    most = 5 * sum(place == _STANDS for place in places)
     if len(held) + len(begin) <= most:
-        moment = _moment(before, time, [*held, *begin], places)
-        if moment.cost.min() < _NEVER:
-            return moment, []
-    moment = _moment(before, time, held, places)
+        whole = _moment(before, time, [*held, *begin], places)
+        if whole.cost.min() < _NEVER:
+            return whole, []
+    moment = None
     left_out = []
     for press in _outer_first(begin, held):
-        if len(moment.presses) == most:
+        taken = held if moment is None else moment.presses
+        if len(taken) == most:
             left_out.append((press, f"more than {most} notes at once for"))
             continue
-        tried = _moment(before, time, [*moment.presses, press], places)
+        tried = _moment(before, time, [*taken, press], places)
         if tried.cost.min() < _NEVER:
             moment = tried
         else:
             left_out.append((press, _reason(tried)))
-    return moment, left_out
+    return moment or _moment(before, time, held, places), left_out
 
 
 def _reason(moment: _Moment) -> str:
@@ -417,50 +456,63 @@ def _reason(moment: _Moment) -> str:
 
 
 def _moment(
-    before: _Moment, time: float, presses: Sequence[_Press], places: Sequence[Array]
+    before: _Moment, time: float, presses: Sequence[_Press], places: Sequence[_Place]
 ) -> _Moment:
     presses = tuple(sorted(presses, key=lambda press: press.key))
-    seconds = max(time - before.time, LETTING_GO)
-    hands, transitions = [], []
-    for side, stands in enumerate(places):
-        sign, order = (1.0, 1) if side == 0 else (-1.0, -1)
-        earlier, now = before.presses[::order], presses[::order]
-        y = sign * KEY_Y[[press.key for press in now]]
-        states = _states(y, _wanted(now, side, time), stands)
-        change = _changes(earlier, now, time, sign)
-        transitions.append(_transition(before.hands[side], states, change, seconds))
-        hands.append(states)
-    right, left = hands
-    # (R', L) over L', then (R, L) over R'
-    ways = before.cost[:, None, :] + transitions[1].T
-    left_before = ways.argmin(axis=2)
-    cost = np.take_along_axis(ways, left_before[:, :, None], axis=2)[:, :, 0]
-    ways = cost.T[None, :, :] + transitions[0].T[:, None, :]
-    right_before = ways.argmin(axis=2)
-    cost = np.take_along_axis(ways, right_before[:, :, None], axis=2)[:, :, 0]
-    cost = cost + right.cost[:, None] + left.cost + _closeness(right, left)
-    cost[right.count[:, None] + left.count != len(presses)] = np.inf
-    cost[cost >= _NEVER] = np.inf
-    return _Moment(
-        time,
-        presses,
-        (right, left),
-        cost,
-        left_before.astype(np.uint8),
-        right_before.astype(np.uint8),
+    asked = tuple(
+        _Asked(p.key, begins, p.finger if begins else UNKNOWN_FINGER)
+        for p in presses
+        for begins in (p.start >= time,)
     )
+    right, left = (
+        _states(side, asked[::order], place)
+        for side, (order, place) in enumerate(zip((1, -1), places, strict=True))
+    )
+    close = _closeness(right, left)
+    through = np.full((len(before.cost), len(left.cost)), np.inf)  # (R', L) the cheapest over L'
+    cost = np.full(close.shape, np.inf)
+    left_before, right_before = np.zeros(through.shape, np.uint8), np.zeros(cost.shape, np.uint8)
+    moment = _Moment(time, presses, (right, left), cost, left_before, right_before)
+    fits = close + right.cost[:, None] + left.cost < _NEVER
+    if not any(fits[both].any() for both in moment.shared):
+        return moment
+    changes = _changes(before.presses, presses, time)
+    seconds = max(time - before.time, LETTING_GO)
+    to_right, to_left = (
+        _transition(was, will, change, seconds)
+        for was, will, change in zip(before.hands, moment.hands, changes, strict=True)
+    )
+    for was_right, was_left in before.shared:
+        ways = before.cost[was_right, None, was_left] + to_left.T[:, was_left]
+        _least(ways, was_left, through[was_right], left_before[was_right])
+    for is_right, is_left in moment.shared:
+        ways = through.T[is_left] + to_right.T[is_right, None]
+        _least(ways, slice(0, None), cost[is_right, is_left], right_before[is_right, is_left])
+    cost += right.cost[:, None]
+    cost += left.cost
+    cost += close
+    cost[cost >= _NEVER] = np.inf
+    return moment
 
 
-def _wanted(presses: Sequence[_Press], side: int, time: float) -> Array:
+def _least(ways: Array, among: slice, cost: Array, before: NDArray[np.uint8]) -> None:
+    """Writes the least of the last axis of `ways` to `cost`, and its place `among` all `before`."""
+    if ways.size:
+        best = ways.argmin(axis=2)
+        cost[...] = np.take_along_axis(ways, best[..., None], axis=2)[..., 0]
+        before[...] = best + among.start
+
+
+def _wanted(asked: Sequence[_Asked], side: int) -> Array:
     """(m, 6) what each finger on each of the notes costs."""
-    wanted = np.zeros((len(presses), 6))
-    for row, press in zip(wanted, presses, strict=True):
-        if press.start < time:  # held, and paid for
+    wanted = np.zeros((len(asked), 6))
+    for row, note in zip(wanted, asked, strict=True):
+        if not note.begins:  # paid for
             continue
-        row += _WEAK + (_ON_BLACK if IS_BLACK[press.key] else 0.0)
-        if press.finger != UNKNOWN_FINGER:
-            ours = press.finger // 5 == side
-            row[np.arange(6) != (press.finger % 5 if ours else _NO_FINGER)] = _NEVER
+        row += _WEAK + (_ON_BLACK if IS_BLACK[note.key] else 0.0)
+        if note.finger != UNKNOWN_FINGER:
+            ours = note.finger // 5 == side
+            row[np.arange(6) != (note.finger % 5 if ours else _NO_FINGER)] = _NEVER
     return wanted
 
 
@@ -470,38 +522,56 @@ _SAME = np.pad(np.eye(5), (0, 1))
 _OTHER = 1.0 - np.eye(6)
 
 
-def _changes(earlier: Sequence[_Press], now: Sequence[_Press], time: float, sign: float) -> Array:
-    """(6 m', 6 m) what it costs if a finger on a note before is followed by a finger on a note."""
-    if not earlier or not now:
-        return np.zeros((6 * len(earlier), 6 * len(now)))
+_TABLES = np.stack(  # (5, 72) of the right hand and of the left, whose keys rise to the thumb
+    [[_OTHER, _OTHER], [_OTHER, _OTHER], [_SAME, _SAME], [_UP, _DOWN], [_DOWN, _UP]]
+).reshape(5, 72)
+
+
+def _changes(
+    earlier: Sequence[_Press], now: Sequence[_Press], time: float
+) -> tuple[Array, Array] | tuple[None, None]:
+    """(6 m', 6 m) what it costs if a finger on a note before is followed by a finger on a note.
+
+    Of the right hand and of the left; None where nothing costs anything.
+    """
     keys_before = np.array([press.key for press in earlier])[:, None]
     keys = np.array([press.key for press in now])
     begins = np.array([press.start >= time for press in now])
-    gap = np.array([max(time - press.end, 0.0) for press in earlier])
+    gap = np.array([[max(time - press.end, 0.0)] for press in earlier])
+    if not earlier or not now:
+        return None, None
     same_key = keys_before == keys
-    still = np.zeros(len(earlier), bool)
-    still[[any(p is q for q in now) for p in earlier]] = True
-    moves = begins & ~same_key & ~(same_key & begins).any(axis=1)[:, None] & ~still[:, None]
-    hurry = (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))[:, None]
-    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))[:, None] * moves
-    up = sign * (keys - keys_before) > 0
-    tables = (
-        (_NEVER * (same_key & ~begins), _OTHER),
-        (_OTHER_FINGER * (same_key & begins), _OTHER),
-        (_SAME_FINGER * hurry * moves, _SAME),
-        (cross * up, _UP),
-        (cross * ~up, _DOWN),
-    )
-    cost = sum(weight[:, None, :, None] * table[:, None, :] for weight, table in tables)
-    return np.asarray(cost).reshape(6 * len(earlier), 6 * len(now))
+    struck = same_key & begins
+    ended = [
+        [not (any(p is q for q in now) or hit)]
+        for p, hit in zip(earlier, struck.any(axis=1).tolist(), strict=True)
+    ]
+    moves = begins & ~same_key & ended
+    hurry = 1 - np.minimum(gap / _TIME_TO_MOVE, 1.0)
+    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0)) * moves
+    up = keys > keys_before
+    weights = np.empty((len(earlier), len(now), 5))
+    weights[..., 0] = _NEVER * (same_key & ~begins)
+    weights[..., 1] = _OTHER_FINGER * struck
+    weights[..., 2] = _SAME_FINGER * hurry * moves
+    weights[..., 3] = cross * up
+    weights[..., 4] = cross * ~up
+    if not weights.any():
+        return None, None
+    cost = (weights @ _TABLES).reshape(len(earlier), len(now), 2, 6, 6).transpose(2, 0, 3, 1, 4)
+    shape = 6 * len(earlier), 6 * len(now)
+    return cost[0].reshape(shape), cost[1, ::-1, :, ::-1].reshape(shape)
 
 
-def _transition(before: _States, now: _States, change: Array, seconds: float) -> Array:
+def _transition(was: _States, will: _States, change: Array | None, seconds: float) -> Array:
     """(S', S) what it costs a hand to go from one state to another in `seconds`."""
-    way = np.abs(now.centre - before.centre[:, None])
-    free = (before.count[:, None] == 0) | (now.count == 0)
+    way = np.abs(will.centre - was.centre[:, None])
+    free = (was.count[:, None] == 0) | (will.count == 0)
     way = np.maximum(way - (_STANDS[1] - _STANDS[0]) / 2 * free, 0.0)
-    return _WAY * way + _SPEED / seconds * way**2 + before.one_hot @ change @ now.one_hot.T
+    cost = _WAY * way + _SPEED / seconds * way**2
+    if change is not None:
+        cost += was.one_hot @ change @ will.one_hot.T
+    return cost
 
 
 def _closeness(right: _States, left: _States) -> Array:
