@@ -31,11 +31,16 @@ def shortened(arguments: list[str]) -> list[str]:
     return [*added, *(["--num-steps", "600", "--seed-steps", "300"] if learns else [])]
 
 
-def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = blocks("python")
-    assert len([line for line in example.splitlines() if line.strip()]) <= 10
-    exec(compile(example, "README.md", "exec"), {})
-    assert "goal" in capsys.readouterr().out
+def test_the_python_examples_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    plays, steps = blocks("python")
+    for example in (plays, steps):
+        assert len([line for line in example.splitlines() if line.strip()]) <= 10
+        exec(compile(example, "README.md", "exec"), {})
+    assert float(capsys.readouterr().out.split()[0]) > 0.95
+    assert (tmp_path / "joy" / "report.html").exists()
 
 
 def test_the_commands_run_one_after_another(
@@ -45,7 +50,7 @@ def test_the_commands_run_one_after_another(
     monkeypatch.chdir(tmp_path)
     for line in command_lines():
         arguments = shlex.split(line)[1:]
-        if "--help-all" in arguments:
+        if {"--help", "--help-all"} & set(arguments):
             with pytest.raises(SystemExit) as stop:
                 main(arguments)
             assert stop.value.code == 0
