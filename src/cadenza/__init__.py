@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cadenza.performing.planning import Plan, plan
     from cadenza.tasks.config import TaskConfig
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Agent",
