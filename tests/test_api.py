@@ -111,7 +111,7 @@ def test_an_agent_of_ones_own_plays() -> None:
     np.testing.assert_array_equal(
         performance.episode["key_qpos"], cadenza.play(TUNE, "zero").episode["key_qpos"]
     )
-    with pytest.raises(cadenza.CadenzaError, match=r"shape \(1,\), and the task .* \(39,\)"):
+    with pytest.raises(cadenza.CadenzaError, match=r"shape \(1,\), but the task .* \(39,\)"):
         cadenza.play(TUNE, OneFinger())
 
 
@@ -154,7 +154,7 @@ def test_what_is_repaired_in_a_song_is_a_warning(tmp_path: Path) -> None:
 
 def test_agents_that_belong_to_a_song() -> None:
     for name in ("pretrained", "replay"):
-        with pytest.raises(cadenza.CadenzaError, match=r"belongs to a song: .* cadenza\.play"):
+        with pytest.raises(cadenza.CadenzaError, match=r"depends on the song: .* cadenza\.play"):
             cadenza.make_agent(name)
 
 

@@ -127,6 +127,6 @@ def test_a_run_whose_learner_has_other_threads_says_so(
     for threads, said in ((2, 0), (None, 0), (7, 1)):
         monkeypatch.setattr(training, "num_threads", lambda threads=threads: threads)
         go_on(copy, 1)
-        assert capsys.readouterr().err.count("JAX was started before this run, with 7") == said
+        assert capsys.readouterr().err.count("JAX was started before this run with 7") == said
         facts = json.loads((newest(copy) / "facts.json").read_text())
         assert facts["threads"] == threads

@@ -456,9 +456,9 @@ def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--initial-buffer-time", "0"], "initial_buffer_time 0.5, here it is 0.0"),
-        (["--stretch", "1.001"], "stretch 1.0, here it is 1.001"),
-        (["--hand-spacing", "0.31"], "hand_spacing 0.3, here it is 0.31"),
+        (["--initial-buffer-time", "0"], "initial_buffer_time 0.5, but here it is 0.0"),
+        (["--stretch", "1.001"], "stretch 1.0, but here it is 1.001"),
+        (["--hand-spacing", "0.31"], "hand_spacing 0.3, but here it is 0.31"),
     ],
 )
 def test_a_plan_made_with_other_options(
@@ -472,7 +472,7 @@ def test_a_plan_made_with_other_options(
     np.savez(path, action=np.zeros((23, 39)), options=json.dumps(options_of(task, scene, 0)))
     arguments = ("play", tune, "--agent", "replay", "--plan", path, *options, "-o", tmp_path)
     said = refused_in_a_line(capsys, *arguments)
-    assert f"{path}: was planned with {message}; choose the same" in said
+    assert f"{path}: was planned with {message}; use the same value" in said
 
 
 def test_a_plan_is_an_npz_file(
@@ -687,11 +687,11 @@ def test_a_plan_for_something_else(
 ) -> None:
     plan = perfect_plan(TUNE, tmp_path / "plan.npz")
     arguments = ("play", tune, "--agent", "replay", "--plan", plan, "-o", tmp_path)
-    assert f"{NUM_KEYS + 1} actions a step and this task 39" in refused_in_a_line(
+    assert f"{NUM_KEYS + 1} actions per step, but this task has 39" in refused_in_a_line(
         capsys, *arguments
     )
     longer = (*arguments, "--hands", "none", "--initial-buffer-time", "0.1")
-    assert "13 steps and the song 15" in refused_in_a_line(capsys, *longer)
+    assert "13 steps, but the song has 15" in refused_in_a_line(capsys, *longer)
 
 
 @pytest.mark.parametrize(

@@ -119,17 +119,17 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("--stretch", "2", "learnt the song with stretch 1.0, here it is 2.0"),
-        ("--hands", "right", "learnt the song with hands both, here it is right"),
-        ("--random-pitch-shift", "2", "with random_pitch_shift 0, here it is 2"),
+        ("--stretch", "2", "was trained with stretch 1.0, but here it is 2.0"),
+        ("--hands", "right", "was trained with hands both, but here it is right"),
+        ("--random-pitch-shift", "2", "with random_pitch_shift 0, but here it is 2"),
     ],
 )
 def test_what_changes_the_plan_that_a_policy_corrects(
     option: str, value: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = refused(capsys, "play", "OdeToJoy", "--agent", "pretrained", option, value)
-    assert line.startswith("cadenza: pretrained: learnt the song with ")
-    assert line.endswith(f"{said}; leave out that option, or train anew")
+    assert line.startswith("cadenza: pretrained: was trained with ")
+    assert line.endswith(f"{said}; leave out that option, or train a new policy")
     assert not (here / "played").exists()
 
 
@@ -188,8 +188,8 @@ def test_each_agent_is_compared_in_its_own_task(
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("--hands", "right", "with hands both, here it is right"),
-        ("--n-steps-lookahead", "3", "with n_steps_lookahead 10, here it is 3"),
+        ("--hands", "right", "with hands both, but here it is right"),
+        ("--n-steps-lookahead", "3", "with n_steps_lookahead 10, but here it is 3"),
     ],
 )
 def test_what_a_policy_cannot_observe(
@@ -206,7 +206,7 @@ def test_the_folder_of_a_run_is_not_that_of_a_policy(
     policy(here / "run" / "best")
     for arguments in (["run"], ["OdeToJoy", "--agent", "run"]):
         line = refused(capsys, "play", *arguments)
-        assert line == "cadenza: run: is that of a run; its best policy is run/best"
+        assert line == "cadenza: run: is the folder of a training run; its best policy is run/best"
 
 
 def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,7 +219,7 @@ def test_who_cannot_play_is_told_before_anyone_has_played(
 ) -> None:
     policy(here / "run")
     line = refused(capsys, "compare", "tune.mid", "--agents", "zero", "run", "--hands", "right")
-    assert line.startswith("cadenza: run: learnt the song with hands both")
+    assert line.startswith("cadenza: run: was trained with hands both")
     assert not (here / "played").exists()
 
 
@@ -269,7 +269,7 @@ def test_an_agent_of_ones_own(here: Path) -> None:
         (":Still", "agent :Still: cannot import ''"),
         ("own:Moving", "agent own:Moving: there is no class 'Moving' in "),
         ("own:not_a_class", "there is no class 'not_a_class' in "),
-        ("own:OnlyResets", "agent own:OnlyResets: has no method act; give it reset(task, rng)"),
+        ("own:OnlyResets", "agent own:OnlyResets: has no method act; it needs reset(task, rng)"),
         ("planer", "no agent 'planer': did you mean planner? choose from planner, "),
         ("xyz", "no agent 'xyz': choose from planner, "),
     ],

@@ -83,7 +83,7 @@ def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
     assert arguments[-3:] == ["--tracks", "1", "3"]
     main([*arguments, "--no-video", "-o", str(tmp_path)])
     said = refused(capsys, *arguments[:-3], "-o", tmp_path)
-    assert "was planned with tracks [1, 3], here it is []" in said
+    assert "was planned with tracks [1, 3], but here it is []" in said
 
 
 def test_a_track_that_is_not_there(trio: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
 _FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-_ANOTHER = "it is damaged, changed or of another version; take another copy"
+_ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 # Writing
 

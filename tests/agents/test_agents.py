@@ -311,7 +311,7 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
         ({"iterations": 0}, "iterations 0: choose 1 or more"),
         ({"sigma": -0.1}, "sigma -0.1: choose 0 or more"),
         ({"sigma": float("nan")}, "sigma nan"),
-        ({"horizon": 0.0}, "the horizon must hold a planning step"),
+        ({"horizon": 0.0}, "the horizon must be at least one planning timestep"),
         ({"horizon": float("inf")}, "horizon inf s"),
         ({"planning_timestep": 0.3}, "planning_timestep 0.3 s"),
         ({"planning_timestep": 0.012}, "not a multiple of the physics step"),

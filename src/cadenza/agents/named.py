@@ -53,7 +53,7 @@ AGENTS = {
         "the paper's planner with derivatives", f"{_PLANNING}.ilqg:ILQG", ILQGConfig
     ),
     "tracked-presses": NamedAgent(
-        "presses optimised beforehand and tracked by LQR",
+        "key presses optimised beforehand and tracked with LQR",
         f"{_PLANNING}.tracked_presses:TrackedPresses",
         TrackedPressesConfig,
     ),
@@ -83,7 +83,7 @@ def make_agent(name: str, config: Any = None) -> Agent:
     if ":" in name:
         return _checked(_class_at(name)(), name)
     if name in NAMES:
-        raise CadenzaError(f"agent {name!r} belongs to a song: give it to cadenza.play")
+        raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
     close = get_close_matches(name, NAMES, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     raise CadenzaError(
@@ -108,6 +108,6 @@ def _checked(agent: Any, place: str) -> Agent:
     if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
         raise CadenzaError(
             f"agent {place}: has no method {' and no method '.join(lacking)}; "
-            "give it reset(task, rng) and act(), as cadenza.Agent says"
+            "it needs reset(task, rng) and act(), see cadenza.Agent"
         )
     return agent

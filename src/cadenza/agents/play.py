@@ -68,8 +68,8 @@ def play(
         decided = time.perf_counter()
         if np.shape(action) != (task.action_size,):
             raise CadenzaError(
-                f"the agent's act() gave an action of shape {np.shape(action)}, and the task has "
-                f"actions of shape ({task.action_size},)"
+                f"the agent's act() returned an action of shape {np.shape(action)}, "
+                f"but the task needs ({task.action_size},)"
             )
         transition = task.step(action[None])
         playing += time.perf_counter() - decided

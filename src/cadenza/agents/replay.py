@@ -60,12 +60,12 @@ class ReplayAgent:
         steps, width = self._plan.shape
         if width != task.action_size:
             raise CadenzaError(
-                f"the plan has {width} actions a step and this task {task.action_size}: "
+                f"the plan has {width} actions per step, but this task has {task.action_size}: "
                 f"{_other_space(task)}"
             )
         if steps != task.sheets.num_steps[0]:
             raise CadenzaError(
-                f"the plan has {steps} steps and the song {task.sheets.num_steps[0]}: "
+                f"the plan has {steps} steps, but the song has {task.sheets.num_steps[0]}: "
                 "was it made for another song, tempo or initial silence?"
             )
         self._step = 0
@@ -119,12 +119,12 @@ def check_options(path: Path, options: Mapping[str, Any]) -> None:
         if name not in options:
             raise CadenzaError(
                 f"{path}: was planned with an option {name!a}, which this version of Cadenza does "
-                "not have; plan it anew"
+                "not have; plan it again"
             )
         if options[name] != value:
             raise CadenzaError(
-                f"{path}: was planned with {name} {value!r}, here it is {options[name]!r}; "
-                "choose the same"
+                f"{path}: was planned with {name} {value!r}, but here it is {options[name]!r}; "
+                "use the same value"
             )
 
 

@@ -83,7 +83,7 @@ def test_where_others_could_write_nothing_is_claimed(
         assert cores == set()
         assert os.sched_getaffinity(0) == before
     said = capsys.readouterr().err
-    assert said.startswith("runs side by side may share cores (")
+    assert said.startswith("parallel runs may share cores (")
     assert said.count("\n") == 1
     assert (tmp_path / "dear").read_text() == "dear"
     assert not list((tmp_path / "elsewhere").glob("*"))
@@ -104,7 +104,7 @@ def test_a_folder_of_another_user_is_not_used(
     monkeypatch.setattr(Path, "lstat", of_another)
     with claimed_cores(1) as cores:
         assert cores == set()
-    assert "may share cores (not a folder that you alone can write to" in capsys.readouterr().err
+    assert "may share cores (not a folder that only you can write to" in capsys.readouterr().err
 
 
 def test_a_killed_run_gives_its_cores_back() -> None:

@@ -195,6 +195,6 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
 def test_refuses_a_task_that_shows_something_else() -> None:
     learnt = PianoTask(SONGS)
     other = PianoTask(SONGS, TaskConfig(n_steps_lookahead=3))
-    with pytest.raises(CadenzaError, match=r"observes 1\d+ numbers.*shows \d+: choose") as error:
+    with pytest.raises(CadenzaError, match=r"observes 1\d+ numbers.*has \d+: use") as error:
         Observer(other, Scores(other), inputs_of(learnt, None, False))
     assert "\n" not in str(error.value)

@@ -101,7 +101,7 @@ def test_plays_by_what_it_is_shown() -> None:
 
 def test_corrections_are_of_the_song_that_was_learnt() -> None:
     other = replace(some_policy(residual=True), score=melody(60, 64, 67, 72, 76))
-    with pytest.raises(CadenzaError, match="plays what it has learnt only"):
+    with pytest.raises(CadenzaError, match="can only play the song"):
         played(other)
 
 
@@ -137,7 +137,7 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
     facts, arrays = read_sealed(tmp_path / "policy", "policy")
     write_sealed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
     assert_refused(
-        tmp_path / "policy", "format 99, and this version reads up to 2; install the version"
+        tmp_path / "policy", "format 99, but this version reads only up to 2; install the version"
     )
 
 
@@ -175,7 +175,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
     ):
         save_policy(tmp_path / "policy", replace(learnt, weights=weights), {})
         assert_refused(
-            tmp_path / "policy", "not a policy as this version writes it|of another version"
+            tmp_path / "policy", "not a policy that this version can read|from another version"
         )
 
 
@@ -188,10 +188,10 @@ def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 
 def test_a_task_that_shows_something_else_is_refused() -> None:
     learnt = some_policy()
-    with pytest.raises(CadenzaError, match="choose the options of the task and the scene"):
+    with pytest.raises(CadenzaError, match="use the task and scene"):
         play(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
 
 
 def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:
     write_sealed(tmp_path / "policy", "checkpoint", {"step": 3}, {})
-    assert_refused(tmp_path / "policy", "is no policy that Cadenza wrote")
+    assert_refused(tmp_path / "policy", "is not a policy written by Cadenza")

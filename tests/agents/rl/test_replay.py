@@ -184,7 +184,7 @@ def test_batches_have_the_shape_that_was_asked_for() -> None:
 
 
 def test_nothing_can_be_drawn_before_anything_was_done() -> None:
-    with pytest.raises(ValueError, match="nothing was done"):
+    with pytest.raises(ValueError, match="no transitions yet"):
         Playing(2, 10, 0).replay.sample(np.random.default_rng(0), (4,))
 
 

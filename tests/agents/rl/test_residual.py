@@ -90,7 +90,7 @@ def test_a_plan_is_for_one_score_and_for_hands() -> None:
         with pytest.raises(CadenzaError, match=f"leave out {next(iter(option))}"):
             plan_of(task)
     task = PianoTask([SONG], scene=SceneConfig(hands="none"))
-    with pytest.raises(CadenzaError, match="this scene has none"):
+    with pytest.raises(CadenzaError, match="this scene has no hands"):
         plan_of(task)
 
 

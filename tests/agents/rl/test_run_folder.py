@@ -99,7 +99,7 @@ def test_a_run_knows_what_was_asked_for(tmp_path: Path) -> None:
 
 def test_a_run_is_begun_once(run: RunFolder) -> None:
     run.begin(TrainingConfig(), melody(60))
-    with pytest.raises(CadenzaError, match="holds a run already; go on with --resume"):
+    with pytest.raises(CadenzaError, match="already holds a run; continue it with --resume"):
         run.begin(TrainingConfig(seed=1), melody(60))
     assert run.settings()[0].seed == 0
 
@@ -124,19 +124,19 @@ def test_only_its_end_can_change(run: RunFolder) -> None:
     assert run.settings() == (config, melody(60))
     run.set_end(longer := replace(config, num_steps=200))
     assert run.settings() == (longer, melody(60))
-    with pytest.raises(CadenzaError, match="leave out all others but --num-steps"):
+    with pytest.raises(CadenzaError, match="leave out all but --num-steps"):
         run.set_end(replace(longer, num_steps=300, seed=1))
     assert run.settings() == (longer, melody(60))
 
 
 def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -> None:
-    with pytest.raises(CadenzaError, match="holds no run to go on with"):
+    with pytest.raises(CadenzaError, match="holds no run to resume"):
         run.settings()
     run.begin(TrainingConfig(), melody(60))
     content = (run.path / "run.json").read_text()
     for changed in (content[:100], "[]", "{}", content.replace('"tau"', '"tao"')):
         (run.path / "run.json").write_text(changed)
-        with pytest.raises(CadenzaError, match=r"run\.json: .* of another version"):
+        with pytest.raises(CadenzaError, match=r"run\.json: .* from another version"):
             run.settings()
 
 
@@ -248,7 +248,7 @@ def test_where_all_are_damaged_nothing_is_started_over(run: RunFolder) -> None:
     for step in (10, 20):
         saving.at(step)
         damage(saving.folder(step) / "arrays.npz")
-    with pytest.raises(CadenzaError, match="no checkpoint is whole; start a new run"):
+    with pytest.raises(CadenzaError, match="no checkpoint is intact; start a new run"):
         run.load()
 
 
@@ -333,7 +333,7 @@ def test_shortened_figures_are_not_lengthened(
     path = run.path / "metrics.jsonl"
     path.write_bytes(path.read_bytes()[:-5])
     assert run.load() is not None
-    assert capsys.readouterr().err == f"{path}: rows of figures are missing\n"
+    assert capsys.readouterr().err == f"{path}: rows of metrics are missing\n"
     run.add_row({"step": 30, "seconds": 3.0})
     assert [row["step"] for row in run.rows()] == [10, 30]
     assert b"\0" not in path.read_bytes()
@@ -369,7 +369,7 @@ def test_lines_that_are_no_rows_are_left_out(
     assert run.rows() == [row, row]
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "left out what is no row of figures, lines: 1\n" in said
+    assert "skipped lines that are not rows of metrics: 1\n" in said
 
 
 # Links

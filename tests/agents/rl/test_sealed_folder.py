@@ -89,10 +89,10 @@ def test_files_that_are_cut_off_or_missing_are_noticed(
 
 
 def test_folders_of_something_else_are_refused(folder: Path, tmp_path: Path) -> None:
-    assert_refused(folder, "is no policy that Cadenza wrote", kind="policy")
-    assert_refused(tmp_path / "nowhere", r"there is no manifest\.json")
+    assert_refused(folder, "is not a policy written by Cadenza", kind="policy")
+    assert_refused(tmp_path / "nowhere", r"holds no manifest\.json")
     (tmp_path / "empty").mkdir()
-    assert_refused(tmp_path / "empty", r"there is no manifest\.json")
+    assert_refused(tmp_path / "empty", r"holds no manifest\.json")
     (tmp_path / "file").write_text("no folder")
     assert_refused(tmp_path / "file")
     for content in (b"", b"[1, 2]", b"null", b'{"kind": 3}', b'{"kind": "thing"}', b"\xff\xfe"):

@@ -117,5 +117,5 @@ def _check(config: PredictiveSamplingConfig) -> None:
     if not 0 < config.planning_timestep <= config.horizon < math.inf:
         raise CadenzaError(
             f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
-            "the horizon must hold a planning step"
+            "the horizon must be at least one planning timestep"
         )

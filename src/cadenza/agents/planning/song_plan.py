@@ -60,7 +60,7 @@ def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> It
         CadenzaError: there are no hands in the scene.
     """
     if not task.scene.sides:
-        raise CadenzaError("a plan is for hands to play, and this scene has none")
+        raise CadenzaError("cannot plan: this scene has no hands")
     score, dropped = find_fingering(score, task.scene.sides, partial(progress, "fingers"))
     goals = goals_of(score, task.config)
     scene, dt = build_scene(task.scene.config), task.config.control_timestep

@@ -214,7 +214,7 @@ def check(config: TrainingConfig) -> None:
         if not 0 < values[name] < math.inf:
             raise CadenzaError(f"{name} {values[name]}: choose more than 0")
     if not values["hidden_sizes"] or min(values["hidden_sizes"]) < 1:
-        raise CadenzaError(f"hidden_sizes {values['hidden_sizes']}: choose a width a layer")
+        raise CadenzaError(f"hidden_sizes {values['hidden_sizes']}: give one width per layer")
     for name in _BELOW_ONE:
         if not 0 <= values[name] < 1:
-            raise CadenzaError(f"{name} {values[name]}: choose 0 or more, below 1")
+            raise CadenzaError(f"{name} {values[name]}: choose 0 or more and less than 1")

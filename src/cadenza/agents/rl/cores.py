@@ -37,11 +37,11 @@ def claimed_cores(number: int) -> Iterator[set[int]]:
             kept = own or {next(shared)}
         except OSError as error:
             why = f"{error.strerror}: {error.filename}"
-            print(f"runs side by side may share cores ({why})", file=sys.stderr)
+            print(f"parallel runs may share cores ({why})", file=sys.stderr)
             own, kept = set(), all_cores
         else:
             if not own:
-                print("all cores are claimed by other runs: sharing one", file=sys.stderr)
+                print("all cores are in use by other runs: sharing one", file=sys.stderr)
         os.sched_setaffinity(0, kept)
         try:
             yield own
@@ -60,7 +60,7 @@ def _folder() -> Path:
     there = folder.lstat()
     for_others = stat.S_IWGRP | stat.S_IWOTH
     if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid() or there.st_mode & for_others:
-        raise OSError(errno.EPERM, "not a folder that you alone can write to", str(folder))
+        raise OSError(errno.EPERM, "not a folder that only you can write to", str(folder))
     return folder
 
 

@@ -120,8 +120,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]], like: LearnerState) -> LearnerS
     kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}
     if kinds != {name: (array.shape, array.dtype) for name, array in arrays.items()}:
         raise CadenzaError(
-            "the checkpoint is of a learner that this version of Cadenza does not have; go on with "
-            "the version that run.json names"
+            "this version of Cadenza cannot read the learner in the checkpoint; continue with the "
+            "version named in run.json"
         )
     return jax.tree.unflatten(
         structure, [jnp.asarray(arrays[jax.tree_util.keystr(path)]) for path, _ in leaves]

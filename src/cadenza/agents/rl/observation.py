@@ -160,9 +160,9 @@ class Observer:
         """
         if inputs.total != inputs_of(task, None, plan is not None).total:
             raise CadenzaError(
-                f"the policy observes {inputs.total} numbers, and this task shows "
-                f"{inputs_of(task, None, plan is not None).total}: choose the options of the "
-                "task and the scene that it was trained with"
+                f"the policy observes {inputs.total} numbers, but this task has "
+                f"{inputs_of(task, None, plan is not None).total}: use the task and scene options "
+                "that it was trained with"
             )
         self.inputs = inputs
         self._scores, self._plan = scores, plan

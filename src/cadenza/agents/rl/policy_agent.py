@@ -50,15 +50,16 @@ class PolicyAgent:
         known = len(ranges.joints[0]) if ranges else joints
         if (self._policy.num_actions, known) != (actions, joints):
             raise CadenzaError(
-                f"the policy moves {known} joints by {self._policy.num_actions} actions, and this "
-                f"task has {joints} and {actions}: choose the options of the task and the scene "
-                "that it was trained with"
+                f"the policy moves {known} joints with {self._policy.num_actions} actions, but "
+                f"this task has {joints} joints and {actions} actions: use the task and scene "
+                "options that it was trained with"
             )
         planned = (steps, actions - 1, steps + 1)
         if plan is not None and (*plan.ctrl.shape, len(plan.expected)) != planned:
             raise CadenzaError(
                 f"the policy corrects a plan of {len(plan.ctrl)} steps and {plan.ctrl.shape[1]} "
-                f"servos, and here are {steps} and {actions - 1}: it plays what it has learnt only"
+                f"servos, but this task has {steps} and {actions - 1}: it can only play the song "
+                "that it was trained on"
             )
 
     def act(self) -> Array:

@@ -131,8 +131,8 @@ class LearntPolicy:
         for option in options:
             if here[option] != learnt[option]:
                 raise CadenzaError(
-                    f"{name}: learnt the song with {option} {learnt[option]}, here it is "
-                    f"{here[option]}; leave out that option, or train anew"
+                    f"{name}: was trained with {option} {learnt[option]}, but here it is "
+                    f"{here[option]}; leave out that option, or train a new policy"
                 )
 
 
@@ -167,11 +167,13 @@ def load_policy(folder: Path) -> LearntPolicy:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
     if (folder / "best").is_dir():
-        raise CadenzaError(f"{folder}: is that of a run; its best policy is {folder / 'best'}")
+        raise CadenzaError(
+            f"{folder}: is the folder of a training run; its best policy is {folder / 'best'}"
+        )
     plain, arrays = read_sealed(folder, _KIND, _EXPECTED)
     if (number := plain.get("format")) not in _READ:
         raise CadenzaError(
-            f"{folder}: a policy of format {number!r}, and this version reads up to "
+            f"{folder}: this policy has format {number!r}, but this version reads only up to "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
     learnt = _learnt(checked(plain, _Facts, folder / "facts.json"), arrays, folder)
@@ -179,7 +181,7 @@ def load_policy(folder: Path) -> LearntPolicy:
         learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))  # layers that fit
     except (KeyError, ValueError) as error:
         raise CadenzaError(
-            f"{folder}: not a policy as this version writes it ({error!r}); take another copy"
+            f"{folder}: not a policy that this version can read ({error!r}); use another copy"
         ) from error
     return learnt
 
@@ -197,8 +199,8 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]], folder: Path) -> Lea
     for names, kind, wanted in ((plan, Plan, facts.residual), (ranges, Ranges, bool(ranges))):
         if names.keys() != set(kind._fields if wanted else ()):
             raise CadenzaError(
-                f"{folder}: not a policy as this version writes it (arrays of its plan or its "
-                "ranges are missing, or too many); take another copy"
+                f"{folder}: not a policy that this version can read (arrays of its plan or its "
+                "ranges are missing, or too many); use another copy"
             )
     return LearntPolicy(
         weights={n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))},

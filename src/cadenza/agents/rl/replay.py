@@ -52,7 +52,7 @@ class Replay:
             self._frames = self._empty(observer.rest_size, action_size)
         except MemoryError as error:
             raise CadenzaError(
-                f"replay_capacity {capacity}: there is no memory for so much; choose less"
+                f"replay_capacity {capacity}: not enough memory; choose less"
             ) from error
         self._count = np.zeros(num_envs, np.int64)  # frames ever added
         self._size = 0  # transitions
@@ -101,7 +101,7 @@ class Replay:
             ValueError: there is none.
         """
         if not self._size:
-            raise ValueError("nothing was done yet that could be learnt from")
+            raise ValueError("the replay buffer has no transitions yet")
         env, column = self._draw(rng, int(np.prod(shape)))
         return Batch(*(part.reshape(*shape, *part.shape[1:]) for part in self._batch(env, column)))
 
@@ -179,9 +179,9 @@ class Replay:
         check_arrays(chunk, self._expected(), "experience")
         start, to, there = chunk["from"], chunk["to"], len(chunk["row"])
         if ((start < self._count) | (to < start) | (to > start + self._shape[1])).any():
-            raise CadenzaError("experience: does not follow on what came before; start a new run")
-        if there != (to - start).sum():
-            raise CadenzaError(f"experience: {there} frames, and it is said to have others")
+            raise CadenzaError("experience: does not continue what came before; start a new run")
+        if there != (expected := (to - start).sum()):
+            raise CadenzaError(f"experience: has {there} frames instead of {expected}")
         gap = np.flatnonzero(self._count < start)
         self.skip(start)
         at = self._places(start, to)

@@ -150,8 +150,8 @@ class RunFolder:
         """
         if self._about.exists():
             raise CadenzaError(
-                f"{self.path}: holds a run already; go on with --resume {self.path}, or choose "
-                "another folder with --output"
+                f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
+                "choose another folder with --output"
             )
         versions = {name: version(name) for name in _VERSIONS}
         self._write(_About(config, score, versions, secrets.token_hex(8)))
@@ -165,7 +165,7 @@ class RunFolder:
         about = self._read()
         if replace(config, num_steps=about.config.num_steps) != about.config:
             raise CadenzaError(
-                f"{self.path}: goes on with its own options; leave out all others but --num-steps"
+                f"{self.path}: a resumed run keeps its own options; leave out all but --num-steps"
             )
         if config != about.config:
             self._write(replace(about, config=config))
@@ -176,7 +176,7 @@ class RunFolder:
 
     def _read(self) -> _About:
         if not self._about.exists():
-            raise CadenzaError(f"{self.path}: holds no run to go on with")
+            raise CadenzaError(f"{self.path}: holds no run to resume")
         return read_json(self._about, _About)
 
     def settings(self) -> tuple[TrainingConfig, Score]:
@@ -216,7 +216,7 @@ class RunFolder:
             there = file.read(size)
             file.truncate(there.rfind(b"\n") + 1)
         if len(there) < size:
-            print(f"{self._metrics}: rows of figures are missing", file=sys.stderr)
+            print(f"{self._metrics}: rows of metrics are missing", file=sys.stderr)
 
     # Checkpoints
 
@@ -272,7 +272,7 @@ class RunFolder:
             return None
         found = self._found(saved, expected)
         if not found:
-            raise CadenzaError(f"{self.path}: no checkpoint is whole; start a new run")
+            raise CadenzaError(f"{self.path}: no checkpoint is intact; start a new run")
         # The older one if they lose the same.
         best = min(found, key=lambda folder: (_lost(found[folder]) - int(folder.name), folder))
         for later in saved[saved.index(best) + 1 :]:
@@ -333,7 +333,7 @@ class RunFolder:
         except OSError as error:
             raise CadenzaError(
                 f"{self.path}: could not be written ({error.strerror}); the last checkpoint "
-                f"still loads. When there is room: cadenza train --resume {self.path}"
+                f"can still be loaded. Once there is room: cadenza train --resume {self.path}"
             ) from error
 
 
@@ -380,5 +380,5 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
         else:
             others += 1
     if others:
-        print(f"{path}: left out what is no row of figures, lines: {others}", file=sys.stderr)
+        print(f"{path}: skipped lines that are not rows of metrics: {others}", file=sys.stderr)
     return rows

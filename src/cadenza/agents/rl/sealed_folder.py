@@ -76,17 +76,17 @@ def read_sealed(
     if not folder.exists() and _beside(folder, "old").exists():
         folder = _beside(folder, "old")  # whoever writes is between two renames, or stopped there
     if not (folder / _MANIFEST).exists():
-        raise CadenzaError(f"{folder}: there is no {_MANIFEST} to say what it is")
+        raise CadenzaError(f"{folder}: holds no {_MANIFEST}, so it cannot be read")
     manifest = read_json(folder / _MANIFEST, _Manifest)
     if manifest["kind"] != kind:
-        raise CadenzaError(f"{folder}: is no {kind} that Cadenza wrote")
+        raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
     try:
         contents = {name: (folder / name).read_bytes() for name in ("facts.json", "arrays.npz")}
     except OSError as error:
-        raise CadenzaError(f"{folder}: the {kind} is not whole; take another copy") from error
+        raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy") from error
     for name, content in contents.items():
         if manifest["sha256"].get(name) != hashlib.sha256(content).hexdigest():
-            raise CadenzaError(f"{folder / name}: damaged or changed; take another copy")
+            raise CadenzaError(f"{folder / name}: damaged or modified; use another copy")
     facts = parsed_json(contents["facts.json"], dict[str, Any], folder / "facts.json")
     arrays = read_arrays(contents["arrays.npz"], expected, where=folder / "arrays.npz")
     return facts, arrays

@@ -100,8 +100,8 @@ class Training:
         self._threads = num_threads()
         if self._threads not in (None, NUM_THREADS):
             print(
-                f"JAX was started before this run, with {self._threads} threads instead of "
-                f"{NUM_THREADS}: what is learnt differs in its last digits from other runs with "
+                f"JAX was started before this run with {self._threads} threads instead of "
+                f"{NUM_THREADS}: results differ in their last digits from other runs with "
                 "the same seed",
                 file=sys.stderr,
             )
@@ -122,8 +122,8 @@ class Training:
                     self._restore(checkpoint)
                 except (ArithmeticError, LookupError, TypeError, ValueError) as error:
                     raise CadenzaError(
-                        f"{folder.path}: its checkpoint is not one of this run ({error!r}); "
-                        "take another copy, or start a new run"
+                        f"{folder.path}: its checkpoint does not belong to this run ({error!r}); "
+                        "use another copy, or start a new run"
                     ) from error
 
     def _new_task(self, num_envs: int) -> PianoTask:
@@ -302,7 +302,7 @@ class Training:
                 continue
             rows = gathered["row"]
             if len(rows) and not 0 <= rows.min() <= rows.max() < self._scores.num_rows:
-                raise CadenzaError(f"{self._folder.path}: {chunk.file} is of other scores")
+                raise CadenzaError(f"{self._folder.path}: {chunk.file} belongs to other scores")
             self._replay.restore(gathered)
             self._chunks.append(chunk)
         if checkpoint.facts.replay:

@@ -19,6 +19,6 @@ def pretrained_folder(song: str) -> Path:
         if name.lower() == song.lower():
             return here / name
     raise CadenzaError(
-        f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or have one learn it "
+        f"no pretrained policy for {song!r}: choose from {', '.join(names)}, or train one "
         "with cadenza train"
     )
