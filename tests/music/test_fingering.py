@@ -112,6 +112,15 @@ def test_a_note_held_keeps_its_finger_from_others() -> None:
     assert 0 not in fingers(found)[2:]
 
 
+def test_a_note_held_stays_in_its_hand() -> None:
+    """The little finger has no finger beyond it, and the other hand cannot take the note over."""
+    for little, beyond in ((4, 62), (9, 58)):
+        _, dropped = find_fingering(Score((Note(0, 2, 60, finger=little), Note(1, 2, beyond))))
+        assert [(d.note.pitch, d.reason) for d in dropped] == [
+            (beyond, "too far from what is held by both hands")
+        ]
+
+
 # What is dropped
 
 

@@ -152,7 +152,8 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    places = [_STANDS if side in sides else _ELSEWHERE for side in BOTH]
+    right, left = (_STANDS if side in sides else _ELSEWHERE for side in BOTH)
+    places = right, left
     moment = _beginning(places)
     choices: list[_Choice] = []
     reasons: dict[int, str] = {}
@@ -310,18 +311,34 @@ def _shapes(m: int) -> _Shapes:
 
 @dataclass(frozen=True, eq=False)
 class _States:
-    """S things that one hand can do at a moment.
+    """S things that one hand can do at a moment: first N in which it plays notes, then others.
 
     Everything is as if it were the right hand: of the left hand the keyboard is seen mirrored.
     """
 
-    fingers: NDArray[np.intp]  # (S, m)
-    one_hot: Array  # (S, 6 m)
+    shape: NDArray[np.intp]  # (S,) row of `_shapes`
+    fingers: NDArray[np.uint8]  # (S, m)
     count: NDArray[np.intp]  # (S,) falls
-    playing: tuple[slice, ...]  # (6,) the states in which it plays 0..5 of the notes
+    playing: int  # N
     centre: Array  # (S,) where the forearm is when the fingers are at rest [m]
     outmost: Array  # (S,) where it can be on the side of the little finger [m]
     cost: Array  # (S,)
+
+    def only(self, those: NDArray[np.bool_]) -> _States:
+        return _States(
+            shape=self.shape[those],
+            fingers=self.fingers[those],
+            count=self.count[those],
+            playing=int(np.count_nonzero(self.count[those])),
+            centre=self.centre[those],
+            outmost=self.outmost[those],
+            cost=self.cost[those],
+        )
+
+    def that_play(self, notes: int) -> slice:
+        """The states in which this many notes are played."""
+        first, end = np.searchsorted(-self.count, [-notes, 1 - notes]).tolist()
+        return slice(first, end)
 
 
 class _Asked(NamedTuple):
@@ -332,7 +349,6 @@ class _Asked(NamedTuple):
     finger: int
 
 
-@lru_cache(maxsize=1024)  # chords come again
 def _states(side: int, asked: tuple[_Asked, ...], stands: _Place) -> _States:
     """What a hand can do about the notes it is `asked` for, from the thumb's side.
 
@@ -355,17 +371,70 @@ def _states(side: int, asked: tuple[_Asked, ...], stands: _Place) -> _States:
     rows = np.concatenate([able.nonzero()[0], nothing])
     centre = shapes.mean @ y - shapes.rest
     outmost = (y + shapes.outward).min(axis=1, initial=10.0)
-    count = shapes.count[rows]
-    first = len(count) - np.cumsum(np.bincount(count, minlength=6))  # of each number of notes
     return _States(
-        fingers=shapes.fingers[rows],
-        one_hot=shapes.one_hot[rows],
-        count=count,
-        playing=tuple(map(slice, first.tolist(), [len(count), *first[:-1].tolist()])),
+        shape=rows,
+        fingers=shapes.fingers[rows].astype(np.uint8),
+        count=shapes.count[rows],
+        playing=len(rows) - len(stands),
         centre=np.concatenate([centre[able], stands]),
         outmost=np.concatenate([outmost[able], stands]),
         cost=cost[rows],
     )
+
+
+def _wanted(asked: Sequence[_Asked], side: int) -> Array:
+    """(m, 6) what each finger on each of the notes costs."""
+    wanted = np.zeros((len(asked), 6))
+    for row, note in zip(wanted, asked, strict=True):
+        if not note.begins:  # paid for
+            continue
+        row += _WEAK + (_ON_BLACK if IS_BLACK[note.key] else 0.0)
+        if note.finger != UNKNOWN_FINGER:
+            ours = note.finger // 5 == side
+            row[np.arange(6) != (note.finger % 5 if ours else _NO_FINGER)] = _NEVER
+    return wanted
+
+
+@dataclass(frozen=True, eq=False)
+class _Chord:
+    """What both hands can do about notes that sound together.
+
+    hands           right, left: R and L states that go with some state of the other
+    shared          where they play all notes between them, as blocks of (R, L)
+    close (R, L)    what it costs that the forearms are near each other
+    within_reach    whether the hands could play all notes but for each other's forearms
+    """
+
+    hands: tuple[_States, _States]
+    shared: tuple[tuple[slice, slice], ...]
+    close: Array
+    within_reach: bool
+
+
+@lru_cache(maxsize=2048)  # chords come again
+def _chord(asked: tuple[_Asked, ...], places: tuple[_Place, _Place]) -> _Chord:
+    right, left = _states(0, asked, places[0]), _states(1, asked[::-1], places[1])
+    close = _closeness(right, left)
+    all_played = right.count[:, None] + left.count == len(asked)
+    fits = all_played & (close + right.cost[:, None] + left.cost < _NEVER)
+    in_right, in_left = fits.any(axis=1), fits.any(axis=0)
+    right, left = right.only(in_right), left.only(in_left)
+    return _Chord(
+        hands=(right, left),
+        shared=tuple(
+            (right.that_play(count), left.that_play(len(asked) - count))
+            for count in sorted(set(right.count.tolist()))
+        ),
+        close=close[np.ix_(in_right, in_left)],
+        within_reach=bool(all_played.any()),
+    )
+
+
+def _closeness(right: _States, left: _States) -> Array:
+    """(R, L) what it costs that the forearms are near each other."""
+    near = np.maximum(_AT_EASE - (right.centre[:, None] + left.centre), 0.0)
+    touch = right.outmost[:, None] + left.outmost < _APART
+    return _CLOSE * near**2 + _NEVER * touch
 
 
 # From moment to moment
@@ -385,7 +454,6 @@ class _Moment:
     """All states at a moment, and what they cost at the least.
 
     presses             the m notes that sound, in the order of their keys
-    hands               right, left
     cost (R, L)         of the cheapest way to this state of the right and this of the left hand
     left_before (R', L) the left hand's state before, and
     right_before (R, L) the right hand's, on that way
@@ -393,37 +461,31 @@ class _Moment:
 
     time: float
     presses: tuple[_Press, ...]
-    hands: tuple[_States, _States]
+    chord: _Chord
     cost: Array
     left_before: NDArray[np.uint8]
     right_before: NDArray[np.uint8]
 
     @property
-    def shared(self) -> list[tuple[slice, slice]]:
-        """States of the right and of the left hand that play all notes between them."""
-        right, left = self.hands
-        m = len(self.presses)
-        return [
-            (right.playing[k], left.playing[m - k]) for k in range(max(0, m - 5), min(m, 5) + 1)
-        ]
+    def can_be_played(self) -> bool:
+        return bool(self.cost.min(initial=np.inf) < _NEVER)
 
     @property
     def choice(self) -> _Choice:
-        fingers = tuple(hand.fingers.astype(np.uint8) for hand in self.hands)
-        return _Choice(self.presses, fingers, self.left_before, self.right_before)
+        right, left = self.chord.hands
+        return _Choice(
+            self.presses, (right.fingers, left.fingers), self.left_before, self.right_before
+        )
 
 
-def _beginning(places: Sequence[_Place]) -> _Moment:
-    right, left = (
-        _states(side, (), (_HOME,) if place == _STANDS else place)
-        for side, place in enumerate(places)
-    )
+def _beginning(places: tuple[_Place, _Place]) -> _Moment:
+    right, left = ((_HOME,) if place == _STANDS else place for place in places)
     nothing = np.zeros((1, 1), np.uint8)
-    return _Moment(-1.0, (), (right, left), np.zeros((1, 1)), nothing, nothing)
+    return _Moment(-1.0, (), _chord((), (right, left)), np.zeros((1, 1)), nothing, nothing)
 
 
 def _next_moment(
-    before: _Moment, time: float, begin: Sequence[_Press], places: Sequence[_Place]
+    before: _Moment, time: float, begin: Sequence[_Press], places: tuple[_Place, _Place]
 ) -> tuple[_Moment, list[tuple[_Press, str]]]:
     """The moment `time` with as many of the notes that `begin` as can be played."""
     struck = {press.key for press in begin}
@@ -431,7 +493,7 @@ def _next_moment(
     most = 5 * sum(place == _STANDS for place in places)
     if len(held) + len(begin) <= most:
         whole = _moment(before, time, [*held, *begin], places)
-        if whole.cost.min() < _NEVER:
+        if whole.can_be_played:
             return whole, []
     moment = None
     left_out = []
@@ -441,22 +503,18 @@ def _next_moment(
             left_out.append((press, f"more than {most} notes at once for"))
             continue
         tried = _moment(before, time, [*taken, press], places)
-        if tried.cost.min() < _NEVER:
+        if tried.can_be_played:
             moment = tried
         else:
-            left_out.append((press, _reason(tried)))
+            reason = "too far from what is held by"
+            if not tried.chord.within_reach:
+                reason = "with the notes around it out of reach of"
+            left_out.append((press, reason))
     return moment or _moment(before, time, held, places), left_out
 
 
-def _reason(moment: _Moment) -> str:
-    right, left = (set(hand.count[hand.cost < _NEVER].tolist()) for hand in moment.hands)
-    if not any(len(moment.presses) - count in left for count in right):
-        return "with the notes around it out of reach of"
-    return "too far from what is held by"
-
-
 def _moment(
-    before: _Moment, time: float, presses: Sequence[_Press], places: Sequence[_Place]
+    before: _Moment, time: float, presses: Sequence[_Press], places: tuple[_Place, _Place]
 ) -> _Moment:
     presses = tuple(sorted(presses, key=lambda press: press.key))
     asked = tuple(
@@ -464,121 +522,118 @@ def _moment(
         for p in presses
         for begins in (p.start >= time,)
     )
-    right, left = (
-        _states(side, asked[::order], place)
-        for side, (order, place) in enumerate(zip((1, -1), places, strict=True))
-    )
-    close = _closeness(right, left)
-    through = np.full((len(before.cost), len(left.cost)), np.inf)  # (R', L) the cheapest over L'
-    cost = np.full(close.shape, np.inf)
-    left_before, right_before = np.zeros(through.shape, np.uint8), np.zeros(cost.shape, np.uint8)
-    moment = _Moment(time, presses, (right, left), cost, left_before, right_before)
-    fits = close + right.cost[:, None] + left.cost < _NEVER
-    if not any(fits[both].any() for both in moment.shared):
-        return moment
-    changes = _changes(before.presses, presses, time)
+    chord = _chord(asked, places)
+    right, left = chord.hands
+    right_was, left_was = before.chord.hands
+    cost = np.full_like(chord.close, np.inf)
+    through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
+    left_before, right_before = np.empty(through.shape, np.uint8), np.zeros(cost.shape, np.uint8)
+    to_right, to_left = _changes(before.presses, presses, time)
     seconds = max(time - before.time, LETTING_GO)
-    to_right, to_left = (
-        _transition(was, will, change, seconds)
-        for was, will, change in zip(before.hands, moment.hands, changes, strict=True)
-    )
-    for was_right, was_left in before.shared:
-        ways = before.cost[was_right, None, was_left] + to_left.T[:, was_left]
-        _least(ways, was_left, through[was_right], left_before[was_right])
-    for is_right, is_left in moment.shared:
-        ways = through.T[is_left] + to_right.T[is_right, None]
-        _least(ways, slice(0, None), cost[is_right, is_left], right_before[is_right, is_left])
+    change = _transition(left_was, left, to_left, seconds)
+    for was_right, was_left in before.chord.shared:
+        ways = before.cost[was_right, None, was_left] + change[:, was_left]
+        _least(ways, was_left.start, through[was_right], left_before[was_right])
+    change = _transition(right_was, right, to_right, seconds)
+    for is_right, is_left in chord.shared:
+        ways = through.T[is_left] + change[is_right, None]
+        _least(ways, 0, cost[is_right, is_left], right_before[is_right, is_left])
     cost += right.cost[:, None]
     cost += left.cost
-    cost += close
+    cost += chord.close
     cost[cost >= _NEVER] = np.inf
-    return moment
+    return _Moment(time, presses, chord, cost, left_before, right_before)
 
 
-def _least(ways: Array, among: slice, cost: Array, before: NDArray[np.uint8]) -> None:
-    """Writes the least of the last axis of `ways` to `cost`, and its place `among` all `before`."""
-    if ways.size:
-        best = ways.argmin(axis=2)
-        cost[...] = np.take_along_axis(ways, best[..., None], axis=2)[..., 0]
-        before[...] = best + among.start
+def _least(ways: Array, first: int, cost: Array, before: NDArray[np.uint8]) -> None:
+    """Writes the least of the last axis of `ways` to `cost`, its place from `first` to `before`."""
+    ways.min(axis=2, out=cost)
+    np.add(ways.argmin(axis=2), first, out=before, casting="unsafe")
 
 
-def _wanted(asked: Sequence[_Asked], side: int) -> Array:
-    """(m, 6) what each finger on each of the notes costs."""
-    wanted = np.zeros((len(asked), 6))
-    for row, note in zip(wanted, asked, strict=True):
-        if not note.begins:  # paid for
-            continue
-        row += _WEAK + (_ON_BLACK if IS_BLACK[note.key] else 0.0)
-        if note.finger != UNKNOWN_FINGER:
-            ours = note.finger // 5 == side
-            row[np.arange(6) != (note.finger % 5 if ours else _NO_FINGER)] = _NEVER
-    return wanted
+def _transition(was: _States, will: _States, change: Array | None, seconds: float) -> Array:
+    """(S, S') what it costs a hand to go from one state to another in `seconds`."""
+    way = np.abs(will.centre[:, None] - was.centre)
+    free = (_STANDS[1] - _STANDS[0]) / 2  # a hand without notes may be between two stands
+    way[will.playing :] -= free
+    way[: will.playing, was.playing :] -= free
+    np.maximum(way, 0.0, out=way)
+    cost = way**2
+    cost *= _SPEED / seconds
+    way *= _WAY
+    cost += way
+    if change is not None:
+        cost += change[will.shape[:, None], was.shape]
+    return cost
+
+
+# What a note is to one of the moment before; higher or lower if it begins when that has ended.
+_UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
+
+
+def _changes(
+    earlier: Sequence[_Press], now: Sequence[_Press], time: float
+) -> tuple[Array, Array] | tuple[None, None]:
+    """As `_costs_of_changes`; None where nothing costs anything."""
+    keys = {press.key for press in now}
+    begins = [press.start >= time for press in now]
+    gaps = tuple([min(max(time - press.end, 0.0), _TIME_TO_CROSS) for press in earlier])
+    changes = []
+    for was, gap in zip(earlier, gaps, strict=True):
+        if was.key in keys:
+            changes += [
+                _UNRELATED if will.key != was.key else _STRUCK_AGAIN if new else _HELD
+                for will, new in zip(now, begins, strict=True)
+            ]
+        elif gap < _TIME_TO_CROSS:
+            changes += [
+                (_HIGHER if will.key > was.key else _LOWER) if new else _UNRELATED
+                for will, new in zip(now, begins, strict=True)
+            ]
+        else:
+            changes += [_UNRELATED] * len(now)
+    return _costs_of_changes(tuple(changes), gaps) if any(changes) else (None, None)
 
 
 _UP = np.pad(np.tril(np.ones((5, 5)), -1), (0, 1))  # from a finger to one nearer the thumb
 _DOWN = _UP.T
 _SAME = np.pad(np.eye(5), (0, 1))
 _OTHER = 1.0 - np.eye(6)
-
-
 _TABLES = np.stack(  # (5, 72) of the right hand and of the left, whose keys rise to the thumb
     [[_OTHER, _OTHER], [_OTHER, _OTHER], [_SAME, _SAME], [_UP, _DOWN], [_DOWN, _UP]]
 ).reshape(5, 72)
 
 
-def _changes(
-    earlier: Sequence[_Press], now: Sequence[_Press], time: float
-) -> tuple[Array, Array] | tuple[None, None]:
-    """(6 m', 6 m) what it costs if a finger on a note before is followed by a finger on a note.
+@lru_cache(maxsize=1024)  # figures come again
+def _costs_of_changes(changes: tuple[int, ...], gaps: tuple[float, ...]) -> tuple[Array, Array]:
+    """(S, S') of `_shapes`: what it costs the right and the left hand to come from other fingers.
 
-    Of the right hand and of the left; None where nothing costs anything.
+    Args:
+        changes: what each of m notes is to each of m' before, (m' m,).
+        gaps: between those before and now (m',) [s].
     """
-    keys_before = np.array([press.key for press in earlier])[:, None]
-    keys = np.array([press.key for press in now])
-    begins = np.array([press.start >= time for press in now])
-    gap = np.array([[max(time - press.end, 0.0)] for press in earlier])
-    if not earlier or not now:
-        return None, None
-    same_key = keys_before == keys
-    struck = same_key & begins
-    ended = [
-        [not (any(p is q for q in now) or hit)]
-        for p, hit in zip(earlier, struck.any(axis=1).tolist(), strict=True)
-    ]
-    moves = begins & ~same_key & ended
-    hurry = 1 - np.minimum(gap / _TIME_TO_MOVE, 1.0)
-    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0)) * moves
-    up = keys > keys_before
-    weights = np.empty((len(earlier), len(now), 5))
-    weights[..., 0] = _NEVER * (same_key & ~begins)
-    weights[..., 1] = _OTHER_FINGER * struck
-    weights[..., 2] = _SAME_FINGER * hurry * moves
-    weights[..., 3] = cross * up
-    weights[..., 4] = cross * ~up
-    if not weights.any():
-        return None, None
-    cost = (weights @ _TABLES).reshape(len(earlier), len(now), 2, 6, 6).transpose(2, 0, 3, 1, 4)
-    shape = 6 * len(earlier), 6 * len(now)
-    return cost[0].reshape(shape), cost[1, ::-1, :, ::-1].reshape(shape)
-
-
-def _transition(was: _States, will: _States, change: Array | None, seconds: float) -> Array:
-    """(S', S) what it costs a hand to go from one state to another in `seconds`."""
-    way = np.abs(will.centre - was.centre[:, None])
-    free = (was.count[:, None] == 0) | (will.count == 0)
-    way = np.maximum(way - (_STANDS[1] - _STANDS[0]) / 2 * free, 0.0)
-    cost = _WAY * way + _SPEED / seconds * way**2
-    if change is not None:
-        cost += was.one_hot @ change @ will.one_hot.T
-    return cost
-
-
-def _closeness(right: _States, left: _States) -> Array:
-    """(R, L) what it costs that the forearms are near each other."""
-    near = np.maximum(_AT_EASE - (right.centre[:, None] + left.centre), 0.0)
-    touch = right.outmost[:, None] + left.outmost < _APART
-    return _CLOSE * near**2 + _NEVER * touch
+    change = np.array(changes).reshape(len(gaps), -1)
+    gap = np.array(gaps)[:, None]
+    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))
+    hurry = _SAME_FINGER * (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))
+    weights = np.stack(
+        [
+            _NEVER * (change == _HELD),
+            _OTHER_FINGER * (change == _STRUCK_AGAIN),
+            hurry * (change >= _HIGHER),
+            cross * (change == _HIGHER),
+            cross * (change == _LOWER),
+        ],
+        axis=-1,
+    )
+    costs = (weights @ _TABLES).reshape(*change.shape, 2, 6, 6).transpose(2, 0, 3, 1, 4)
+    fingers_before, fingers = (_shapes(m).one_hot for m in change.shape)
+    shape = fingers_before.shape[1], fingers.shape[1]
+    right, left = costs[0].reshape(shape), costs[1, ::-1, :, ::-1].reshape(shape)
+    return (
+        np.ascontiguousarray((fingers_before @ right @ fingers.T).T),
+        np.ascontiguousarray((fingers_before @ left @ fingers.T).T),
+    )
 
 
 def _cheapest(cost: Array, choices: Sequence[_Choice]) -> dict[int, int]:
