@@ -198,7 +198,7 @@ def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
     told = facts(capsys.readouterr().out)
     assert told["cadenza"] == cadenza.__version__
     assert int(told["cores"]) >= 1
-    assert told["can draw video"].startswith(("yes", "no; "))
+    assert told["can render video"].startswith(("yes", "no; "))
     assert told["agent ilqg"] == "the paper's planner with derivatives"
 
 
@@ -696,7 +696,7 @@ def test_a_plan_for_something_else(
 
 @pytest.mark.parametrize(
     ("backend", "message"),
-    [("bogus", "MUJOCO_GL: bogus; unset it"), ("off", "switched off by MUJOCO_GL=off")],
+    [("bogus", "MUJOCO_GL: bogus; unset it"), ("off", "disabled by MUJOCO_GL=off")],
 )
 def test_a_graphics_backend_that_cannot_draw(backend: str, message: str) -> None:
     result = subprocess.run(

@@ -113,7 +113,7 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
     policy(here / "run")
     write_midi(OTHER, here / "other.mid")
     main(["play", "other.mid", "--agent", "run", "--no-video"])
-    assert capsys.readouterr().err == "run: has learnt 'A tune', not other.mid\n"
+    assert capsys.readouterr().err == "run: was trained on 'A tune', not other.mid\n"
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_policy_that_corrects_a_plan_plays_no_other_song(
 ) -> None:
     folder = pretrained_folder("OdeToJoy")
     line = refused(capsys, "play", "tune.mid", "--agent", folder)
-    assert "'Ode to Joy' by correcting its plan, and plays nothing else" in line
+    assert "'Ode to Joy' with residual learning, so it can play nothing else" in line
 
 
 def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Path) -> None:
@@ -165,7 +165,7 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
     main([*replay, "-o", "c", "--physics", "published"])
     assert settings(here / "c")["scene"]["physics"] == "published"
     said = capsys.readouterr().err
-    assert said == "a/episode.npz: made in the fast physics, played in the published\n"
+    assert said == "a/episode.npz: made in the fast physics, played in the published physics\n"
 
 
 def test_each_agent_is_compared_in_its_own_task(
@@ -211,7 +211,7 @@ def test_the_folder_of_a_run_is_not_that_of_a_policy(
 
 def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "compare", "OdeToJoy", "--agents", "replay", "-o", tmp_path)
-    assert line == "cadenza: replay plays one file: name agents that play by themselves"
+    assert line == "cadenza: replay plays a single file: name other agents"
 
 
 def test_who_cannot_play_is_told_before_anyone_has_played(
@@ -292,7 +292,7 @@ def interrupted(capsys: pytest.CaptureFixture[str], agent: str) -> str:
 
 def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = interrupted(capsys, "own:Impatient")
-    assert "stopped after 0.2 of 1.2 s: the results are of that part\n" in said
+    assert "stopped after 0.2 of 1.2 s: the results cover only that part\n" in said
     assert load_episode(here / "part" / "episode.npz").num_steps == 3
     assert json.loads((here / "part" / "metrics.json").read_text())["steps"] == 3
     assert (here / "part" / "report.html").exists()

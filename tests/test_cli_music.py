@@ -117,7 +117,7 @@ def test_musicxml_is_played_as_well(tmp_path: Path, capsys: pytest.CaptureFixtur
         (["--stretch", "1e6"], "minutes; the longest is 60"),
         (["--stretch", "2000", "--random-stretch", "0.9"], "minutes; the longest is 60"),
         (["--initial-buffer-time", "3600"], "minutes; the longest is 60"),
-        (["--control-timestep", "1e-9"], "control steps; the most is 720000"),
+        (["--control-timestep", "1e-9"], "control steps; the maximum is 720000"),
     ],
 )
 def test_songs_of_hours_are_refused(

@@ -155,7 +155,7 @@ def test_curves_of_several_runs_make_one_page(
     assert "<h1>tune, elise</h1>" in page.read_text()
     picture = tmp_path / "curves.png"
     assert "a .html page" in refused(capsys, "curves", run, "-o", picture)
-    assert "holds no figures" in refused(capsys, "curves", tmp_path, "-o", page)
+    assert "holds no metrics" in refused(capsys, "curves", tmp_path, "-o", page)
     assert not picture.exists()
 
 
@@ -208,7 +208,7 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
             main(["train", str(tune), "-o", str(folder), *SMALL, "--residual"])
     assert stop.value.code == 130
     said = capsys.readouterr().err
-    assert f"to go on: cadenza train --resume {folder}" in said
+    assert f"to continue: cadenza train --resume {folder}" in said
     assert "figures" not in said
     assert RunFolder(folder).settings()[1].notes == load_score(str(tune)).notes
 
@@ -225,9 +225,9 @@ def test_a_run_is_begun_by_one_process_alone(
 def test_what_makes_no_sense_is_said_in_a_line(
     run: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "name a song" in refused(capsys, "train")
-    assert "name a song" in refused(capsys, "train", tune, "--resume", run)
-    assert "holds a run already" in refused(capsys, "train", tune, "-o", run)
+    assert "give a song" in refused(capsys, "train")
+    assert "give a song" in refused(capsys, "train", tune, "--resume", run)
+    assert "already holds a run" in refused(capsys, "train", tune, "-o", run)
     assert "no run" in refused(capsys, "train", "--resume", tmp_path / "none")
     options = ("--resume", run, "--batch-size", 9)
     assert "its own options" in refused(capsys, "train", *options)

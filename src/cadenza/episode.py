@@ -155,7 +155,7 @@ def load_episode(path: Path) -> Episode:
         checked(scene[name], _DRAWN[name], f"{path}, {name} of scene")
     steps, bodies = len(arrays["action"]), len(scene.get("bodies", ()))
     if not (dt > 0 and 0 < steps * dt <= _LONGEST):
-        raise CadenzaError(f"{path}: {steps} steps of {dt:g} s; such a file holds up to 4 hours")
+        raise CadenzaError(f"{path}: {steps} steps of {dt:g} s; an episode lasts at most 4 hours")
     if bodies != arrays.get("body_xpos", np.empty((0, bodies))).shape[1]:
-        raise CadenzaError(f"{path}: body_xpos is not of the {bodies} bodies in scene")
+        raise CadenzaError(f"{path}: body_xpos does not match the {bodies} bodies in scene")
     return Episode(song, dt, arrays, scene)

@@ -211,7 +211,7 @@ def read_arrays(
             total = sum(member.file_size for member in members.values())
             if total > (limit := size if most is None else most):
                 raise CadenzaError(
-                    f"{where}: its arrays would take {total / 2**20:,.0f} MiB, and such a file "
+                    f"{where}: its arrays would take {total / 2**20:,.0f} MiB, but such a file "
                     f"needs no more than {limit / 2**20:,.0f} MiB; {_ANOTHER}"
                 )
             arrays = {name: _array(file, member) for name, member in members.items()}

@@ -26,7 +26,7 @@ def test_no_song_begins_after_more_than_an_hour():
 
 @pytest.mark.parametrize(("seconds", "step"), [(10.0, 1e-9), (10.0, 1e-320), (1e12, 0.05)])
 def test_more_steps_than_memory_has_room_for(seconds, step):
-    with pytest.raises(CadenzaError, match=f"control steps; the most is {MAX_STEPS}"):
+    with pytest.raises(CadenzaError, match=f"control steps; the maximum is {MAX_STEPS}"):
         score_to_goals(Score((Note(0.0, seconds, 60),)), step)
 
 

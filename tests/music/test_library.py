@@ -245,7 +245,7 @@ def test_a_missing_file_is_guessed_at(tmp_path):
 )
 def test_formats_that_are_not_read_say_how_to_get_one_that_is(name, advice, tmp_path):
     (tmp_path / name).write_bytes(b"something")
-    with pytest.raises(CadenzaError, match=f"files are not read; .*{advice}"):
+    with pytest.raises(CadenzaError, match=f"files cannot be read; .*{advice}"):
         load_score(tmp_path / name)
 
 

@@ -556,7 +556,7 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
         ({"repeats": "left out"}, "repeats 'left out': choose from published, shortened"),
         ({"energy_coefficient": -1.0}, "energy_coefficient -1.0"),
         ({"random_hand_position": -0.1}, "random_hand_position -0.1"),
-        ({"random_hand_position": 0.5}, "end after 0.46 m, choose less"),
+        ({"random_hand_position": 0.5}, "end after 0.46 m; choose less"),
         ({"random_stretch": 1.0}, "random_stretch 1.0: choose 0 to 0.99"),
         ({"random_stretch": float("nan")}, "random_stretch nan"),
         ({"random_pitch_shift": -1}, "random_pitch_shift -1: choose 0 to 88"),

@@ -134,5 +134,5 @@ def _installation_facts() -> dict[str, Any]:
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
-        "can draw video": drawing,
+        "can render video": drawing,
     } | {f"agent {name}": agent.about for name, agent in AGENTS.items()}

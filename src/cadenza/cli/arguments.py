@@ -55,7 +55,7 @@ Shell = Literal["bash", "zsh", "fish"]
 
 _Flag = tyro.conf.FlagCreatePairsOff[bool]
 _COMPLETION = tyro.conf.arg(
-    help="Print what completes commands and options in a shell (docs/command-line.md).",
+    help="Print a shell's completion script, see docs/command-line.md.",
     help_behavior_hint="",
 )
 

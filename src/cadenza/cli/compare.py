@@ -47,7 +47,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if REPLAY in command.agents:
-        raise CadenzaError("replay plays one file: name agents that play by themselves")
+        raise CadenzaError("replay plays a single file: name other agents")
     castings = {name: cast_of(command, name) for name in command.agents}
     commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
     for name, casting in castings.items():

@@ -59,7 +59,7 @@ def plan(command: Plan, _: Again[Plan]) -> None:
     planned.save(path)
     print_scores(planned.performance)
     print_what_was_lost(planned.performance)
-    print(f"\nFingers in {path.with_suffix(SUFFIX)}; to see and hear the plan:")
+    print(f"\nFingering in {path.with_suffix(SUFFIX)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 
 

@@ -77,7 +77,7 @@ def play(command: Play, again: Again[Play]) -> None:
     keep(performance, folder, command.video, picture, command.loudness)
     if stopped:
         part = f"{performance.seconds:.1f} of {length:.1f} s"
-        print(f"stopped after {part}: the results are of that part", file=sys.stderr)
+        print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
         raise KeyboardInterrupt
 
 

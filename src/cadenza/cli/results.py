@@ -10,7 +10,7 @@ from cadenza.errors import CadenzaError
 def check_name(path: Path, suffix: str, what: str) -> None:
     """Before anything is made for a file that has another format than its name says."""
     if path.suffix != suffix:
-        raise CadenzaError(f"{path}: {what}; choose a name that ends so")
+        raise CadenzaError(f"{path}: {what}; choose a name with that ending")
 
 
 def check_writable(folder: Path) -> None:

@@ -21,7 +21,7 @@ def asked_to_stop(what_comes: str) -> Iterator[Callable[[], bool]]:
     def ask(number: int, _frame: Any) -> None:
         asked.append(number)
         signal.signal(number, before[number])
-        print(f"\nstopping after {what_comes}; once more to stop at once", file=sys.stderr)
+        print(f"\nstopping after {what_comes}; press Ctrl-C again to stop at once", file=sys.stderr)
 
     def stop() -> bool:
         if not before:

@@ -94,11 +94,15 @@ def train(command: Train) -> None:
     from cadenza.agents.rl.cores import claimed_cores
 
     if (command.song is None) == (command.resume is None):
-        raise CadenzaError("name a song to learn, or with --resume the folder of a run")
+        raise CadenzaError("give a song to learn, or the folder of a run with --resume")
     if command.resume is not None and command.preset != Train.preset:
-        raise CadenzaError(f"{command.resume}: goes on with its own options; leave out --preset")
+        raise CadenzaError(
+            f"{command.resume}: a resumed run keeps its own options; leave out --preset"
+        )
     if command.resume is not None and command.arrangement.chosen:
-        raise CadenzaError(f"{command.resume}: goes on with its own song; give no tracks")
+        raise CadenzaError(
+            f"{command.resume}: a resumed run keeps its own song; leave out --tracks and --reduce"
+        )
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     folder = (
@@ -112,7 +116,9 @@ def _train(command: Train, folder: Path) -> None:
     try:
         from cadenza.agents.rl.training import Training
     except ImportError as error:
-        raise CadenzaError(f"training needs more ({error}): pip install '.[train]'") from error
+        raise CadenzaError(
+            f"training needs more packages ({error}): pip install '.[train]'"
+        ) from error
     from cadenza.agents.rl.run_folder import RunFolder
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import play
@@ -146,7 +152,7 @@ def _saying_how_to_go_on(folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f"to go on: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        print(f"to continue: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         raise
 
 
@@ -256,5 +262,5 @@ def _curve(run: Path) -> Curve:
 
     rows = read_rows(run)
     if not rows:
-        raise CadenzaError(f"{run}: holds no figures of a run; name the folder of one")
+        raise CadenzaError(f"{run}: holds no metrics of a run; give the folder of a run")
     return Curve(run.name, rows)

@@ -84,6 +84,6 @@ def check_steps(steps: float) -> None:
     """
     if steps > MAX_STEPS:
         raise CadenzaError(
-            f"the song would have {steps:.3g} control steps; the most is {MAX_STEPS}: "
+            f"the song would have {steps:.3g} control steps; the maximum is {MAX_STEPS}: "
             "choose a longer control step"
         )

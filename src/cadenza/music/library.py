@@ -22,8 +22,8 @@ _FOLDER = Path(__file__).parent / "pieces"
 _MIDI = (".mid", ".midi")
 _MUSICXML = (".musicxml", ".xml", ".mxl")
 _NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
-_SOUND = "a transcription program, such as Basic Pitch, makes a MIDI file of sound"
-_SHEET = "a program for optical music recognition, such as Audiveris, makes MusicXML of sheets"
+_SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"
+_SHEET = "convert the sheet music to MusicXML with a recognition program such as Audiveris"
 _NOT_READ = {  # what to do about formats that some may hold for music
     **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
     **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
@@ -82,7 +82,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     if suffix not in (*_MIDI, *_MUSICXML, *_NOT_READ) and not os.path.isfile(path):
         path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
     if suffix in _NOT_READ:
-        raise CadenzaError(f"{path}: {suffix} files are not read; {_NOT_READ[suffix]}")
+        raise CadenzaError(f"{path}: {suffix} files cannot be read; {_NOT_READ[suffix]}")
     score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
     sidecar = path.with_suffix(SUFFIX)
     if not os.path.isfile(sidecar):  # also where that name is too long

@@ -234,7 +234,9 @@ def _parse(path: Path) -> tuple[mido.MidiFile, list[str]]:
             remarks.append(f"{count} impossible key signature{'s' if count > 1 else ''} ignored")
             file = mido.MidiFile(file=_Bytes(data))
     except EOFError:
-        raise CadenzaError(f"{path}: the MIDI file is cut short; get it again") from None
+        raise CadenzaError(
+            f"{path}: the MIDI file is incomplete; download or export it again"
+        ) from None
     except Exception as error:  # damaged bytes make mido raise almost anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: the MIDI file is damaged ({reason})") from error

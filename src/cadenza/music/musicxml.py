@@ -175,7 +175,7 @@ def _xml(path: Path) -> bytes:
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") or b"\0" in data:
         raise CadenzaError(f"{path}: not a MusicXML file (it does not begin as XML)")
     if b"<!ENTITY" in data:
-        raise CadenzaError(f"{path}: declares XML entities, which MusicXML has no use for")
+        raise CadenzaError(f"{path}: declares XML entities, which MusicXML does not use")
     for tag, most in MOST.items():
         if data.count(tag) > most:
             raise CadenzaError(

@@ -34,7 +34,7 @@ class Note:
     def __post_init__(self) -> None:
         if not 0 <= self.start < self.end < float("inf"):
             raise CadenzaError(
-                f"note from {self.start} to {self.end} s: it must start at 0 or later and then end"
+                f"note from {self.start} to {self.end} s: it must start at 0 or later, then end"
             )
         if not LOWEST_PITCH <= self.pitch <= HIGHEST_PITCH:
             raise CadenzaError(
@@ -125,7 +125,7 @@ class Score:
         if pitches and (min(pitches) < LOWEST_PITCH or max(pitches) > HIGHEST_PITCH):
             raise CadenzaError(
                 f"cannot transpose by {semitones} semitones: pitches {min(pitches)}.."
-                f"{max(pitches)} leave the piano's {LOWEST_PITCH}..{HIGHEST_PITCH}"
+                f"{max(pitches)} are outside the piano's range {LOWEST_PITCH}..{HIGHEST_PITCH}"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
         return replace(self, notes=tuple(notes))

@@ -81,15 +81,17 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     arrangement = arrangement or Arrangement()
     if is_policy(song):
         if arrangement.chosen:
-            raise CadenzaError(f"{song}: holds its song as it was learnt; give no tracks of it")
+            raise CadenzaError(
+                f"{song}: plays its song as it was trained; leave out --tracks and --reduce"
+            )
         return load_policy(Path(song)).score
     score = arrangement.score(str(song))
     for remark in score.remarks:
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
     if len(score.tracks) > 2 and not arrangement.chosen:
         warnings.warn(
-            f"{song}: all {len(score.tracks)} tracks are played at once; choose some of those that "
-            f'"cadenza info" lists, as in --tracks 1 3, or --reduce melody-bass',
+            f"{song}: all {len(score.tracks)} tracks are played at once; to choose some of "
+            f'them, see "cadenza info" and use --tracks 1 3, or use --reduce melody-bass',
             CadenzaWarning,
             stacklevel=2,
         )
@@ -153,9 +155,9 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
 def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:
     """In the task and scene that it has learnt in."""
     if not learnt.has_learnt(casting.score):
-        what = f"{casting.name}: has learnt {learnt.score.title!r}"
+        what = f"{casting.name}: was trained on {learnt.score.title!r}"
         if learnt.plan is not None:
-            raise CadenzaError(f"{what} by correcting its plan, and plays nothing else")
+            raise CadenzaError(f"{what} with residual learning, so it can play nothing else")
         warnings.warn(f"{what}, not {casting.song}", CadenzaWarning, stacklevel=4)
     # A plan is made for fingers that are found.
     score = casting.score if learnt.plan is None else casting.score.without_fingers()
@@ -180,7 +182,9 @@ def set_up(
         check_options(casting.plan, options)
         if scene.physics != casting.scene.physics:
             made = f"{casting.plan}: made in the {casting.scene.physics} physics"
-            warnings.warn(f"{made}, played in the {scene.physics}", CadenzaWarning, stacklevel=3)
+            warnings.warn(
+                f"{made}, played in the {scene.physics} physics", CadenzaWarning, stacklevel=3
+            )
     settings = {
         "song": casting.song,
         "agent": casting.name,

@@ -89,8 +89,8 @@ def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
     steps, wanted = performance.episode.num_steps, setup.num_steps
     if steps < wanted:
         raise CadenzaError(
-            f"{setup.settings['song']}: ended after {steps} of {wanted} steps, at a wrong key or "
-            "an unstable simulation, so that there is no whole plan to keep; try another seed"
+            f"{setup.settings['song']}: ended after {steps} of {wanted} steps, because of a wrong "
+            "key or an unstable simulation, so the plan is incomplete; try another seed"
         )
     assert isinstance(performance.plan, SongPlan)
     # The notes are the same in the same order; times and pitches are again those of the song.

@@ -32,7 +32,9 @@ class TensorBoard:
         try:
             from tensorboardX import SummaryWriter
         except ImportError as error:
-            raise CadenzaError("training needs more: pip install 'cadenza[train]'") from error
+            raise CadenzaError(
+                "training needs more packages: pip install 'cadenza[train]'"
+            ) from error
         # A name that nobody can know before: the file is opened through links.
         suffix = f".{secrets.token_hex(4)}"
         self._writer = SummaryWriter(str(folder), purge_step=step or None, filename_suffix=suffix)
@@ -63,7 +65,9 @@ class WeightsAndBiases:
         try:
             import wandb
         except ImportError as error:
-            raise CadenzaError("--wandb needs more: pip install 'cadenza[wandb]'") from error
+            raise CadenzaError(
+                "--wandb needs more packages: pip install 'cadenza[wandb]'"
+            ) from error
         self._run = wandb.init(
             project=project,
             dir=str(folder),

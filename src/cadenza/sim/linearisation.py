@@ -74,7 +74,7 @@ class Lineariser:
         """
         if scene.config.sleeping_keys:
             raise CadenzaError(
-                "MuJoCo has no derivatives where keys sleep: choose sleeping_keys=False"
+                "MuJoCo cannot compute derivatives with sleeping keys: set sleeping_keys=False"
             )
         self.scene = scene
         self._shape, self._num_substeps = (num_steps, num_looks), num_substeps

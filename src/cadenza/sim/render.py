@@ -47,8 +47,7 @@ class Picture:
             raise CadenzaError(f"no camera {self.camera!r}: choose from {', '.join(names)}")
         if not (0 < self.width <= MAX_WIDTH and 0 < self.height <= MAX_HEIGHT):
             raise CadenzaError(
-                f"a picture of {self.width} x {self.height}: choose up to {MAX_WIDTH} x "
-                f"{MAX_HEIGHT}"
+                f"an image of {self.width} x {self.height}: choose up to {MAX_WIDTH} x {MAX_HEIGHT}"
             )
 
 
@@ -197,7 +196,7 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
     """A graphics context of the first backend that works; MUJOCO_GL, if set, names the only one."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in ("off", "disable", "disabled", "0", "false"):
-        raise CadenzaError(f"drawing is switched off by MUJOCO_GL={wanted}: unset it to draw")
+        raise CadenzaError(f"rendering is disabled by MUJOCO_GL={wanted}: unset it to render")
     default = ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
     reasons = []
     for backend in (wanted,) if wanted else default:
@@ -208,10 +207,7 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
         except Exception as error:  # missing libraries show in many ways
             reasons.append(f"{backend}: {str(error).splitlines()[0] if str(error) else error!r}")
             _forget_opengl()
-    raise CadenzaError(
-        "this machine cannot draw pictures "
-        f"({'; '.join(reasons)}): install EGL or OSMesa, or do without"
-    )
+    raise CadenzaError(f"this machine cannot render ({'; '.join(reasons)}): install EGL or OSMesa")
 
 
 def _free(context: mujoco.MjrContext, gl: Any) -> None:

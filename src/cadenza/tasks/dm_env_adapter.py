@@ -26,7 +26,9 @@ class DmEnvAdapter(dm_env.Environment):
         seed: of the first episode; the following ones draw on.
         """
         if env.observation_space.shape is None:
-            raise CadenzaError("the dm_env adapter has no pixels: make the environment without")
+            raise CadenzaError(
+                "the dm_env adapter does not support pixels: make the environment without them"
+            )
         self._env = env
         self._seed = seed
         self._ended = True

@@ -48,7 +48,7 @@ def configure(
     names = set().union(*known.values())
     if unknown := sorted(options.keys() - names):
         raise CadenzaError(
-            f"no option {', '.join(unknown)}: choose from {', '.join(sorted(names))}"
+            f"unknown option {', '.join(unknown)}: choose from {', '.join(sorted(names))}"
         )
 
     def chosen(kind: type) -> dict[str, Any]:
@@ -77,11 +77,11 @@ def make_task(
     if isinstance(task, PianoTask):
         if song is not None or scene is not None or reward_terms is not None or options:
             raise CadenzaError(
-                "a PianoTask has its songs, scene, reward and options already: give nothing else, "
-                "or a TaskConfig"
+                "a PianoTask already has its songs, scene, reward and options: pass nothing else, "
+                "or a TaskConfig instead"
             )
         if num_envs != task.num_envs:
-            raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}, give the same")
+            raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
         return task
     if song is None:
         raise CadenzaError(
@@ -212,7 +212,9 @@ class PianoVectorEnv(VectorEnv):
                 return
             seed = [int(seed) + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise CadenzaError(f"{len(seed)} seeds for {self.num_envs} environments: give each one")
+            raise CadenzaError(
+                f"{len(seed)} seeds for {self.num_envs} environments: give one for each"
+            )
         self._rngs = [seeding.np_random(s)[0] for s in seed]
 
     def _restart(self, env_ids: NDArray[np.intp]) -> None:
@@ -226,14 +228,14 @@ class PianoVectorEnv(VectorEnv):
         """One control step in every environment, as `gymnasium.vector.VectorEnv.step`."""
         mode = self.metadata["autoreset_mode"]
         if not self._rngs:
-            raise CadenzaError("no episode has begun: call reset() before step()")
+            raise CadenzaError("no episode has started: call reset() before step()")
         if np.shape(actions) != self.action_space.shape:
             raise CadenzaError(
                 f"actions of shape {np.shape(actions)}: give {self.action_space.shape}"
             )
         if mode == AutoresetMode.DISABLED and self._finished.any():
             over = np.flatnonzero(self._finished).tolist()
-            raise CadenzaError(f"episodes {over} have ended: reset them before stepping on")
+            raise CadenzaError(f"episodes {over} have ended: reset them before the next step")
         fresh, moving = self._finished, None
         if fresh.any():
             self._restart(np.flatnonzero(fresh))

@@ -146,12 +146,14 @@ class PianoTask:
         names, most = self.scene.hand_joint_names, self.config.random_hand_position
         slides = [j for j, name in enumerate(names) if name.endswith("forearm_tx")]
         if most and not slides:
-            raise CadenzaError("random_hand_position needs the forearm's tx joint: add it")
+            raise CadenzaError(
+                "random_hand_position needs the forearm's tx joint: add tx to forearm_dofs"
+            )
         reach = min((abs(self.scene.model.joint(names[j]).range).min() for j in slides), default=0)
         if most > reach:
             raise CadenzaError(
                 f"random_hand_position {most} m: the hands reach the keyboard's end after "
-                f"{reach:.2f} m, choose less"
+                f"{reach:.2f} m; choose less"
             )
         return np.array(slides, np.intp)
 
