@@ -180,7 +180,8 @@ def test_info_on_a_song(capsys: pytest.CaptureFixture[str]) -> None:
     told = facts(capsys.readouterr().out)
     assert told["length"] == "8.0 s, 161 steps"
     assert told["notes"] == "14"
-    assert told["fingering"] == "14 of 14 notes"
+    assert told["at once"] == "up to 1 key"
+    assert told["fingering"] == "given for 14 of 14 notes"
 
 
 def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,8 +190,8 @@ def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["length"] == "0.6 s, 13 steps"
     assert told["range"] == "MIDI 60 to 67"
     assert told["at once"] == "up to 2 keys"
-    assert told["fingering"] == "0 of 3 notes; found for 3"
-    assert told["pedal"] == "1 movements"
+    assert told["fingering"] == "given for 0 of 3 notes; found for 3"
+    assert told["pedal"] == "1 movement"
 
 
 def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
@@ -394,8 +395,8 @@ def test_notes_without_a_finger_are_told(
     said = capsys.readouterr().out
     (lost,) = json.loads((tmp_path / "misses.json").read_text())
     assert (lost["note"], lost["finger"], lost["time"]) == ("F♯1", -1, 0.5)
-    assert "missed 1 of 2 notes: 1 no finger" in said
-    assert "1 of them have no finger: " + lost["reason"].removeprefix("no finger for it: ") in said
+    assert "missed 1 of 2 notes: no finger\n" in said
+    assert "no finger for 1 note: " + lost["reason"].removeprefix("no finger for it: ") in said
     assert lost["reason"] in (tmp_path / "report.html").read_text()
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.misses import Miss, in_a_line, misses_of
+from cadenza.agents.planning.misses import Miss, in_words, misses_of
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.song_plan import SongPlan
@@ -79,7 +80,7 @@ def concert() -> Concert:
 
 def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
     assert concert.misses() == []
-    assert in_a_line([], concert.episode) == "missed 0 of 2 notes"
+    assert in_words([], concert.episode) == ["missed 0 of 2 notes"]
 
 
 def test_a_step_late_and_a_step_short_are_in_time(concert: Concert) -> None:
@@ -176,17 +177,23 @@ def elsewhere(concert: Concert) -> None:
 REASONS: dict[Callable[[Concert], None], tuple[str, str]] = {
     dropped: ("no finger", "no finger for it: too far from what is held by both hands"),
     other_hand: ("no finger", "no finger for it: its hand does not play"),
-    jump: ("cut short", "let go too early to sound, as planned: the hand had to jump"),
-    next_note: ("cut short", "let go too early to sound, as planned: its finger had to press D4"),
-    neighbour: ("wrong neighbour", "the finger pressed D4 instead"),
+    jump: (
+        "finger needed elsewhere",
+        "let go too early to sound, as planned: the hand had to jump",
+    ),
+    next_note: (
+        "finger needed elsewhere",
+        "let go too early to sound, as planned: its finger had to press D4",
+    ),
+    neighbour: ("neighbouring key struck", "the finger pressed D4 instead"),
     finger_in_the_way: ("collided", "the finger beside it"),
     other_hand_in_the_way: ("collided", "a finger of the other hand"),
     forearms: ("collided", "the other forearm"),
     planned_beside: ("out of reach", "the plan has it 9 mm away"),
-    late: ("too fast", "the finger was 5 mm away"),
-    fast: ("too fast", "planned at 1.0 m/s"),
-    elsewhere: ("astray", "the finger was 5 mm away"),
-    silent: ("not pressed down", "60 % of its way"),
+    late: ("too fast to get there", "the finger was 5 mm away"),
+    fast: ("too fast to get there", "planned at 1.0 m/s"),
+    elsewhere: ("finger beside the key", "the finger was 5 mm away"),
+    silent: ("key not pressed far enough", "60 % of its way"),
 }
 
 
@@ -203,12 +210,16 @@ def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
     concert.goal[15] = False
     concert.presses[:1] = [Press(INDEX, C4, 11, 16), Press(INDEX, C4, 17, 21)]
     (miss,) = concert.misses()
-    assert (miss.time, miss.what, miss.cause) == (0.8, "not struck again", "not come up")
+    assert (miss.time, miss.what, miss.cause) == (0.8, "not struck again", "key not released")
 
 
 @pytest.mark.parametrize(
     ("planned", "by", "cause"),
-    [(16, 0.0, "cut short"), (21, 0.03, "astray"), (21, 0.0, "not held down")],
+    [
+        (16, 0.0, "finger needed elsewhere"),
+        (21, 0.03, "finger beside the key"),
+        (21, 0.0, "key not held down"),
+    ],
 )
 def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concert: Concert) -> None:
     concert.sounds(C4, 10, 15)
@@ -218,13 +229,19 @@ def test_why_a_note_was_let_go_early(planned: int, by: float, cause: str, concer
     assert (miss.what, miss.cause) == ("let go 250 ms early", cause)
 
 
-def test_the_line_counts_by_cause(concert: Concert) -> None:
+def test_lost_notes_are_told_in_words(concert: Concert) -> None:
     neighbour(concert)
     concert.sounds(C5, 25, 30)
-    misses = concert.misses()
-    assert in_a_line(misses, concert.episode) == (
-        "missed 1 of 2 notes: 1 wrong neighbour; let go of 1 early: 1 not held down"
-    )
+    missed, early = concert.misses()
+    assert in_words([missed, early], concert.episode) == [
+        "missed 1 of 2 notes: neighbouring key struck",
+        "let go of 1 note early: key not held down",
+    ]
+    other = replace(missed, cause="out of reach")
+    assert in_words([missed, other, missed, early, early], concert.episode) == [
+        "missed 3 of 2 notes: neighbouring key struck (2), out of reach (1)",
+        "let go of 2 notes early: key not held down",
+    ]
 
 
 def test_with_one_hand_only(concert: Concert) -> None:
@@ -232,4 +249,4 @@ def test_with_one_hand_only(concert: Concert) -> None:
     concert.planned = concert.planned[:, :5]
     concert.tips[:, 5:] = 0.0
     (miss,) = concert.misses()
-    assert miss.cause == "not pressed down"
+    assert miss.cause == "key not pressed far enough"

@@ -137,11 +137,11 @@ def test_outer_notes_are_kept_when_there_are_too_many() -> None:
 def test_what_no_hand_reaches_is_dropped_from_the_middle() -> None:
     _, dropped = find_fingering(chord(24, 60, 96))
     assert [(d.note.pitch, d.reason) for d in dropped] == [
-        (60, "with the notes around it out of reach of both hands")
+        (60, "too far from the other notes for both hands")
     ]
     _, dropped = find_fingering(chord(48, 84), ["right"])
     assert [(d.note.pitch, d.reason) for d in dropped] == [
-        (48, "with the notes around it out of reach of the right hand")
+        (48, "too far from the other notes for the right hand")
     ]
 
 

@@ -64,6 +64,7 @@ def _song_facts(score: Score) -> dict[str, Any]:
 
     trimmed = score.with_silence_trimmed()
     goals = score_to_goals(trimmed, TaskConfig().control_timestep)
+    most = goals.keys.sum(axis=1).max()
     return {
         "title": score.title,
         "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",
@@ -71,10 +72,14 @@ def _song_facts(score: Score) -> dict[str, Any]:
         "range": _pitch_range(
             min(note.pitch for note in score.notes), max(note.pitch for note in score.notes)
         ),
-        "at once": f"up to {goals.keys.sum(axis=1).max()} keys",
+        "at once": f"up to {_counted(most, 'key')}",
         "fingering": _about_fingering(score),
-        "pedal": f"{len(score.pedal)} movements",
+        "pedal": _counted(len(score.pedal), "movement"),
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s'[: number != 1]}"
 
 
 def _pitch_range(lowest: int, highest: int) -> str:
@@ -108,9 +113,9 @@ def _about_fingering(score: Score) -> str:
     fingered, dropped = find_fingering(score)
     found = sum(note.finger >= 0 for note in fingered.notes) - given
     reasons = Counter(reason for _, reason in dropped)
-    parts = [f"{given} of {len(score.notes)} notes"]
+    parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
     parts += [f"found for {found}"] if found else []
-    parts += [f"{count} cannot be played: {reason}" for reason, count in reasons.most_common()]
+    parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
     return "; ".join(parts)
 
 

@@ -105,10 +105,9 @@ def print_scores(performance: Performance) -> None:
         f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
     )
     print(
-        f"{metrics['steps']} steps, return {metrics['return']:.1f}, "
-        f"planned in {metrics['planning_seconds']:.1f} s and "
-        f"simulated in {metrics['playing_seconds']:.1f} s for "
-        f"{performance.seconds:.1f} s of music"
+        f"{performance.seconds:.1f} s of music in {metrics['steps']} steps, "
+        f"return {metrics['return']:.1f}; planning took {metrics['planning_seconds']:.1f} s, "
+        f"simulation {metrics['playing_seconds']:.1f} s"
     )
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
@@ -118,11 +117,11 @@ def print_what_was_lost(performance: Performance) -> None:
     """How many notes, and why, if there was a plan."""
     from collections import Counter
 
-    from cadenza.agents.planning.misses import in_a_line
+    from cadenza.agents.planning.misses import in_words
 
     if performance.plan is None or performance.misses is None:
         return
-    print(in_a_line(performance.misses, performance.episode))
+    print(*in_words(performance.misses, performance.episode), sep="\n")
     reasons = Counter(reason for _, reason in performance.plan.dropped)
     for reason, count in reasons.most_common():
-        print(f"{count} of them have no finger: {reason}")
+        print(f"no finger for {count} note{'s'[: count > 1]}: {reason}")

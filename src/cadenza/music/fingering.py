@@ -508,7 +508,7 @@ def _next_moment(
         else:
             reason = "too far from what is held by"
             if not tried.chord.within_reach:
-                reason = "with the notes around it out of reach of"
+                reason = "too far from the other notes for"
             left_out.append((press, reason))
     return moment or _moment(before, time, held, places), left_out
 

@@ -5,20 +5,20 @@ never sounded, sounded more than a step late, or was let go more than a step ear
 the first that holds says why it did not sound, or late:
 
 1. no finger: the fingering left it out, or gave it to a hand that is not there.
-2. not come up: the key still sounded from the note before.
-3. cut short: the plan holds the key for `_SHORTEST` steps at most and less than wanted, because
+2. key not released: the key still sounded from the note before.
+3. finger needed elsewhere: the plan holds the key for `_SHORTEST` steps at most and less than wanted, because
    its finger, or the whole hand, has to be elsewhere soon.
-4. wrong neighbour: up to two keys away another began to sound within two steps, with the finger
+4. neighbouring key struck: up to two keys away another began to sound within two steps, with the finger
    nearer to that key than to its own.
 5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
    and another fingertip was within `_TOUCHING`, or the forearms were within `_FOREARMS_TOUCH`.
 6. out of reach: the plan itself has the finger beside the key.
-7. too fast: the finger came late, or the plan has it come faster than `_FAST`.
-8. astray: the finger was not over its key, and none of the above.
-9. not pressed down: the finger was over the key, which did not reach its stop.
+7. too fast to get there: the finger came late, or the plan has it come faster than `_FAST`.
+8. finger beside the key: the finger was not over its key, and none of the above.
+9. key not pressed far enough: the finger was over the key, which did not reach its stop.
 
-A note that was let go early was cut short where the plan says so; otherwise the finger left the
-key ("astray"), or the key came up under it ("not held down").
+Of a note that was let go early, the finger was needed elsewhere where the plan says so; otherwise
+it left the key ("finger beside the key"), or the key came up under it ("key not held down").
 
 These are rules about where things were, not proofs of what caused what: of several troubles, the
 list names one.
@@ -92,18 +92,23 @@ def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
     return [miss for note in notes if (miss := inquiry.into(note))]
 
 
-def in_a_line(misses: Sequence[Miss], episode: Episode) -> str:
-    """Such as "missed 3 of 210 notes: 2 too fast, 1 no finger; let go of 4 early: 4 cut short"."""
+def in_words(misses: Sequence[Miss], episode: Episode) -> list[str]:
+    """Lines such as "missed 3 of 210 notes: too fast to get there (2), no finger (1)"."""
     num_notes = len(key_runs(episode["goal_keys"])[0])
     missed = [miss.cause for miss in misses if not miss.sounded]
     early = [miss.cause for miss in misses if miss.sounded]
-    line = f"missed {len(missed)} of {num_notes} notes{_counted(missed)}"
-    return line + (f"; let go of {len(early)} early{_counted(early)}" if early else "")
+    lines = [f"missed {len(missed)} of {num_notes} notes{_counted(missed)}"]
+    if early:
+        lines += [f"let go of {len(early)} note{'s'[: len(early) > 1]} early{_counted(early)}"]
+    return lines
 
 
 def _counted(causes: Sequence[str]) -> str:
-    parts = [f"{count} {cause}" for cause, count in Counter(causes).most_common()]
-    return ": " + ", ".join(parts) if parts else ""
+    """After a colon, with how many of each where there are several."""
+    counts = Counter(causes).most_common()
+    if len(counts) <= 1:
+        return "".join(f": {cause}" for cause, _ in counts)
+    return ": " + ", ".join(f"{cause} ({count})" for cause, count in counts)
 
 
 class _Inquiry:
@@ -161,16 +166,19 @@ class _Inquiry:
             why = self._left_out.get((note.key, note.first), "its hand does not play")
             return "no finger", f"no finger for it: {why}"
         if held_through:
-            return "not come up", "the key did not come up after the note before it"
+            return "key not released", "the key did not come up after the note before it"
         if press.last < note.last + 1 and press.last - press.first <= _SHORTEST:
-            return "cut short", f"let go too early to sound, as planned: {self._cut(press)}"
+            return (
+                "finger needed elsewhere",
+                f"let go too early to sound, as planned: {self._cut(press)}",
+            )
         if (neighbour := self._neighbour(note, press)) is not None:
-            return "wrong neighbour", f"the finger pressed {note_name(neighbour)} instead"
+            return "neighbouring key struck", f"the finger pressed {note_name(neighbour)} instead"
         rows = slice(note.first, min(note.first + 1 + _IN_TIME, self._steps))
         beside = float(_beside(self._tips[rows, press.finger], note.key).min())
         if beside <= _BESIDE:
             depth = float(self._depth[note.first : note.last, note.key].max())
-            return "not pressed down", f"the key went {100 * depth:.0f} % of its way"
+            return "key not pressed far enough", f"the key went {100 * depth:.0f} % of its way"
         return self._why_elsewhere(note, press, f"the finger was {1000 * beside:.0f} mm away")
 
     def _why_elsewhere(self, note: _Note, press: Press, where: str) -> tuple[str, str]:
@@ -182,8 +190,8 @@ class _Inquiry:
         coming = self._tips[row : row + 1 + _COMING, finger]
         speed = self._speed(row + 1, finger)
         if (_beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
-            return "too fast", f"too fast, planned at {speed:.1f} m/s: {where}"
-        return "astray", where
+            return "too fast to get there", f"too fast, planned at {speed:.1f} m/s: {where}"
+        return "finger beside the key", where
 
     def _neighbour(self, note: _Note, press: Press) -> int | None:
         """The key near by that the finger struck in place of its own."""
@@ -221,11 +229,14 @@ class _Inquiry:
         if press is None:
             return "no finger", "no finger was there for it; another pressed the key in passing"
         if press.last <= note.last and end >= press.last - 1 - _IN_TIME:
-            return "cut short", f"as planned: {self._cut(press)}"
+            return "finger needed elsewhere", f"as planned: {self._cut(press)}"
         beside = float(_beside(self._tips[end, press.finger], note.key))
         if beside > _BESIDE:
-            return "astray", f"the finger left the key and was {1000 * beside:.0f} mm away"
-        return "not held down", "the key came up under the finger"
+            return (
+                "finger beside the key",
+                f"the finger left the key and was {1000 * beside:.0f} mm away",
+            )
+        return "key not held down", "the key came up under the finger"
 
     def _cut(self, press: Press) -> str:
         """Why the plan lets a key go early."""
