@@ -179,11 +179,11 @@ REASONS: dict[Callable[[Concert], None], tuple[str, str]] = {
     other_hand: ("no finger", "no finger for it: its hand does not play"),
     jump: (
         "finger needed elsewhere",
-        "let go too early to sound, as planned: the hand had to jump",
+        "too early to sound, as planned: the hand had to jump",
     ),
     next_note: (
         "finger needed elsewhere",
-        "let go too early to sound, as planned: its finger had to press D4",
+        "as planned: its finger had to press D4",
     ),
     neighbour: ("neighbouring key struck", "the finger pressed D4 instead"),
     finger_in_the_way: ("collided", "the finger beside it"),

@@ -241,6 +241,15 @@ def test_what_stays_the_same_is_a_level_line(written) -> None:
     assert "Critic’s loss" not in found  # a logarithm has no zero
 
 
+def test_scores_are_drawn_from_0_to_1(written) -> None:
+    row = evaluation(2000, 1000, 0.0) | {"eval/note_onset_f1": 0.0, "episodes/f1": 0.3}
+    page = written(Curve("begun", [row]))
+    for title in ("Note onset F1", "F1 of training episodes"):
+        chart = page[page.index(f"{title}<") :]
+        labels = re.findall(r"bottom:[^>]*>([^<]*)<", chart[: chart.index("</section>")])
+        assert (labels[0], labels[-1]) == ("0", "1.0")
+
+
 def test_long_runs_make_a_small_page_that_still_shows_them(written) -> None:
     rng = np.random.default_rng(0)
     steps = 100 * np.arange(1, 50_001)

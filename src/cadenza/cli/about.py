@@ -64,7 +64,7 @@ def _song_facts(score: Score) -> dict[str, Any]:
 
     trimmed = score.with_silence_trimmed()
     goals = score_to_goals(trimmed, TaskConfig().control_timestep)
-    most = goals.keys.sum(axis=1).max()
+    most = int(goals.keys.sum(axis=1).max())
     return {
         "title": score.title,
         "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",

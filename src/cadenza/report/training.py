@@ -42,6 +42,8 @@ _TITLES = {
 }
 """Columns -> titles of their charts; each term of the reward has one."""
 _LOGARITHMIC = ("train/critic_loss", "train/temperature")
+_SHARES = ("eval/note_onset_f1", "episodes/f1")
+"""Drawn from 0 to 1, however little of that they cover."""
 _COLOURS = 8  # that the style sheet has for runs
 _DRAWN = 1200  # points of all runs together in a chart, so that the page stays small
 _MOST_DRAWN = 200  # points of a line: more are not to be seen
@@ -352,6 +354,8 @@ def _other_section(runs: Sequence[Curve]) -> str:
         )
         values = np.concatenate([y for line in lines for y in (line.points.y, *(line.band or ()))])
         if len(values):
+            if column in _SHARES:
+                values = np.append(values, [0.0, 1.0])
             y = log_axis(values) if log else value_axis(values)
             charts += line_chart(title, "control steps", x, y, lines)
     legend = _legend(_marks(runs)) if len(runs) > 1 else ""

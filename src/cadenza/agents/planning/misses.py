@@ -6,10 +6,10 @@ the first that holds says why it did not sound, or late:
 
 1. no finger: the fingering left it out, or gave it to a hand that is not there.
 2. key not released: the key still sounded from the note before.
-3. finger needed elsewhere: the plan holds the key for `_SHORTEST` steps at most and less than wanted, because
-   its finger, or the whole hand, has to be elsewhere soon.
-4. neighbouring key struck: up to two keys away another began to sound within two steps, with the finger
-   nearer to that key than to its own.
+3. finger needed elsewhere: the plan holds the key for `_SHORTEST` steps at most and less than
+   wanted, because its finger, or the whole hand, has to be elsewhere soon.
+4. neighbouring key struck: up to two keys away another began to sound within two steps, with the
+   finger nearer to that key than to its own.
 5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
    and another fingertip was within `_TOUCHING`, or the forearms were within `_FOREARMS_TOUCH`.
 6. out of reach: the plan itself has the finger beside the key.
