@@ -12,7 +12,14 @@ import tyro
 
 from cadenza.agents.named import REPLAY
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.performing import Again, WithOtherPlanners, as_cast, cast_of, default_folder
+from cadenza.cli.performing import (
+    Again,
+    WithOtherPlanners,
+    as_cast,
+    cast_of,
+    default_folder,
+    setting_up,
+)
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
 from cadenza.errors import CadenzaError
@@ -40,7 +47,6 @@ class Compare(WithOtherPlanners):
 
 
 def compare(command: Compare, again: Again[Compare]) -> None:
-    from cadenza.performing.casting import set_up
     from cadenza.performing.performance import perform
     from cadenza.report.comparison import Run, in_text, means, write_comparison
 
@@ -51,7 +57,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
     castings = {name: cast_of(command, name) for name in command.agents}
     commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
     for name, casting in castings.items():
-        with set_up(casting, commands[name].task, commands[name].scene):
+        with setting_up(casting, commands[name]):
             pass  # who cannot play is told before anyone has played
     folder = command.output or default_folder(castings[command.agents[0]])
     check_writable(folder)
@@ -59,7 +65,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
     for (name, casting), seed in product(castings.items(), dict.fromkeys(command.seeds)):
         own = commands[name]
         with (
-            set_up(casting, own.task, own.scene, seed) as setup,
+            setting_up(casting, own, seed) as setup,
             stages(f"{name}, seed {seed}") as progress,
         ):
             performance = perform(setup, progress)

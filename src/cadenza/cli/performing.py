@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -17,13 +18,14 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
+from cadenza.cli.progress import stages
 from cadenza.files import folder_name
 from cadenza.model.config import SceneConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 
 if TYPE_CHECKING:
-    from cadenza.performing.casting import Casting
+    from cadenza.performing.casting import Casting, Setup
     from cadenza.performing.performance import Performance
 
 Command = TypeVar("Command", bound="Performing")
@@ -87,6 +89,17 @@ def cast_of(command: Performing, agent: str | None, plan: Path | None = None) ->
 def as_cast(command: Command, casting: Casting, again: Again[Command]) -> Command:
     """The command with the casting's own task and scene where the command line says no other."""
     return again(replace(command, task=casting.task, scene=casting.scene))
+
+
+@contextmanager
+def setting_up(casting: Casting, command: Performing, seed: int = 0) -> Iterator[Setup]:
+    """`set_up` with the command's task and scene; shows how far the search for fingers is."""
+    from cadenza.performing.casting import set_up
+
+    with ExitStack() as kept:
+        with stages("playing") as progress:
+            setup = kept.enter_context(set_up(casting, command.task, command.scene, seed, progress))
+        yield setup
 
 
 def default_folder(casting: Casting) -> Path:

@@ -19,6 +19,7 @@ from cadenza.cli.performing import (
     default_folder,
     print_scores,
     print_what_was_lost,
+    setting_up,
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_name, check_writable
@@ -44,14 +45,13 @@ class Plan(Performing):
 
 def plan(command: Plan, _: Again[Plan]) -> None:
     from cadenza.music.fingering_file import SUFFIX
-    from cadenza.performing.casting import set_up
     from cadenza.performing.planning import make_plan
 
     if command.output is not None:
         check_name(command.output, ".npz", "a plan is a .npz file")
     casting = cast_of(command, PLANNER)
     path = command.output or default_folder(casting) / "plan.npz"
-    with set_up(casting, command.task, command.scene, command.seed) as setup:
+    with setting_up(casting, command, command.seed) as setup:
         check_writable(path.parent)
         tell_how_long(setup)
         with stages("planning") as progress:

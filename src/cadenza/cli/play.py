@@ -20,6 +20,7 @@ from cadenza.cli.performing import (
     default_folder,
     print_scores,
     print_what_was_lost,
+    setting_up,
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
@@ -59,7 +60,6 @@ class Play(WithOtherPlanners):
 
 
 def play(command: Play, again: Again[Play]) -> None:
-    from cadenza.performing.casting import set_up
     from cadenza.performing.performance import perform
     from cadenza.sim.render import Picture
 
@@ -67,7 +67,7 @@ def play(command: Play, again: Again[Play]) -> None:
     casting = cast_of(command, command.agent, command.plan)
     command = as_cast(command, casting, again)
     folder = command.output or default_folder(casting) / _name_of(casting.name)
-    with set_up(casting, command.task, command.scene, command.seed) as setup:
+    with setting_up(casting, command, command.seed) as setup:
         check_writable(folder)
         tell_how_long(setup)
         with stages("playing") as progress, asked_to_stop("this step") as stop:

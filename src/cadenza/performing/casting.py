@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cadenza.agents.agent import Agent
+from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.named import AGENTS, PLANNER, PRETRAINED, REPLAY, make_agent
 from cadenza.agents.replay import ReplayAgent, check_options, load_plan, options_of, physics_of
 from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy
@@ -170,8 +170,11 @@ def set_up(
     task: TaskConfig | None = None,
     scene: SceneConfig | None = None,
     seed: int = 0,
+    progress: Progress = silent,
 ) -> Iterator[Setup]:
     """Yields what to play, in the task and scene of the casting unless others are chosen.
+
+    `progress` is told of "fingers", which are looked for before anyone plays.
 
     Raises:
         CadenzaError: an option makes no sense, or the agent cannot play with it.
@@ -197,7 +200,8 @@ def set_up(
     config = getattr(casting.agent, "config", None)
     if is_dataclass(config) and not isinstance(config, type):
         settings[casting.name.replace("-", "_")] = asdict(config)
-    with closing(PianoTask([casting.score], task, scene)) as piano_task:
+    looking = partial(progress, "fingers")
+    with closing(PianoTask([casting.score], task, scene, progress=looking)) as piano_task:
         if casting.learnt is not None:
             casting.learnt.check(casting.name, piano_task)
         yield Setup(casting.score, casting.agent, piano_task, seed, settings, options)

@@ -181,7 +181,7 @@ def play(
             go together.
     """
     casting = cast(song, agent, plan=plan)
-    with set_up(casting, task, scene, seed) as setup:
+    with set_up(casting, task, scene, seed, progress) as setup:
         return perform(setup, progress)
 
 

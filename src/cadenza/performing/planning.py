@@ -79,7 +79,7 @@ def plan(
             to the end.
     """
     casting = cast(song, PLANNER, configs={PLANNER: config})
-    with set_up(casting, task, scene, seed) as setup:
+    with set_up(casting, task, scene, seed, progress) as setup:
         return make_plan(setup, progress)
 
 

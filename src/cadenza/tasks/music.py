@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import get_args
 
 import numpy as np
@@ -39,9 +39,14 @@ _MOST = {  # of options that are 0 or more
 
 
 def prepare(
-    scores: Sequence[Score], config: TaskConfig, sides: Sequence[Side]
+    scores: Sequence[Score],
+    config: TaskConfig,
+    sides: Sequence[Side],
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Score, ...]:
     """The scores as the task will draw from them, for the hands on these `sides`.
+
+    `progress` is that of `find_fingering`.
 
     Raises:
         CadenzaError: there is no score, or one without notes, or an option makes no sense.
@@ -54,7 +59,7 @@ def prepare(
     scores = [_arranged(score, config) for score in scores]
     _check_longest(max(score.total_time for score in scores), config)
     if config.fingering == "auto" and sides:
-        scores = [find_fingering(score, sides)[0] for score in scores]
+        scores = [find_fingering(score, sides, progress)[0] for score in scores]
     return tuple(scores)
 
 

@@ -7,7 +7,7 @@ actuator units and arrays (num_envs, ...).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,6 +73,7 @@ class PianoTask:
         num_envs: int = 1,
         num_threads: int = 1,
         reward_terms: Mapping[str, reward.RewardTerm] | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> None:
         """Args:
             scores: the songs to draw from, one per episode.
@@ -82,6 +83,7 @@ class PianoTask:
             num_threads: threads that share the simulation.
             reward_terms: name -> function of a `reward.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
+            progress: is told of how many notes the fingers have been looked for, and of all.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -89,7 +91,7 @@ class PianoTask:
         self.config = config or TaskConfig()
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs
-        self.scores = music.prepare(scores, self.config, self.scene.sides)
+        self.scores = music.prepare(scores, self.config, self.scene.sides, progress)
         self._offset_joints = self._find_offset_joints()
         self.simulation = Simulation(
             self.scene,

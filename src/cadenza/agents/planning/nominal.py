@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 _LEAD = 3  # steps before a press in which the first guess has the hand there
 _WINDOW = 600  # steps that are planned at once: 30 s, in which all bundled pieces fit
+_FIRST = 200  # of a song that does not: less to wait for before the first action
 _OVERLAP = 80  # of these that the next window plans again
 _SETTLED = 10  # steps before a window in which presses have ended that do not matter to it
 
@@ -111,8 +112,9 @@ class _Hands:
             progress: is told of "postures".
         """
         first = plan.num_steps
-        last = min(first + _WINDOW, len(asked))
-        kept = last - first if last == len(asked) else _WINDOW - _OVERLAP
+        size = _WINDOW if first or len(asked) <= _WINDOW else _FIRST
+        last = min(first + size, len(asked))
+        kept = last - first if last == len(asked) else size - _OVERLAP
         since = _begin_of_presses(asked, first)
         wanted = presses_of(asked[since:last] >= 0, asked[since:last])
         presses = let_go_in_time(wanted, self._rest_y, self._dt)
@@ -188,7 +190,10 @@ def _join(plan: Nominal, window: Nominal, steps: int) -> Nominal:
     later = [
         press for press in window.presses if press.first <= first + steps and press.last > first
     ]
-    known |= {(press.first, press.key): press for press in later}
+    for press in later:
+        begin = press.first, press.key
+        # What comes before a press that had begun, the later window does not know.
+        known[begin] = press._replace(flies_to=known.get(begin, press).flies_to)
 
     def states(before: Array, after: Array) -> Array:
         return np.concatenate([before[:-1], after[: steps + 1]])
