@@ -152,7 +152,7 @@ def test_curves_of_several_runs_make_one_page(
     bare.mkdir()
     shutil.copy(run / "metrics.jsonl", bare)
     main(["curves", str(run), str(bare), "-o", str(page)])
-    assert "<h1>tune, elise</h1>" in page.read_text()
+    assert "<h1>tune · elise</h1>" in page.read_text()
     picture = tmp_path / "curves.png"
     assert "a .html page" in refused(capsys, "curves", run, "-o", picture)
     assert "holds no metrics" in refused(capsys, "curves", tmp_path, "-o", page)

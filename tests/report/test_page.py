@@ -111,6 +111,11 @@ def test_not_a_number_is_shown_as_a_dash(write, episode):
     assert page.words.count("–") == 3
 
 
+def test_an_empty_list_of_settings_claims_nothing(write, episode):
+    page = write(episode, settings={"arrangement": {"tracks": []}})  # these are all tracks
+    assert page.words[page.words.index("arrangement.tracks") + 1] == "–"
+
+
 def test_settings_that_are_none_are_not_shown(write, episode):
     page = write(episode, settings={"task": {"limit": None, "steps": 3}, "zero": 0, "no": False})
     assert "task.limit" not in page.words

@@ -19,7 +19,7 @@ from cadenza.report.training import Curve, write_training
 
 UNITS = {"": 1, "k": 1e3, "M": 1e6, "s": 1, "min": 60, "h": 3600}
 STEPS, TIME = "F1 by control steps", "F1 by wall time"
-LOGARITHMIC = ("Critic’s loss", "Temperature")
+LOGARITHMIC = ("Critic loss", "Temperature")
 Row = dict[str, float | None]
 
 
@@ -146,7 +146,7 @@ def test_what_is_not_known_is_left_out(written) -> None:
 
 
 def test_the_critics_loss_is_drawn_by_its_logarithm(written) -> None:
-    drawn = Charts(written(RUN)).found["Critic’s loss"]["run0"]
+    drawn = Charts(written(RUN)).found["Critic loss"]["run0"]
     expected = [(2000, 7), (3000, 0.5), (4000, 0.03), (5000, 0.003)]
     np.testing.assert_allclose(drawn, expected, rtol=2e-2)
 
@@ -238,7 +238,7 @@ def test_what_stays_the_same_is_a_level_line(written) -> None:
     found = Charts(written(Curve("still", rows))).found
     assert_drawn(found["Value"]["run0"], [(1000, 0.3), (2000, 0.3)])
     assert_drawn(found["Temperature"]["run0"], [(1000, 1), (2000, 1)])
-    assert "Critic’s loss" not in found  # a logarithm has no zero
+    assert "Critic loss" not in found  # a logarithm has no zero
 
 
 def test_scores_are_drawn_from_0_to_1(written) -> None:

@@ -227,7 +227,7 @@ def curves(command: Curves) -> None:
     tasks = [", ".join(part for part in parts if part not in shared) for parts in told]
     apart = [replace(curve, task=task) for curve, task in zip(drawn, tasks, strict=True)]
     songs = dict.fromkeys(song for song, *_ in told)
-    write_training(command.output, ", ".join(songs), apart, {})
+    write_training(command.output, " · ".join(songs), apart, {})
     print(f"Open {command.output}")
 
 

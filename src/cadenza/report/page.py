@@ -192,7 +192,7 @@ def _table(settings: Mapping[str, Any]) -> str:
 def _plain(value: Any) -> str:
     """Of a path only its name: folders of this machine say nothing to whoever reads the page."""
     if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value)) or "none"
+        return ", ".join(map(_plain, value)) or "–"
     path = Path(text := str(value))
     return path.name if path.is_absolute() else text
 
