@@ -265,7 +265,10 @@ def test_an_agent_of_ones_own(here: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("nowhere:Still", "agent nowhere:Still: cannot import 'nowhere' (No module named"),
+        (
+            "nowhere:Still",
+            "agent nowhere:Still: cannot import 'nowhere': ModuleNotFoundError: No module named",
+        ),
         (":Still", "agent :Still: cannot import ''"),
         ("own:Moving", "agent own:Moving: there is no class 'Moving' in "),
         ("own:not_a_class", "there is no class 'not_a_class' in "),

@@ -6,6 +6,7 @@ else it holds is refused here, in one line.
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -14,7 +15,7 @@ import secrets
 import stat
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar
@@ -28,7 +29,9 @@ from cadenza.errors import CadenzaError
 T = TypeVar("T")
 
 TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is written
-_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_WRITING = _FLAGS | getattr(os, "O_NOFOLLOW", 0)
+_READING = _FLAGS | getattr(os, "O_NONBLOCK", 0) | os.O_RDONLY
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 # Writing
@@ -45,7 +48,7 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Short, since the name of `path` may be as long as a name can be.
     temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FLAGS
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _WRITING
     try:
         with os.fdopen(os.open(temporary, flags, 0o666), "wb") as file:
             yield file
@@ -55,6 +58,11 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
             if stat.S_ISREG(mode := path.lstat().st_mode):
                 os.chmod(temporary, stat.S_IMODE(mode) & 0o777)
         os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # which file it was
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -67,8 +75,24 @@ def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         OSError: it is a symbolic link, among others.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | _FLAGS, 0o666)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | _WRITING, 0o666)
     with os.fdopen(handle, "r+b") as file:
+        yield file
+
+
+# Reading
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[IO[bytes]]:
+    """Yields a file to be read, which is one that ends: no pipe that nobody writes to, no device.
+
+    Raises:
+        OSError: it cannot be opened, or is none.
+    """
+    with open(path, "rb", opener=lambda name, _: os.open(name, _READING)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "no regular file", str(path))
         yield file
 
 
@@ -81,7 +105,7 @@ def read_json(path: Path, kind: type[T]) -> T:
     Raises:
         CadenzaError: it cannot be read, is no JSON, or holds something else.
     """
-    return parsed_json(_content(path), kind, path)
+    return parsed_json(content_of(path), kind, path)
 
 
 def parsed_json(content: bytes | str, kind: type[T], where: object) -> T:
@@ -205,8 +229,8 @@ def read_arrays(
     """
     where = source if where is None else where
     try:
-        size = len(source) if isinstance(source, bytes) else os.path.getsize(source)
-        with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as file:
+        with _stream(source) as stream, zipfile.ZipFile(stream) as file:
+            size = stream.seek(0, os.SEEK_END)
             members = {name: m for name, m in _members(file) if _of(name, expected)}
             total = sum(member.file_size for member in members.values())
             if total > (limit := size if most is None else most):
@@ -243,9 +267,19 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
             raise CadenzaError(f"{where}: {name} holds numbers that are not finite; {_ANOTHER}")
 
 
-def _content(path: Path) -> bytes:
+def _stream(source: Path | bytes) -> AbstractContextManager[IO[bytes]]:
+    return io.BytesIO(source) if isinstance(source, bytes) else opened(source)
+
+
+def content_of(path: Path) -> bytes:
+    """All that a file holds.
+
+    Raises:
+        CadenzaError: it is not there, or cannot be read.
+    """
     try:
-        return path.read_bytes()
+        with opened(path) as file:
+            return file.read()
     except FileNotFoundError as error:
         raise CadenzaError(f"{path}: there is no such file") from error
     except OSError as error:

@@ -306,13 +306,13 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"num_candidates": 0}, "num_candidates 0: choose 1 or more"),
-        ({"num_knots": 1}, "num_knots 1: choose 2 or more"),
-        ({"iterations": 0}, "iterations 0: choose 1 or more"),
-        ({"sigma": -0.1}, "sigma -0.1: choose 0 or more"),
+        ({"num_candidates": 0}, "num_candidates 0: choose 1 to"),
+        ({"num_knots": 1}, "num_knots 1: choose 2 to"),
+        ({"iterations": 0}, "iterations 0: choose 1 to"),
+        ({"sigma": -0.1}, "sigma -0.1: choose 0 to"),
         ({"sigma": float("nan")}, "sigma nan"),
         ({"horizon": 0.0}, "the horizon must be at least one planning timestep"),
-        ({"horizon": float("inf")}, "horizon inf s"),
+        ({"horizon": float("inf")}, "horizon inf: choose 0 to 60"),
         ({"planning_timestep": 0.3}, "planning_timestep 0.3 s"),
         ({"planning_timestep": 0.012}, "not a multiple of the physics step"),
     ],
@@ -323,5 +323,5 @@ def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> N
 
 
 def test_a_negative_seed_is_refused(right_hand: Scene) -> None:
-    with pytest.raises(CadenzaError, match="seed -1: choose 0 or more"):
+    with pytest.raises(CadenzaError, match="seed -1: choose 0 to"):
         perform(ZeroAgent(), right_hand, seed=-1)

@@ -273,7 +273,10 @@ class TestPianoThatPlaysItself:
         ({"hands": "three"}, "hands 'three': choose from both, right, left, none"),
         ({"physics": "magic"}, "physics 'magic': choose from published, fast"),
         ({"forearm_dofs": ("tx", "tx")}, "at most once"),
-        ({"forearm_dofs": ("sideways",)}, "choose each .* from tx, ty, tz, roll, pitch, yaw"),
+        (
+            {"forearm_dofs": ("sideways",)},
+            "for each of it, choose from tx, ty, tz, roll, pitch, yaw",
+        ),
         ({"hand_spacing": -0.1}, "hand_spacing -0.1 m"),
         ({"hand_spacing": float("nan")}, "hand_spacing nan m"),
         ({"attachment_yaw": 360.0}, "attachment_yaw 360.0 degrees: choose -180 to 180"),

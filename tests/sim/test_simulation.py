@@ -155,8 +155,8 @@ def test_a_diverging_simulation_is_counted_and_harms_no_other(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"num_envs": 0}, "at least 1"),
-        ({"num_threads": 0}, "at least 1"),
+        ({"num_envs": 0}, "num_envs 0: choose 1 to"),
+        ({"num_threads": 0}, "num_threads 0: choose 1 to"),
         ({"control_timestep": 0.012}, "not a multiple"),
         ({"control_timestep": 0.0}, "not a multiple"),
     ],

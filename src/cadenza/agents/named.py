@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
+from cadenza.agents.others import by_others
 from cadenza.agents.planning.config import (
     ILQGConfig,
     PredictiveSamplingConfig,
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
+from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 
 if TYPE_CHECKING:
@@ -77,11 +79,17 @@ def make_agent(name: str, config: Any = None) -> Agent:
         CadenzaError: there is no such agent, it has not the methods of one, or an option makes no
             sense.
     """
+    if not isinstance(name, str):
+        raise CadenzaError(f"agent {name!r:.100}: give its name, such as {PLANNER!r}")
     if name in AGENTS:
-        kind = _class_at(AGENTS[name].place)
-        return kind() if config is None else kind(config)
+        kind, options = _class_at(AGENTS[name].place), AGENTS[name].config
+        if options is None and config is not None:
+            raise CadenzaError(f"agent {name!r} has no options: give none")
+        return kind() if options is None else kind(as_config(config, options))
     if ":" in name:
-        return _checked(_class_at(name)(), name)
+        with by_others(f"agent {name}"):
+            agent = _class_at(name)()
+        return checked_agent(agent, name)
     if name in NAMES:
         raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
     close = get_close_matches(name, NAMES, n=1)
@@ -94,17 +102,22 @@ def make_agent(name: str, config: Any = None) -> Agent:
 
 def _class_at(place: str) -> Any:
     module, _, name = place.partition(":")
-    try:
+    with by_others(f"agent {place}: cannot import {module!r}"):
         found = importlib.import_module(module)
-    except (ImportError, ValueError) as error:  # a name that is empty, or begins with a dot
-        raise CadenzaError(f"agent {place}: cannot import {module!r} ({error})") from error
     kind = getattr(found, name, None)
     if not isinstance(kind, type):
-        raise CadenzaError(f"agent {place}: there is no class {name!r} in {found.__file__}")
+        raise CadenzaError(f"agent {place}: there is no class {name!r} in {module}")
     return kind
 
 
-def _checked(agent: Any, place: str) -> Agent:
+def checked_agent(agent: Any, place: str) -> Agent:
+    """`agent`, which is to be one; errors name it `place`.
+
+    Raises:
+        CadenzaError: it has not the methods of one.
+    """
+    if isinstance(agent, type):
+        raise CadenzaError(f"agent {place}: {agent.__name__} is a class; give an instance of it")
     if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
         raise CadenzaError(
             f"agent {place}: has no method {' and no method '.join(lacking)}; "

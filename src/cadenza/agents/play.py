@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Progress, ReportingAgent, silent
+from cadenza.agents.others import by_others
+from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.model.drawing import body_poses, drawing
@@ -51,26 +53,24 @@ def play(
     Raises:
         CadenzaError: the agent cannot play this task, or the seed is negative.
     """
-    if seed < 0:
-        raise CadenzaError(f"seed {seed}: choose 0 or more")
+    seed = whole_number(seed, "seed", 0, MOST_SEED)
+    name = type(agent).__name__
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
     if isinstance(agent, ReportingAgent):
         agent.progress = progress
     started = time.perf_counter()
-    agent.reset(task, agent_rng)
+    with by_others(f"agent {name}: reset()"):
+        agent.reset(task, agent_rng)
     planning, playing = time.perf_counter() - started, 0.0
     record = _Record(task)
     ended = unstable = False
     while not ended:
         started = time.perf_counter()
-        action = agent.act()
+        with by_others(f"agent {name}: act()"):
+            action = np.asarray(agent.act(), np.float64)
         decided = time.perf_counter()
-        if np.shape(action) != (task.action_size,):
-            raise CadenzaError(
-                f"the agent's act() returned an action of shape {np.shape(action)}, "
-                f"but the task needs ({task.action_size},)"
-            )
+        _check_action(action, task, name)
         transition = task.step(action[None])
         playing += time.perf_counter() - decided
         planning += decided - started
@@ -88,6 +88,16 @@ def play(
         "unstable": unstable,
     }
     return Performance(record.episode(metrics), metrics)
+
+
+def _check_action(action: NDArray[np.float64], task: PianoTask, agent: str) -> None:
+    if action.shape != (task.action_size,):
+        raise CadenzaError(
+            f"agent {agent}: act() returned an action of shape {action.shape}, "
+            f"but the task needs ({task.action_size},)"
+        )
+    if not np.isfinite(action).all():
+        raise CadenzaError(f"agent {agent}: act() returned an action that is not finite")
 
 
 class _Record:

@@ -154,7 +154,9 @@ def _exit(status: int, message: str = "") -> NoReturn:
     """Says why, and drops what cannot be written, of which Python would complain at its end."""
     with suppress(OSError):
         if message:
-            print(f"cadenza: {message}", file=sys.stderr)
+            # Of one line, whatever characters the name of a file in it has.
+            line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+            print(f"cadenza: {line}", file=sys.stderr)
     for stream in sys.stdout, sys.stderr:
         try:
             stream.flush()

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.model.cameras import add_cameras
-from cadenza.model.config import Hands, Physics, SceneConfig, Side
+from cadenza.model.config import SceneConfig, Side
 from cadenza.model.hand import add_hand, prefix
 from cadenza.model.piano import NUM_KEYS, add_piano, key_name
 from cadenza.model.shadow_hand import FINGERS, FOREARM_DOFS
@@ -70,7 +71,7 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     Raises:
         CadenzaError: the configuration makes no sense.
     """
-    config = config or SceneConfig()
+    config = as_config(config, SceneConfig)
     _check(config)
     spec = mujoco.MjSpec()
     _set_options(spec, config)
@@ -109,13 +110,7 @@ def _sides(config: SceneConfig) -> tuple[Side, ...]:
 
 
 def _check(config: SceneConfig) -> None:
-    for name, choices in (("hands", get_args(Hands)), ("physics", get_args(Physics))):
-        if getattr(config, name) not in choices:
-            raise CadenzaError(
-                f"{name} {getattr(config, name)!r}: choose from {', '.join(choices)}"
-            )
-    unknown = [dof for dof in config.forearm_dofs if dof not in FOREARM_DOFS]
-    if unknown or len(set(config.forearm_dofs)) < len(config.forearm_dofs):
+    if len(set(config.forearm_dofs)) < len(config.forearm_dofs):
         raise CadenzaError(
             f"forearm_dofs {config.forearm_dofs}: choose each at most once from "
             f"{', '.join(FOREARM_DOFS)}"

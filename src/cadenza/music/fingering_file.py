@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
-from cadenza.files import write_atomically
+from cadenza.files import opened, write_atomically
 from cadenza.music.score import NUM_FINGERS, UNKNOWN_FINGER, Score
 
 SUFFIX = ".fingering"
@@ -42,7 +42,8 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with opened(path) as file:
+            text = file.read().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise CadenzaError(f"{path}: not a text file in UTF-8; give a fingering file") from None
     except OSError as error:

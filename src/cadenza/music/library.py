@@ -77,6 +77,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     from cadenza.music.midi import read_midi
     from cadenza.music.musicxml import read_musicxml
 
+    check_is_name(name_or_path)
     path = Path(name_or_path)
     suffix = path.suffix.lower()
     if suffix not in (*_MIDI, *_MUSICXML, *_NOT_READ) and not os.path.isfile(path):
@@ -88,6 +89,15 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score
     return read_fingering(sidecar, score, all_there=not tracks)
+
+
+def check_is_name(song: object) -> None:
+    """Raises: CadenzaError: it is nothing that names a song."""
+    if not isinstance(song, str | Path):
+        raise CadenzaError(
+            f"song {song!r:.100}: give the name of a bundled song, the path of a MIDI or MusicXML "
+            "file, or a Score"
+        )
 
 
 def _bundled_name(name: str) -> str:

@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
+from cadenza.files import opened
 
 MAX_BYTES = 2 * 2**20  # an hour of dense piano music in MIDI needs about half of it
 
@@ -20,8 +21,8 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
     if os.path.isdir(path):
         raise CadenzaError(f"{path}: is a folder; give a file")
     try:
-        with path.open("rb") as opened:
-            data = opened.read(most + 1)
+        with opened(path) as file:
+            data = file.read(most + 1)
     except FileNotFoundError:
         raise CadenzaError(f"{path}: there is no such file; {_hint(path)}") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character

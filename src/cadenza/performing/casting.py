@@ -12,14 +12,22 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.named import AGENTS, PLANNER, PRETRAINED, REPLAY, make_agent
+from cadenza.agents.named import (
+    AGENTS,
+    PLANNER,
+    PRETRAINED,
+    REPLAY,
+    checked_agent,
+    make_agent,
+)
 from cadenza.agents.replay import ReplayAgent, check_options, load_plan, options_of, physics_of
 from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy
 from cadenza.agents.rl.pretrained import pretrained_folder
+from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.model.config import SceneConfig
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.library import songs
+from cadenza.music.library import check_is_name, songs
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
@@ -78,7 +86,8 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     Raises:
         CadenzaError: there is no such song, or it cannot be read.
     """
-    arrangement = arrangement or Arrangement()
+    check_is_name(song)
+    arrangement = as_config(arrangement, Arrangement)
     if is_policy(song):
         if arrangement.chosen:
             raise CadenzaError(
@@ -133,10 +142,13 @@ def cast(
     if agent is None:
         agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
     if not isinstance(agent, str | Path):
-        return casting(name=type(agent).__name__, agent=agent)
+        name = type(agent).__name__
+        return casting(name=name, agent=checked_agent(agent, name))
     name = str(agent)
     if (name == REPLAY) != (plan is not None):
         raise CadenzaError("--agent replay and --plan FILE.npz go together: give both or neither")
+    if not isinstance(plan, str | Path | None):
+        raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
         scene, player = replace(SceneConfig(), **physics_of(Path(plan))), load_plan(Path(plan))
         return casting(name=name, agent=ReplayAgent(player), scene=scene, plan=Path(plan))
@@ -179,7 +191,9 @@ def set_up(
     Raises:
         CadenzaError: an option makes no sense, or the agent cannot play with it.
     """
-    task, scene = task or casting.task, scene or casting.scene
+    task = as_config(casting.task if task is None else task, TaskConfig)
+    scene = as_config(casting.scene if scene is None else scene, SceneConfig)
+    seed = whole_number(seed, "seed", 0, MOST_SEED)
     options = options_of(task, scene, seed, **asdict(casting.arrangement))
     if casting.plan is not None:
         check_options(casting.plan, options)

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 from cadenza.model.piano import NUM_KEYS
 from cadenza.model.scene import Scene
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
+MOST_ENVS = 10_000
+"""Each takes about a megabyte."""
+_MOST_THREADS = 1024
 _LOG = logging.getLogger(__name__)
 # Bad positions, velocities, accelerations and controls are neighbours among MuJoCo's warnings.
 _UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -86,10 +90,8 @@ class Simulation:
         Raises:
             CadenzaError: a number is not positive or the timesteps do not divide.
         """
-        if num_envs < 1 or num_threads < 1:
-            raise CadenzaError("num_envs and num_threads must be at least 1")
         self.scene = scene
-        self.num_envs = num_envs
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.control_timestep = control_timestep
         self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
         self.num_unstable = 0
@@ -97,7 +99,7 @@ class Simulation:
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
         self._pool: ThreadPoolExecutor | None = None  # started when it is first needed
         self._pool_of = os.getpid()  # a forked child has none of its threads
-        self._num_threads = num_threads
+        self._num_threads = whole_number(num_threads, "num_threads", 1, _MOST_THREADS)
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
         for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.music.library import load_score
@@ -54,13 +55,13 @@ def configure(
     def chosen(kind: type) -> dict[str, Any]:
         return {name: options[name] for name in known[kind] & options.keys()}
 
-    task = replace(task or TaskConfig(), **chosen(TaskConfig))
-    return task, replace(scene or SceneConfig(), **chosen(SceneConfig))
+    task = replace(as_config(task, TaskConfig), **chosen(TaskConfig))
+    return task, replace(as_config(scene, SceneConfig), **chosen(SceneConfig))
 
 
 def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
     """One or several songs: bundled names, paths of MIDI files, or scores."""
-    songs = [song] if isinstance(song, str | Path | Score) else list(song)
+    songs: list[Any] = [*song] if isinstance(song, list | tuple) else [song]
     return tuple(s if isinstance(s, Score) else load_score(s) for s in songs)
 
 
@@ -140,24 +141,32 @@ class PianoVectorEnv(VectorEnv):
         """
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
+        if not isinstance(picture, Picture | None):
+            raise CadenzaError(f"picture {picture!r:.100}: give a Picture")
+        try:
+            autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError as error:
+            raise CadenzaError(
+                f"autoreset_mode {autoreset_mode!r}: choose one of gymnasium.vector.AutoresetMode"
+            ) from error
         self.task = make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
         self._lock = Lock()
-        self.num_envs = num_envs
+        self.num_envs = self.task.num_envs
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
             "render_fps": round(1 / self.task.config.control_timestep),
-            "autoreset_mode": AutoresetMode(autoreset_mode),
+            "autoreset_mode": autoreset_mode,
         }
         self._picture = picture or Picture()
         self._pixels = pixels
         self._drawing = Drawing(self.task.scene, self._picture)
         self._rngs: list[np.random.Generator] = []
-        self._finished = np.zeros(num_envs, bool)
+        self._finished = np.zeros(self.num_envs, bool)
         self.single_action_space = spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
         self.single_observation_space = self._observation_space()
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     @property
     def observation_layout(self) -> dict[str, slice]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
-from cadenza.tasks.config import Fingering, Repeats, TaskConfig
+from cadenza.tasks.config import TaskConfig
 
 _OCTAVE = 12
 _MOST = {  # of options that are 0 or more
@@ -72,12 +71,6 @@ def _arranged(score: Score, config: TaskConfig) -> Score:
 
 
 def _check(config: TaskConfig) -> None:
-    if config.fingering not in get_args(Fingering):
-        choices = ", ".join(get_args(Fingering))
-        raise CadenzaError(f"fingering {config.fingering!r}: choose from {choices}")
-    if config.repeats not in get_args(Repeats):
-        choices = ", ".join(get_args(Repeats))
-        raise CadenzaError(f"repeats {config.repeats!r}: choose from {choices}")
     if not config.control_timestep > 0:
         raise CadenzaError(f"control_timestep {config.control_timestep}: choose more than 0")
     for name, most in _MOST.items():

@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.configs import as_config, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.model.config import SceneConfig
 from cadenza.model.scene import Scene, build_scene
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import NUM_KEYS, Score
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.simulation import MOST_ENVS, Simulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
 
@@ -45,6 +46,15 @@ class Transition(NamedTuple):
     truncated: Mask
     """The score is over."""
     unstable: Mask
+
+
+def _checked_terms(terms: Mapping[str, reward.RewardTerm]) -> dict[str, reward.RewardTerm]:
+    if not isinstance(terms, Mapping):
+        raise CadenzaError(f"reward_terms {terms!r:.100}: give a dictionary, name -> function")
+    for name, term in terms.items():
+        if not isinstance(name, str) or not callable(term):
+            raise CadenzaError(f"reward term {name!r:.100}: give a name and a function")
+    return dict(terms)
 
 
 class PianoTask:
@@ -88,9 +98,9 @@ class PianoTask:
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
         """
-        self.config = config or TaskConfig()
+        self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
-        self.num_envs = num_envs
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.scores = music.prepare(scores, self.config, self.scene.sides, progress)
         self._offset_joints = self._find_offset_joints()
         self.simulation = Simulation(
@@ -107,7 +117,7 @@ class PianoTask:
         self.observation_layout = self._lay_out_observation(lookahead)
         self.observation_size = max(part.stop for part in self.observation_layout.values())
         self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
-        self._more_terms = dict(reward_terms or {})
+        self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
@@ -240,14 +250,25 @@ class PianoTask:
             fingers=fingers,
             ctrl=ctrl,
         )
-        terms = {n: np.asarray(term(outcome), float) for n, term in self._more_terms.items()}
-        for name, values in terms.items():
-            if values.shape != (self.num_envs,):
-                raise CadenzaError(
-                    f"reward term {name!r} returned shape {values.shape}: give a number for each "
-                    f"environment, ({self.num_envs},)"
-                )
-        return terms
+        return {n: self._reward_of(n, term(outcome)) for n, term in self._more_terms.items()}
+
+    def _reward_of(self, term: str, given: Any) -> Array:
+        """(N,) what a term of somebody else's has returned.
+
+        Raises:
+            CadenzaError: that is no reward.
+        """
+        wanted = f"give a finite number for each environment, ({self.num_envs},)"
+        try:
+            values = np.asarray(given, float)
+        except (TypeError, ValueError) as error:
+            kind = type(given).__name__
+            raise CadenzaError(f"reward term {term!r} returned {kind}: {wanted}") from error
+        if values.shape != (self.num_envs,):
+            raise CadenzaError(f"reward term {term!r} returned shape {values.shape}: {wanted}")
+        if not np.isfinite(values).all():
+            raise CadenzaError(f"reward term {term!r} returned {values}: {wanted}")
+        return values
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.box_ddp import Model, Policy, backward_pass
 from cadenza.agents.planning.config import ILQGConfig
+from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.model.piano import KEY_TRAVEL
 from cadenza.model.scene import build_scene
@@ -277,9 +278,9 @@ class _Damping:
 
 
 def _check(config: ILQGConfig) -> None:
-    for name in ("iterations", "num_step_sizes"):
-        if (value := getattr(config, name)) < 1:
-            raise CadenzaError(f"{name} {value}: choose 1 or more")
+    check_ranges(
+        config, {"iterations": (1, 10_000), "num_step_sizes": (1, 1000), "horizon": (0, 60)}
+    )
     for name in ("horizon", "planning_timestep", "control_weight"):
         if not 0 < (value := getattr(config, name)) < math.inf:
             raise CadenzaError(f"{name} {value}: choose more than 0")

@@ -6,14 +6,13 @@ drawn around the last one, itself among them, the cheapest in simulation is carr
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
 from cadenza.sim.simulation import Simulation, State, available_cores
@@ -110,11 +109,17 @@ def _flat(values: Array) -> Array:
 
 
 def _check(config: PredictiveSamplingConfig) -> None:
-    least = {"num_candidates": 1, "num_knots": 2, "iterations": 1, "sigma": 0}
-    for name, low in least.items():
-        if not low <= (value := getattr(config, name)) < math.inf:
-            raise CadenzaError(f"{name} {value}: choose {low} or more")
-    if not 0 < config.planning_timestep <= config.horizon < math.inf:
+    check_ranges(
+        config,
+        {
+            "num_candidates": (1, 10_000),
+            "num_knots": (2, 1000),
+            "iterations": (1, 10_000),
+            "sigma": (0, 1000),
+            "horizon": (0, 60),
+        },
+    )
+    if not 0 < config.planning_timestep <= config.horizon:
         raise CadenzaError(
             f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
             "the horizon must be at least one planning timestep"

@@ -8,7 +8,7 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
-from cadenza.errors import CadenzaError
+from cadenza.configs import check_ranges
 from cadenza.model.scene import hand_alone
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.piano_task import PianoTask
@@ -75,6 +75,6 @@ class ScorePlanner:
 
 
 def _check(config: ScorePlannerConfig) -> None:
-    for name, least in (("num_candidates", 4), ("iterations", 1), ("horizon", 0)):
-        if not least <= getattr(config, name) < float("inf"):
-            raise CadenzaError(f"{name} {getattr(config, name)}: choose {least} or more")
+    check_ranges(
+        config, {"num_candidates": (4, 10_000), "iterations": (1, 10_000), "horizon": (0, 60)}
+    )

@@ -39,6 +39,7 @@ from cadenza.files import (
     TEMPORARY,
     Expected,
     checked,
+    opened,
     opened_in_place,
     parsed_json,
     read_arrays,
@@ -367,9 +368,12 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
     """
     path, rows, others = run / "metrics.jsonl", [], 0
     try:
-        lines = path.read_bytes().split(b"\n")[:-1]
+        with opened(path) as file:
+            lines = file.read().split(b"\n")[:-1]
     except FileNotFoundError:
         return []
+    except OSError as error:
+        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
     for line in lines:
         try:
             row = parsed_json(line.strip(b"\0"), _Row, path)

@@ -19,7 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import ANY, Expected, parsed_json, read_arrays, read_json, write_atomically
+from cadenza.files import (
+    ANY,
+    Expected,
+    content_of,
+    parsed_json,
+    read_arrays,
+    read_json,
+    write_atomically,
+)
 
 _MANIFEST = "manifest.json"
 
@@ -81,8 +89,8 @@ def read_sealed(
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
     try:
-        contents = {name: (folder / name).read_bytes() for name in ("facts.json", "arrays.npz")}
-    except OSError as error:
+        contents = {name: content_of(folder / name) for name in ("facts.json", "arrays.npz")}
+    except CadenzaError as error:
         raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy") from error
     for name, content in contents.items():
         if manifest["sha256"].get(name) != hashlib.sha256(content).hexdigest():

@@ -1,0 +1,88 @@
+"""Configurations as they are to be: every field of the type that it says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import numpy as np
+
+from cadenza.errors import CadenzaError
+
+T = TypeVar("T")
+
+MOST_SEED = 2**128  # numpy takes any
+
+_WORDS = {
+    bool: "give True or False",
+    int: "give a whole number",
+    float: "give a number",
+    str: "give text",
+}
+
+
+def as_config(value: Any, kind: type[T]) -> T:
+    """`value`, which is to be a `kind`, a dataclass, with plain values; its defaults for None.
+
+    Nothing is converted but numbers of numpy, lists to tuples and whole numbers to floats.
+
+    Raises:
+        CadenzaError: it is something else, or one of its fields is.
+    """
+    if value is None:
+        return kind()
+    if not isinstance(value, kind):
+        raise CadenzaError(f"{value!r}: give a {kind.__name__}")
+    hints = get_type_hints(kind)
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    return kind(**{name: _as(getattr(value, name), hints[name], name) for name in names})
+
+
+def whole_number(value: Any, name: str, least: int, most: int) -> int:
+    """`value` as an int from `least` to `most`.
+
+    Raises:
+        CadenzaError: it is none; `name` is named.
+    """
+    number: int = _as(value, int, name)
+    _check_range(number, name, least, most)
+    return number
+
+
+def check_ranges(config: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """That the fields named are from the least to the most.
+
+    Raises:
+        CadenzaError: one is not.
+    """
+    for name, (least, most) in ranges.items():
+        _check_range(getattr(config, name), name, least, most)
+
+
+def _check_range(value: float, name: str, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise CadenzaError(f"{name} {value}: choose {least} to {most}")
+
+
+def _as(value: Any, hint: Any, name: str) -> Any:
+    try:
+        return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint)
+    except (msgspec.ValidationError, OverflowError) as error:
+        given = " ".join(repr(value).split())
+        raise CadenzaError(f"{name} {given:.100}: {_what(hint)}") from error
+
+
+def _what(hint: Any) -> str:
+    """To be given, in words."""
+    first, *others = get_args(hint) or (hint,)
+    match get_origin(hint):
+        case origin if origin is Literal:
+            return f"choose from {', '.join([first, *others])}"
+        case origin if origin is tuple:
+            return f"give a list; for each of it, {_what(first)}"
+        case origin if origin in (Union, UnionType):
+            return f"{_what(first)}, or None"
+    return _WORDS[hint]

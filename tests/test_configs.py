@@ -1,0 +1,169 @@
+"""Whatever is given in place of an option, a song or an agent is refused in one line."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import cadenza
+from cadenza import CadenzaError, Note, SceneConfig, Score, TaskConfig
+from cadenza.cli import main
+from cadenza.configs import as_config
+from cadenza.files import content_of, opened
+
+TUNE = Score((Note(0.0, 0.25, 60),), title="A tune")
+OPTIONS = [(kind, field.name) for kind in (TaskConfig, SceneConfig) for field in fields(kind)]
+
+
+def line(error: pytest.ExceptionInfo[CadenzaError]) -> str:
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(("kind", "name"), OPTIONS)
+@pytest.mark.parametrize("value", ["x", b"1", object(), np.array([1, 2]), [None]], ids=repr)
+def test_an_option_of_another_type(kind: type, name: str, value: Any) -> None:
+    with pytest.raises(CadenzaError) as error:
+        as_config(kind(**{name: value}), kind)
+    assert line(error).startswith(name)
+
+
+def test_options_become_plain_values() -> None:
+    config = as_config(TaskConfig(stretch=2, transpose=np.int64(3)), TaskConfig)  # type: ignore[arg-type]
+    assert config == TaskConfig(stretch=2.0, transpose=3)
+    assert [type(config.stretch), type(config.transpose)] == [float, int]
+    assert as_config(SceneConfig(forearm_dofs=["tx"]), SceneConfig).forearm_dofs == ("tx",)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"task": 5},
+        {"scene": TaskConfig()},
+        {"num_envs": "x"},
+        {"num_envs": 1.5},
+        {"num_envs": 10**9},
+        {"num_threads": 10**9},
+        {"autoreset_mode": 7},
+        {"picture": 5},
+        {"reward_terms": 5},
+        {"reward_terms": {"a": 5}},
+        {"song": 5},
+        {"song": [b"x"]},
+        {"hand_collisions": float("nan")},
+    ],
+    ids=repr,
+)
+def test_environments_of_what_they_cannot_be_made_of(options: dict[str, Any]) -> None:
+    with pytest.raises(CadenzaError) as error:
+        gym.make_vec("cadenza/Piano-v0", **{"song": TUNE, "num_envs": 1, **options})
+    line(error)
+
+
+@pytest.mark.parametrize("value", ["text", None, [1, 2], [[1.0]], [float("nan")]], ids=repr)
+def test_a_reward_that_is_none(value: Any) -> None:
+    env = gym.make("cadenza/Piano-v0", song=TUNE, reward_terms={"mine": lambda _: value})
+    env.reset(seed=0)
+    with pytest.raises(CadenzaError, match="reward term 'mine' returned") as error:
+        env.step(env.action_space.sample())
+    line(error)
+
+
+@pytest.mark.parametrize("song", [5, None, b"x", [], {}, 3.5], ids=repr)
+def test_what_is_no_song(song: Any) -> None:
+    for play in (cadenza.load_song, cadenza.play, cadenza.plan):
+        with pytest.raises(CadenzaError, match=r"song .*: give") as error:
+            play(song)
+        line(error)
+
+
+@pytest.mark.parametrize(
+    ("agent", "options"),
+    [
+        (5, {}),
+        ([], {}),
+        (cadenza.Agent, {}),
+        ("zero", {"seed": "x"}),
+        ("zero", {"seed": 1.5}),
+        ("zero", {"task": {}}),
+        ("zero", {"scene": "x"}),
+        ("replay", {"plan": 5}),
+    ],
+    ids=repr,
+)
+def test_what_nobody_can_play_with(agent: Any, options: dict[str, Any]) -> None:
+    with pytest.raises(CadenzaError) as error:
+        cadenza.play(TUNE, agent, **options)
+    line(error)
+
+
+BROKEN = {
+    "syntax": "def (",
+    "exits": "import sys; sys.exit(0)",
+    "raises": "raise RuntimeError('two\\nlines')",
+    "wants": "class A:\n    def __init__(self, more): pass",
+    "reset": "class A:\n    def reset(self, task, rng): 1 / 0\n    def act(self): pass",
+    "act": "class A:\n    def reset(self, task, rng): pass\n    def act(self): raise SystemExit",
+    "text": "class A:\n    def reset(self, task, rng): pass\n    def act(self): return 'x'",
+    "nan": "class A:\n    def reset(self, t, rng): self.n = t.action_size\n"
+    "    def act(self): return [float('nan')] * self.n",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_agents_of_others_that_break(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / f"broken_{name}.py").write_text(BROKEN[name])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["play", "CMajorScaleOneHand", "--agent", f"broken_{name}:A", "--no-video", "-q"])
+    assert end.value.code == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("cadenza: agent ")
+
+
+def test_an_agent_s_own_error_is_the_cause() -> None:
+    class Breaks:
+        def reset(self, task: Any, rng: Any) -> None:
+            raise KeyError("here")
+
+        def act(self) -> Any: ...
+
+    with pytest.raises(CadenzaError, match=r"Breaks: reset\(\): KeyError") as error:
+        cadenza.play(TUNE, Breaks())
+    assert isinstance(error.value.__cause__, KeyError)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a pipe with a name")
+def test_a_file_that_never_ends_is_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.mid"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/zero"), Path("/dev/null")):
+        with pytest.raises(CadenzaError, match="no regular file"):
+            content_of(path)
+        with pytest.raises(OSError, match="no regular file"), opened(path):
+            pass
+    for read in (lambda: cadenza.load_song(pipe), lambda: cadenza.load_episode(pipe)):
+        with pytest.raises(CadenzaError) as error:
+            read()
+        line(error)
+
+
+def test_a_name_of_two_lines_is_shown_in_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "two\nlines").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        main(["play", "two\nlines", "--agent", "zero"])
+    assert capsys.readouterr().err.splitlines() == [
+        r"cadenza: two\nlines: holds no manifest.json, so it cannot be read"
+    ]
