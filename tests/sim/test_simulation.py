@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import pickle
+import threading
 from collections.abc import Iterator
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -164,3 +167,22 @@ def test_a_diverging_simulation_is_counted_and_harms_no_other(
 def test_says_what_is_wrong(scene: Scene, options: dict, message: str) -> None:
     with pytest.raises(CadenzaError, match=message):
         Simulation(scene, **options)
+
+
+def test_a_copy_that_is_made_while_another_thread_steps(scene: Scene) -> None:
+    simulation, done = Simulation(scene, 2), threading.Event()
+    ctrl = np.zeros((2, len(scene.action_low) - 1))
+
+    def step() -> None:
+        while not done.is_set():
+            simulation.step(ctrl)
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    try:
+        for _ in range(20):
+            deepcopy(simulation).step(ctrl)
+            pickle.loads(pickle.dumps(simulation)).step(ctrl)
+    finally:
+        done.set()
+        thread.join()

@@ -15,6 +15,8 @@ from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.report.sound import SAMPLE_RATE, audio_frames
 
+_SMALLEST = 16  # [px] that the encoder takes
+
 
 def write_video(
     path: Path,
@@ -39,6 +41,11 @@ def write_video(
     if first is None:
         raise CadenzaError(f"{path}: a video needs at least one picture")
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    if min(height, width) < _SMALLEST:
+        raise CadenzaError(
+            f"{path}: a video of {width} x {height} pixels cannot be encoded; "
+            f"choose {_SMALLEST} x {_SMALLEST} or more"
+        )
     with write_atomically(path) as file, av.open(file, "w", format="mp4") as container:
         rate = Fraction(fps).limit_denominator(1001)
         video = container.add_stream("libx264", rate=rate, options={"crf": "20"})

@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from typing import Any, NamedTuple
 
 import mujoco
@@ -315,8 +316,10 @@ class Simulation:
             self._pool.shutdown()
         self._pool = None
 
+    @one_at_a_time
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}  # threads cannot be copied
+        # Threads cannot be copied, nor what another thread is stepping once this has returned.
+        return {**self.__dict__, "_pool": None, "_data": [copy(data) for data in self._data]}
 
 
 def _divide(control_timestep: float, physics_timestep: float) -> int:
