@@ -275,6 +275,9 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (lambda: PianoEnv(task=PianoTask([SHORT]), stretch=2), "pass nothing else"),
         (lambda: PianoVectorEnv(num_envs=2, task=PianoTask([SHORT])), "num_envs 2: the task has 1"),
         (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1]), "1 seeds for 2"),
+        (lambda: PianoVectorEnv(SHORT, num_envs=2).reset(seed=[1, "x"]), "seed 'x': give a whole"),
+        (lambda: PianoVectorEnv(SHORT).reset(seed=1.5), "seed 1.5: give a whole"),
+        (lambda: PianoVectorEnv(SHORT).reset(seed=-1), "seed -1: give a whole"),
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
             "reset_mask of shape",

@@ -90,6 +90,58 @@ def test_a_forked_environment_steps_on() -> None:
     assert result.stdout == result.stderr != ""
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_process_forked_during_a_step_steps_on() -> None:
+    result = run(
+        """
+        import os, signal, time
+
+        running = True
+
+        def repeat():
+            while running:
+                envs.step(np.ones((2, 39)))
+
+        threading.Thread(target=repeat).start()
+        for _ in range(4):
+            time.sleep(0.01)
+            child = os.fork()
+            if child == 0:
+                signal.alarm(10)
+                envs.step(np.ones((2, 39)))
+                os._exit(0)
+            print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+        running = False
+        """,
+        threads=2,
+    )
+    assert result.stdout.split() == ["0"] * 4, result.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_process_forked_after_rendering_says_that_it_cannot_render() -> None:
+    result = run(
+        """
+        import os, signal
+        from cadenza.errors import CadenzaError
+        from cadenza.tasks.env import PianoEnv
+
+        env = PianoEnv("OdeToJoy", render_mode="rgb_array")
+        env.reset(seed=0)
+        env.render()
+        if os.fork() == 0:
+            signal.alarm(20)
+            try:
+                env.render()
+            except CadenzaError as error:
+                os.write(1, str(error).encode())
+            os._exit(0)
+        os.wait()
+        """
+    )
+    assert "start it with spawn" in result.stdout, result.stderr
+
+
 def test_every_thread_can_draw() -> None:
     result = run(
         """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 import weakref
 from collections.abc import Callable
 from functools import wraps
@@ -29,21 +30,38 @@ class Lock:
     def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
         return Lock, ()
 
+    def _wait_for(self, seconds: float) -> bool:
+        return self._lock.acquire(timeout=max(seconds, 0.0))
+
     def _free(self) -> None:
         self._lock = threading.RLock()
 
 
 _LOCKS: weakref.WeakSet[Lock] = weakref.WeakSet()
+_HELD: list[Lock] = []  # while this process forks
+_PATIENCE = 2.0  # [s] that a fork waits for whoever holds a lock
+
+
+def _hold_all() -> None:
+    # A child forked in the middle of a step would hold half of one, and locks of the C library.
+    latest = time.monotonic() + _PATIENCE
+    _HELD.extend(lock for lock in list(_LOCKS) if lock._wait_for(latest - time.monotonic()))
+
+
+def _let_all_go() -> None:
+    while _HELD:
+        _HELD.pop().__exit__()
 
 
 def _free_all() -> None:
     # The thread that held one when the process forked does not exist in the child.
+    _HELD.clear()
     for lock in _LOCKS:
         lock._free()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_free_all)
+    os.register_at_fork(before=_hold_all, after_in_parent=_let_all_go, after_in_child=_free_all)
 
 
 class _Locked(Protocol):

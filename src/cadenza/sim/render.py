@@ -192,11 +192,20 @@ def _palm_geoms(model: mujoco.MjModel) -> list[int]:
     return [g for g, name in enumerate(bodies) if name.endswith(PALM_LINKS)]
 
 
+_RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
+
+
 def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
     """A graphics context of the first backend that works; MUJOCO_GL, if set, names the only one."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in ("off", "disable", "disabled", "0", "false"):
         raise CadenzaError(f"rendering is disabled by MUJOCO_GL={wanted}: unset it to render")
+    if any(process != os.getpid() for process in _RENDERED_IN):
+        raise CadenzaError(
+            "this process was forked from one that has rendered, and its graphics are unusable: "
+            "start it with spawn, as in multiprocessing.get_context('spawn')"
+        )
+    _RENDERED_IN.add(os.getpid())
     default = ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
     reasons = []
     for backend in (wanted,) if wanted else default:

@@ -213,6 +213,9 @@ class PianoVectorEnv(VectorEnv):
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._rngs:
             return
+        for each in seed if isinstance(seed, Sequence | np.ndarray) else [seed]:
+            if each is not None and not (isinstance(each, int | np.integer) and each >= 0):
+                raise CadenzaError(f"seed {each!r}: give a whole number of 0 or more, or None")
         if seed is None or isinstance(seed, int | np.integer):
             first = seeding.np_random(None if seed is None else int(seed))
             self._np_random, self._np_random_seed = first
