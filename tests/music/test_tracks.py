@@ -6,9 +6,10 @@ from hypothesis import given
 from music_strategies import scores
 
 from cadenza.errors import CadenzaError
+from cadenza.music.arrangement import Arrangement
 from cadenza.music.fingering import find_fingering
 from cadenza.music.library import load_score
-from cadenza.music.reduction import melody_and_bass
+from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.music.tracks import Track
 
@@ -102,6 +103,27 @@ def test_fingers_of_other_tracks_do_no_harm(pop_song):
 def test_melody_and_bass_of_a_pop_song(pop_song):
     score = melody_and_bass(load_score(pop_song, tracks=(1, 2, 3, 5)))
     assert [note.pitch for note in score.notes] == [36, 72, 43, 74, 45, 76, 41, 77] * 4
+
+
+def notes_of(pitches, length, step):
+    return [Note(i * step, i * step + length, pitch) for i, pitch in enumerate(pitches)]
+
+
+def test_the_melody_is_a_voice_and_not_the_chords_above_it():
+    tune, walk = notes_of([72, 74, 76, 72] * 4, 0.24, 0.25), notes_of([40, 43] * 4, 0.45, 0.5)
+    pads = [Note(t, t + 2, pitch) for t in (0.0, 2.0) for pitch in (76, 79, 83)]
+    fill = notes_of([90, 91], 0.2, 0.3)
+    parts = {1: pads, 2: walk, 3: fill, 5: tune}
+    tracks = {number: Score(tuple(notes)) for number, notes in parts.items()}
+    assert melody_and_bass_tracks(tracks) == (5, 2)
+    assert melody_and_bass_tracks({1: tracks[1], 4: tracks[1], 5: tracks[5]}) == (1, 4, 5)
+
+
+def test_a_song_of_many_tracks_is_reduced_to_two_of_them(pop_song):
+    reduced = Arrangement(reduce="melody-bass").score(str(pop_song))
+    chosen = load_score(pop_song, (1, 2))  # vocals and bass
+    assert reduced.notes == melody_and_bass(chosen).notes
+    assert {note.pitch for note in reduced.notes} == {note.pitch for note in chosen.notes}
 
 
 def test_melody_and_bass_go_on_while_inner_voices_move():

@@ -16,7 +16,7 @@ class Arrangement:
     tracks: tuple[int, ...] = ()
     """Play only these tracks, numbered as in "cadenza info SONG"."""
     reduce: Literal["off", "melody-bass"] = "off"
-    """Reduce the song to its highest and lowest voice."""
+    """Reduce the song to its melody and its bass: the highest and the lowest voice."""
 
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.
@@ -25,10 +25,16 @@ class Arrangement:
             CadenzaError: it cannot be read, or has no such tracks.
         """
         from cadenza.music.library import load_score
-        from cadenza.music.reduction import melody_and_bass
+        from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 
         score = load_score(song, self.tracks)
-        return melody_and_bass(score) if self.reduce == "melody-bass" else score
+        if self.reduce == "off":
+            return score
+        numbers = self.tracks or tuple(track.number for track in score.tracks)
+        if len(numbers) > 2:
+            parts = {number: load_score(song, (number,)) for number in numbers}
+            score = load_score(song, melody_and_bass_tracks(parts))
+        return melody_and_bass(score)
 
     @property
     def chosen(self) -> bool:

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from cadenza.music.fingering import LETTING_GO, TOGETHER
 from cadenza.music.score import Note, Score
+
+_SINGLE = 0.9  # of a track's onsets are one note, where it is a voice and no chords
+_FILL = 0.25  # of the notes of the busiest voice; a track with fewer only fills in
+
+
+def melody_and_bass_tracks(tracks: Mapping[int, Score]) -> tuple[int, ...]:
+    """The numbers of the tracks that have the melody and the bass, of more than two `tracks`.
+
+    Those are the highest and the lowest in the mean of the tracks that are voices, one note after
+    the other: chords held above a tune are not the tune. All, where fewer than two are voices.
+    """
+    voices = {
+        number: score.notes
+        for number, score in tracks.items()
+        if sum(1 for _ in _onsets(score)) >= _SINGLE * len(score.notes)
+    }
+    busiest = max(map(len, voices.values()), default=0)
+    height = {
+        number: sum(note.pitch for note in notes) / len(notes)
+        for number, notes in voices.items()
+        if len(notes) >= _FILL * busiest
+    }
+    if len(height) < 2:
+        return tuple(tracks)
+    return max(height, key=height.__getitem__), min(height, key=height.__getitem__)
 
 
 def melody_and_bass(score: Score) -> Score:
