@@ -74,8 +74,6 @@ def play(command: Play, again: Again[Play]) -> None:
             performance = perform(setup, progress, stop)
             stopped = stop()
         length = setup.num_steps * performance.episode.dt
-    # Of a long song, what the agent has planned takes memory that sound and page are made in.
-    del setup, casting
     keep(performance, folder, command.video, picture, command.loudness)
     if stopped:
         part = f"{performance.seconds:.1f} of {length:.1f} s"
