@@ -490,7 +490,7 @@ def test_half_a_plan_is_not_kept(
     monkeypatch.setattr(ScorePlanner, "act", lambda _: clenched)
     path = tmp_path / "plan.npz"
     options = ("-o", path, "--wrong-press-termination")
-    assert "no whole plan to keep" in refused_in_a_line(capsys, "plan", tune, *options)
+    assert "the plan is incomplete" in refused_in_a_line(capsys, "plan", tune, *options)
     assert not path.exists()
 
 
@@ -613,7 +613,7 @@ def test_songs_that_there_are_not(
         (["--agent", "zero", "--initial-buffer-time", "-1"], "initial_buffer_time -1.0"),
         (["--agent", "zero", "--hand-spacing", "9"], "hand_spacing 9.0 m"),
         (["--agent", "zero", "--forearm-dofs", "tx", "tx"], "forearm_dofs"),
-        (["--planner.num-candidates", "1"], "num_candidates 1: choose 4 or more"),
+        (["--planner.num-candidates", "1"], "num_candidates 1: choose 4 to 10000"),
         (
             ["--agent", "predictive-sampling", "--predictive-sampling.num-knots", "1"],
             "num_knots 1",
