@@ -1,9 +1,12 @@
-"""A made-up performance: two simple hands that walk along a full keyboard."""
+"""A made-up performance, two simple hands that walk along a full keyboard; and a browser."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
+from headless import Browser
 
 from cadenza.episode import Episode
 
@@ -92,3 +95,10 @@ def make_episode(steps: int = STEPS, hands: int = 2, song: str = "A made-up walk
 @pytest.fixture
 def episode() -> Episode:
     return make_episode()
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    browser = Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -105,13 +104,6 @@ def test_an_episode_that_ended_early(tmp_path: Path) -> None:
     found = Elements((tmp_path / "compare.html").read_text()).found
     views = [str(a["viewbox"]) for tag, a in found if tag == "svg"]
     assert {view.split()[2] for view in views} == {"40"}
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    browser = Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
 
 
 def opened(browser: Browser, path: Path) -> None:

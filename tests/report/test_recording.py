@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import DT, make_episode
-from headless import Browser, needs_chromium
+from headless import needs_chromium
 
 from cadenza.model.config import SceneConfig
 from cadenza.model.drawing import body_poses, drawing
@@ -17,13 +17,6 @@ from cadenza.report.page import asset, write_report
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    browser = Browser(tmp_path_factory.mktemp("profile"))
-    yield browser
-    browser.close()
 
 
 def test_the_page_reads_what_was_recorded(browser, tmp_path):

@@ -139,7 +139,8 @@ class Renderer:
 class Drawing:
     """Draws from any thread: each has a renderer of its own, as a graphics context belongs to one.
 
-    Renderers are made when they are first needed; a copy or a forked child makes its own.
+    Renderers are made when they are first needed; a copy makes its own. A forked child cannot draw
+    once its parent has.
     """
 
     def __init__(self, scene: Scene, picture: Picture) -> None:
