@@ -35,7 +35,7 @@ check: $(VENV)/installed
 
 bench: $(VENV)/installed
 	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"
-	$(BIN)/python -m cadenza.bench.speed tests/data/episode_d.npz $$(test -x .venv-published/bin/python && echo --published .venv-published)
+	$(BIN)/python -m benchmarks.speed tests/data/episode_d.npz $$(test -x .venv-published/bin/python && echo --published .venv-published)
 
 lock:
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements.lock

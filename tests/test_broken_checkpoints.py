@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import mutations
-from cadenza.agents.rl import training
-from cadenza.agents.rl.config import LearnerConfig, TrainingConfig
-from cadenza.agents.rl.run_folder import RunFolder
-from cadenza.agents.rl.training import Training
-from cadenza.model.config import SceneConfig
+from cadenza.learning import training
+from cadenza.learning.config import LearnerConfig, TrainingConfig
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.training import Training
 from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
 SONG = Score((Note(0, 0.2, 60),))

@@ -14,18 +14,18 @@ import pytest
 
 import mutations
 from cadenza.agents.agent import ZeroAgent
-from cadenza.agents.play import play
-from cadenza.agents.replay import check_options, load_plan, options_of, physics_of, save_plan
-from cadenza.agents.rl.config import TrainingConfig
-from cadenza.agents.rl.policy_folder import load_policy
-from cadenza.agents.rl.pretrained import pretrained_folder
-from cadenza.agents.rl.run_folder import RunFolder
+from cadenza.agents.playback import check_options, load_plan, options_of, physics_of, save_plan
+from cadenza.agents.rollout import play
 from cadenza.episode import load_episode
-from cadenza.model.config import SceneConfig
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.pretrained import pretrained_folder
+from cadenza.learning.run_folder import RunFolder
 from cadenza.music.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.report.page import write_report
 from cadenza.report.training import Curve, write_training
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

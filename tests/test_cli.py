@@ -16,18 +16,18 @@ import pytest
 
 import cadenza
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.replay import options_of
+from cadenza.agents.playback import options_of
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
 from cadenza.episode import load_episode
-from cadenza.model.config import SceneConfig
-from cadenza.model.piano import KEY_TRAVEL, NUM_KEYS
-from cadenza.model.scene import build_scene
 from cadenza.music.fingering_file import read_fingering
 from cadenza.music.goals import score_to_goals
 from cadenza.music.library import songs
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.piano import KEY_TRAVEL, NUM_KEYS
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 
 DATA = Path(__file__).parent / "data"

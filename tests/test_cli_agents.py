@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from cadenza.agents.rl.policy_folder import load_policy, save_policy
-from cadenza.agents.rl.pretrained import pretrained_folder
 from cadenza.cli import main
 from cadenza.episode import load_episode
+from cadenza.learning.policy_folder import load_policy, save_policy
+from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
 

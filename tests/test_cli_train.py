@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from cadenza.agents.rl import training
-from cadenza.agents.rl.run_folder import RunFolder
 from cadenza.cli import main, train
+from cadenza.learning import training
+from cadenza.learning.run_folder import RunFolder
 from cadenza.music.library import load_score
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score

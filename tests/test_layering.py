@@ -16,31 +16,24 @@ EVERYWHERE = {"errors", "files", "configs", "episode"}
 # What a folder stands on; it may import that, and what that stands on.
 STANDS_ON: dict[str, set[str]] = {
     "music": set(),
-    "model": set(),
-    "sim": {"model"},
-    "tasks": {"music", "model", "sim"},
+    "scene": set(),
+    "fingering": {"music"},
+    "sim": {"scene"},
+    "tasks": {"fingering", "sim"},
     "agents": {"tasks"},
+    "learning": {"agents"},
     "report": {"music"},
-    "bench": {"music", "model", "sim", "tasks", "agents", "report"},
-    "performing": {"agents", "report"},
+    "performing": {"learning", "report"},
     "cli": {"performing"},
 }
 LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "scipy", "mido", "partitura"},
-    "model": {"numpy", "mujoco"},
+    "scene": {"numpy", "mujoco"},
+    "fingering": {"numpy"},
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
-    "agents": {
-        "numpy",
-        "scipy",
-        "threadpoolctl",
-        "jax",
-        "flax",
-        "optax",
-        "tensorboardX",
-        "filelock",
-        "msgspec",
-    },
+    "agents": {"numpy", "scipy", "threadpoolctl"},
+    "learning": {"numpy", "jax", "flax", "optax", "filelock", "msgspec", "threadpoolctl"},
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
 }
 
@@ -85,7 +78,7 @@ def test_imports_only_what_it_stands_on(folder: str) -> None:
 
 @pytest.mark.parametrize("folder", LIBRARIES)
 def test_imports_only_the_libraries_it_is_about(folder: str) -> None:
-    """MuJoCo stays in model and sim: tasks and agents see arrays."""
+    """MuJoCo stays in scene and sim: tasks and agents see arrays."""
     libraries = {(f, part[4:]) for f, part in imported_parts(folder) if part.startswith("lib ")}
     known = LIBRARIES[folder] | sys.stdlib_module_names
     assert [(f, name) for f, name in libraries if name not in known] == []

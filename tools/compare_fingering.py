@@ -8,7 +8,7 @@ The second form wants the Python of an environment with pianoplayer (pip install
 up to minutes a piece.
 
 `hand` and `finger` are the shares of notes with the same hand and finger as written, `cost` what
-a fingering costs by `cadenza.music.fingering`, and `against` how many of its notes break what that
+a fingering costs by `cadenza.fingering.search`, and `against` how many of its notes break what that
 takes for possible (they are left out of the cost).
 """
 
@@ -23,7 +23,7 @@ from pathlib import Path
 
 import mido
 
-from cadenza.music.fingering import solve
+from cadenza.fingering.search import solve
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import UNKNOWN_FINGER, Note, Score
 

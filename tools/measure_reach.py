@@ -1,7 +1,7 @@
 """Measures how far the fingers of the right Shadow Hand reach along the keyboard.
 
 Run `python tools/measure_reach.py` (two minutes) after changing the hand, and put what it prints
-into src/cadenza/music/fingering.py.
+into src/cadenza/fingering/search.py.
 
 The forearm slides where it likes (tx, ty), the joints are those of the reduced action space, with
 J1 = J2 in the fingers whose tendon couples them. A fingertip presses a white key when its site is
@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from cadenza.model.config import SceneConfig
-from cadenza.model.piano import WHITE
-from cadenza.model.scene import build_scene
-from cadenza.model.shadow_hand import COUPLED_FINGERS
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.piano import WHITE
+from cadenza.scene.scene import build_scene
+from cadenza.scene.shadow_hand import COUPLED_FINGERS
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from cadenza.agents.named import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
-    from cadenza.model.config import SceneConfig
     from cadenza.music.arrangement import Arrangement
     from cadenza.music.library import songs
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
+    from cadenza.scene.config import SceneConfig
     from cadenza.tasks.config import TaskConfig
 
 __version__ = "0.2.0"
@@ -51,7 +51,7 @@ _MODULES = {
     "agents.named": ("make_agent",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
-    "model.config": ("SceneConfig",),
+    "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
     "music.library": ("songs",),
     "music.score": ("Note", "PedalEvent", "Score"),

@@ -68,7 +68,7 @@ class _Jointed(TypedDict):
     joints: list[_Joint]
 
 
-_DRAWN: dict[str, Any] = {  # see `cadenza.model.drawing`
+_DRAWN: dict[str, Any] = {  # see `cadenza.scene.drawing`
     "bodies": list[str],
     "skeleton": list[_Jointed],
     "geoms": list[_Geom],
@@ -111,7 +111,7 @@ class Episode:
         fingertip_xpos (T, 10, 3)     [m]
         body_xpos (T, B, 3), body_xquat (T, B, 4)   float32 poses of the hand bodies, w x y z
         reward_total (T,), reward_<term> (T,)
-    scene: what is needed to draw it, see `cadenza.model.drawing`.
+    scene: what is needed to draw it, see `cadenza.scene.drawing`.
     """
 
     song: str

@@ -12,17 +12,17 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
-from cadenza.agents.planning import predictive_sampling
+from cadenza.agents.baselines import predictive_sampling
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.agents.planning.config import PredictiveSamplingConfig
-from cadenza.agents.planning.predictive_sampling import PredictiveSampling
-from cadenza.agents.play import Performance, play
-from cadenza.agents.replay import ReplayAgent, load_plan
+from cadenza.agents.playback import ReplayAgent, load_plan
+from cadenza.agents.rollout import Performance, play
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
 from cadenza.music.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

@@ -13,15 +13,15 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.planning import ilqg
-from cadenza.agents.planning.box_ddp import Model, Policy, backward_pass, box_qp
+from cadenza.agents.baselines import ilqg
+from cadenza.agents.baselines.box_ddp import Model, Policy, backward_pass, box_qp
+from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.planning.config import ILQGConfig
-from cadenza.agents.planning.ilqg import ILQG
-from cadenza.agents.play import Performance, play
+from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.linearisation import Lineariser
 from cadenza.sim.simulation import Simulation
 from cadenza.tasks.config import TaskConfig

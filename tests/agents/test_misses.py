@@ -14,9 +14,9 @@ from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
-from cadenza.model.piano import KEY_CENTRE, KEY_TRAVEL
-from cadenza.music.fingering import Dropped
+from cadenza.fingering.search import Dropped
 from cadenza.music.score import Note, Score
+from cadenza.scene.piano import KEY_CENTRE, KEY_TRAVEL
 
 STEPS, DT = 40, 0.05
 C4, D4, C5 = 39, 41, 51

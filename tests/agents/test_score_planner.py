@@ -21,14 +21,14 @@ from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import track
-from cadenza.agents.play import Performance, play
+from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.kinematics import Kinematics
-from cadenza.model.scene import build_scene
-from cadenza.model.servos import servos_of
 from cadenza.music.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.kinematics import Kinematics
+from cadenza.scene.scene import build_scene
+from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_discrete_are
 
 from cadenza.agents.agent import Agent, Array
+from cadenza.agents.baselines.press_optimisation import regulator
+from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planning.config import ScorePlannerConfig, TrackedPressesConfig
-from cadenza.agents.planning.press_optimisation import regulator
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.tracked_presses import TrackedPresses
-from cadenza.agents.play import Performance, play
-from cadenza.agents.replay import ReplayAgent
+from cadenza.agents.playback import ReplayAgent
+from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
 from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

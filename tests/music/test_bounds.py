@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.fingering import find_fingering
+from cadenza.fingering.search import find_fingering
 from cadenza.music.goals import MAX_STEPS, score_to_goals
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import MAX_SECONDS, Note, PedalEvent, Score

@@ -1,10 +1,10 @@
 import pytest
 from hypothesis import HealthCheck, given, settings
-from music_strategies import monophonic_per_key, scores
 
 from cadenza.errors import CadenzaError
 from cadenza.music.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, Score
+from music_strategies import monophonic_per_key, scores
 
 SCORE = Score((Note(0.0, 0.5, 60), Note(0.0, 0.5, 64), Note(0.5, 1.0, 60), Note(0.53, 1.0, 72)))
 

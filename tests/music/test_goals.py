@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from music_strategies import scores, seconds
 
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import score_to_goals
 from cadenza.music.performance import key_runs
 from cadenza.music.score import Note, PedalEvent, Score
+from music_strategies import scores, seconds
 
 SONGS = json.loads((Path(__file__).parents[1] / "data/songs.json").read_text())
 

@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given
-from music_strategies import scores
 
 from cadenza.music.goals import score_to_goals
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Note, PedalEvent, Score
+from music_strategies import scores
 
 DT = 0.05
 DATA = Path(__file__).parents[1] / "data"

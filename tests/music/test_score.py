@@ -1,10 +1,10 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from music_strategies import scores, seconds
 
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, PedalEvent, Score
+from music_strategies import scores, seconds
 
 TWO = Score(
     (Note(1.0, 2.0, 60, finger=0), Note(1.5, 3.0, 64, finger=2)),

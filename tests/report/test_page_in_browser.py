@@ -6,12 +6,12 @@ from conftest import DT, STEPS, make_episode
 from headless import Browser, needs_chromium
 
 from cadenza.episode import Episode
-from cadenza.model.config import SceneConfig
-from cadenza.model.drawing import drawing
-from cadenza.model.scene import build_scene
 from cadenza.music.performance import performed_score
 from cadenza.report.page import write_report
 from cadenza.report.sound import encode_mp3, synthesize
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.drawing import drawing
+from cadenza.scene.scene import build_scene
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"

@@ -10,10 +10,10 @@ import pytest
 from conftest import DT, make_episode
 from headless import needs_chromium
 
-from cadenza.model.config import SceneConfig
-from cadenza.model.drawing import body_poses, drawing
-from cadenza.model.scene import build_scene
 from cadenza.report.page import asset, write_report
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.drawing import body_poses, drawing
+from cadenza.scene.scene import build_scene
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hand_linearisation import HandLineariser
 from cadenza.sim.simulation import Simulation
 

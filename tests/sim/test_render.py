@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.model.cameras import player_camera
-from cadenza.model.piano import KEY_CENTRE, KEY_HALF_SIZE
-from cadenza.model.scene import Scene, build_scene
+from cadenza.scene.cameras import player_camera
+from cadenza.scene.piano import KEY_CENTRE, KEY_HALF_SIZE
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.render import Picture, Renderer
 
 

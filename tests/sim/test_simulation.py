@@ -13,8 +13,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.simulation import Simulation, State
 
 STEPS = 12

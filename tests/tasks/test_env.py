@@ -15,9 +15,9 @@ from numpy.testing import assert_array_equal
 
 import cadenza
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
 from cadenza.music.library import songs
 from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
 from cadenza.music.library import load_score
 from cadenza.music.metrics import playing_metrics
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks import reward
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.music import goals_of, prepare

@@ -10,11 +10,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.piano import KEY_TRAVEL
-from cadenza.model.scene import Scene, build_scene
 from cadenza.music.goals import score_to_goals
 from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.piano import KEY_TRAVEL
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
 

@@ -34,7 +34,7 @@ class Agent(Protocol):
 class ReportingAgent(Agent, Protocol):
     """One that thinks for long, in `reset` or in `act`, and says how far it has come.
 
-    `cadenza.agents.play` puts its own `progress` there before it resets the agent.
+    `cadenza.agents.rollout` puts its own `progress` there before it resets the agent.
     """
 
     progress: Progress

@@ -1,7 +1,7 @@
 """Agents by name: those that come with Cadenza, and classes of anybody's.
 
 Imports nothing heavy: the command line shows the names. Learnt policies are folders, see
-`cadenza.agents.rl.policy_folder`.
+`cadenza.learning.policy_folder`.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class NamedAgent:
 
 
 _PLANNING = "cadenza.agents.planning"
+_BASELINES = "cadenza.agents.baselines"
 AGENTS = {
     PLANNER: NamedAgent(
         "inverse kinematics of the song, refined by sampling",
@@ -48,15 +49,15 @@ AGENTS = {
     ),
     "predictive-sampling": NamedAgent(
         "the paper's planner without derivatives",
-        f"{_PLANNING}.predictive_sampling:PredictiveSampling",
+        f"{_BASELINES}.predictive_sampling:PredictiveSampling",
         PredictiveSamplingConfig,
     ),
     "ilqg": NamedAgent(
-        "the paper's planner with derivatives", f"{_PLANNING}.ilqg:ILQG", ILQGConfig
+        "the paper's planner with derivatives", f"{_BASELINES}.ilqg:ILQG", ILQGConfig
     ),
     "tracked-presses": NamedAgent(
         "key presses optimised beforehand and tracked with LQR",
-        f"{_PLANNING}.tracked_presses:TrackedPresses",
+        f"{_BASELINES}.tracked_presses:TrackedPresses",
         TrackedPressesConfig,
     ),
     "zero": NamedAgent("hands that stay where they are", "cadenza.agents.agent:ZeroAgent"),

@@ -107,7 +107,7 @@ def _table_of_tracks(tracks: Sequence[Track]) -> str:
 def _about_fingering(score: Score) -> str:
     from collections import Counter
 
-    from cadenza.music.fingering import find_fingering
+    from cadenza.fingering.search import find_fingering
 
     given = sum(note.finger >= 0 for note in score.notes)
     fingered, dropped = find_fingering(score)
@@ -125,7 +125,7 @@ def _installation_facts() -> dict[str, Any]:
 
     import mujoco
 
-    from cadenza.model.scene import build_scene
+    from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.simulation import available_cores
 

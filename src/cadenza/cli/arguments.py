@@ -33,10 +33,10 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from cadenza.agents.rl.config import TrainingConfig
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
+from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
 try:

@@ -89,7 +89,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
 
 def _differing(own: Compare, command: Compare) -> str:
     """Options with which an agent plays something else, or in another scene, than the command."""
-    from cadenza.agents.replay import options_of
+    from cadenza.agents.playback import options_of
 
     def options(of: Compare) -> dict[str, Any]:
         physics = {name: getattr(of.scene, name) for name in ("physics", "sleeping_keys")}

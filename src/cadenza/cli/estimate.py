@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from cadenza.cli.progress import QUIET
 
 if TYPE_CHECKING:
-    from cadenza.model.scene import Scene
     from cadenza.performing.casting import Setup
+    from cadenza.scene.scene import Scene
 
 _WORTH_TELLING = 30.0  # [s]
 # On two cores the planner takes as long for a control step as for this many plain ones: so many,

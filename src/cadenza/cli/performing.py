@@ -20,8 +20,8 @@ from cadenza.agents.planning.config import (
 )
 from cadenza.cli.progress import stages
 from cadenza.files import folder_name
-from cadenza.model.config import SceneConfig
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 
 if TYPE_CHECKING:

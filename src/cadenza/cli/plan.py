@@ -23,8 +23,8 @@ from cadenza.cli.performing import (
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_name, check_writable
-from cadenza.model.config import SceneConfig
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
 
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
-from cadenza.agents.rl.config import Preset, TrainingConfig, preset
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
@@ -23,11 +22,12 @@ from cadenza.cli.results import check_name, check_writable
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
+from cadenza.learning.config import Preset, TrainingConfig, preset
 from cadenza.music.arrangement import Arrangement
 
 if TYPE_CHECKING:
-    from cadenza.agents.rl.run_folder import RunFolder
-    from cadenza.agents.rl.training import Training
+    from cadenza.learning.run_folder import RunFolder
+    from cadenza.learning.training import Training
     from cadenza.report.training import Curve
 
 
@@ -82,7 +82,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
     words = [word for argument in arguments for word in argument.split("=", 1)]
     following = dict(pairwise(words))
     if words[:1] == ["train"] and "--resume" in following:
-        from cadenza.agents.rl.run_folder import RunFolder
+        from cadenza.learning.run_folder import RunFolder
 
         return RunFolder(Path(following["--resume"])).settings()[0]
     name = following.get("--preset", "fast")
@@ -91,7 +91,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
 
 
 def train(command: Train) -> None:
-    from cadenza.agents.rl.cores import claimed_cores
+    from cadenza.learning.cores import claimed_cores
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
@@ -114,12 +114,12 @@ def train(command: Train) -> None:
 
 def _train(command: Train, folder: Path) -> None:
     try:
-        from cadenza.agents.rl.training import Training
+        from cadenza.learning.training import Training
     except ImportError as error:
         raise CadenzaError(
             f"training needs more packages ({error}): pip install '.[train]'"
         ) from error
-    from cadenza.agents.rl.run_folder import RunFolder
+    from cadenza.learning.run_folder import RunFolder
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import play
 
@@ -237,7 +237,7 @@ def _what_and_how(run: Path) -> list[str]:
     Of a folder that has the figures only, its name without the number at the end is taken for the
     song.
     """
-    from cadenza.agents.rl.run_folder import RunFolder
+    from cadenza.learning.run_folder import RunFolder
     from cadenza.report.page import flat
 
     if not (run / "run.json").exists():
@@ -257,7 +257,7 @@ def _what_and_how(run: Path) -> list[str]:
 
 
 def _curve(run: Path) -> Curve:
-    from cadenza.agents.rl.run_folder import read_rows
+    from cadenza.learning.run_folder import read_rows
     from cadenza.report.training import Curve
 
     rows = read_rows(run)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from cadenza.music.fingering import LETTING_GO, TOGETHER
-from cadenza.music.score import Note, Score
+from cadenza.music.score import LETTING_GO, TOGETHER, Note, Score
 
 _SINGLE = 0.9  # of a track's onsets are one note, where it is a voice and no chords
 _FILL = 0.25  # of the notes of the busiest voice; a track with fewer only fills in

@@ -20,15 +20,15 @@ from cadenza.agents.named import (
     checked_agent,
     make_agent,
 )
-from cadenza.agents.replay import ReplayAgent, check_options, load_plan, options_of, physics_of
-from cadenza.agents.rl.policy_folder import LearntPolicy, load_policy
-from cadenza.agents.rl.pretrained import pretrained_folder
+from cadenza.agents.playback import ReplayAgent, check_options, load_plan, options_of, physics_of
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.model.config import SceneConfig
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.library import check_is_name, songs
 from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
 

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.misses import Miss, misses_of
 from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.play import play as play_episode
+from cadenza.agents.rollout import play as play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import write_json
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene
 from cadenza.music.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
@@ -28,6 +26,8 @@ from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
 from cadenza.report.page import write_report
 from cadenza.report.sound import SAMPLE_RATE, encode_mp3, synthesize
 from cadenza.report.video import write_video
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene
 from cadenza.sim.render import ALL_KEYS, VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 
@@ -46,7 +46,7 @@ class Performance:
     episode: Episode
     """All that happened, step by step."""
     metrics: dict[str, Any]
-    """How well: see `cadenza.agents.play.Performance`."""
+    """How well: see `cadenza.agents.rollout.Performance`."""
     settings: dict[str, Any]
     """Who played, in which task and scene."""
     scene: Scene

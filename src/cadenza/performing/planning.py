@@ -13,13 +13,13 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.named import PLANNER
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.replay import save_plan
+from cadenza.agents.playback import save_plan
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.casting import Setup, Song, cast, set_up
 from cadenza.performing.performance import Performance, perform
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
 
@@ -46,7 +46,7 @@ class Plan:
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """How well the plan plays: see `cadenza.agents.play.Performance`."""
+        """How well the plan plays: see `cadenza.agents.rollout.Performance`."""
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:

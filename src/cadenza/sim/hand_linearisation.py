@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.model.scene import Scene
+from cadenza.scene.scene import Scene
 from cadenza.sim.simulation import Simulation, State
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.model.piano import NUM_KEYS
-from cadenza.model.scene import Scene
+from cadenza.scene.piano import NUM_KEYS
+from cadenza.scene.scene import Scene
 from cadenza.sim.simulation import PHYSICS_STATE
 
 Array = NDArray[np.float64]

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.model.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH, PLAYER, player_camera
-from cadenza.model.hand import PALM_LINKS
-from cadenza.model.piano import NUM_KEYS, key_name
-from cadenza.model.scene import Scene
+from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH, PLAYER, player_camera
+from cadenza.scene.hand import PALM_LINKS
+from cadenza.scene.piano import NUM_KEYS, key_name
+from cadenza.scene.scene import Scene
 
 HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
 WRONG_RGBA = (0.88, 0.27, 0.22, 1.0)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
-from cadenza.model.piano import NUM_KEYS
-from cadenza.model.scene import Scene
+from cadenza.scene.piano import NUM_KEYS
+from cadenza.scene.scene import Scene
 from cadenza.sim.lock import Lock, one_at_a_time
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
 from cadenza.music.library import load_score
 from cadenza.music.score import NUM_KEYS, Score
+from cadenza.scene.config import SceneConfig
 from cadenza.sim.lock import Lock, one_at_a_time
 from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig

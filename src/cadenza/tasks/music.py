@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.model.config import Side
-from cadenza.music.fingering import find_fingering
+from cadenza.fingering.search import find_fingering
 from cadenza.music.goals import Goals, check_steps, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -20,6 +19,7 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
+from cadenza.scene.config import Side
 from cadenza.tasks.config import TaskConfig
 
 _OCTAVE = 12

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.model.config import SceneConfig
-from cadenza.model.scene import Scene, build_scene
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import NUM_KEYS, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.simulation import MOST_ENVS, Simulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig

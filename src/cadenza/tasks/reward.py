@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.model.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
+from cadenza.scene.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
 from cadenza.sim.simulation import State
 
 Array = NDArray[np.float64]

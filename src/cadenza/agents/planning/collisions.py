@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-# Radii of the capsules that collide, proximal to distal link [m]; see `model.shadow_hand`.
+# Radii of the capsules that collide, proximal to distal link [m]; see `scene.shadow_hand`.
 _FINGER_RADII = (0.009, 0.009, 0.0067)
 _THUMB_RADII = (0.0105, 0.009, 0.0082)
 _CLEARANCE = 0.0015  # [m]

@@ -18,8 +18,8 @@ from scipy.linalg import solveh_banded
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.targets import Targets
-from cadenza.model.kinematics import TIP, Kinematics
-from cadenza.model.servos import Servos
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 

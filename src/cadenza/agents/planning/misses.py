@@ -37,11 +37,11 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
-from cadenza.model.piano import KEY_CENTRE, KEY_HALF_SIZE
-from cadenza.music.fingering import Dropped
+from cadenza.fingering.search import Dropped
 from cadenza.music.keyboard import note_name
 from cadenza.music.performance import key_runs
 from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER, Score
+from cadenza.scene.piano import KEY_CENTRE, KEY_HALF_SIZE
 from cadenza.tasks.reward import key_state
 
 Array = NDArray[np.float64]

@@ -23,10 +23,10 @@ from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postu
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.targets import Targets, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
-from cadenza.model.kinematics import TIP, Kinematics
-from cadenza.model.piano import KEY_CENTRE
-from cadenza.model.scene import Scene
-from cadenza.model.servos import reaction, servos_of
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.piano import KEY_CENTRE
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import reaction, servos_of
 
 Array = NDArray[np.float64]
 

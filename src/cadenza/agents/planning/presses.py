@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.model.config import Side
-from cadenza.model.piano import KEY_CENTRE
-from cadenza.music.fingering import BOTH
+from cadenza.fingering.search import BOTH
+from cadenza.scene.config import Side
+from cadenza.scene.piano import KEY_CENTRE
 
 Array = NDArray[np.float64]
 

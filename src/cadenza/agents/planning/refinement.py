@@ -13,9 +13,9 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.model.config import Side
-from cadenza.model.scene import Scene
-from cadenza.model.servos import servos_of
+from cadenza.scene.config import Side
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
 from cadenza.sim.simulation import Simulation, State
 from cadenza.tasks import reward
 

@@ -9,7 +9,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
-from cadenza.model.scene import hand_alone
+from cadenza.scene.scene import hand_alone
 from cadenza.sim.simulation import available_cores
 from cadenza.tasks.piano_task import PianoTask
 

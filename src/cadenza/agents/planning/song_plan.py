@@ -9,10 +9,10 @@ from typing import NamedTuple
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.nominal import Nominal, nominal_plans
 from cadenza.errors import CadenzaError
-from cadenza.model.scene import build_scene
-from cadenza.music.fingering import Dropped, find_fingering
+from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.music.goals import Goals
 from cadenza.music.score import Score
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 

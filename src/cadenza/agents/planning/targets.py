@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.presses import Press
-from cadenza.model.piano import (
+from cadenza.scene.piano import (
     BLACK,
     IS_BLACK,
     KEY_CENTRE,

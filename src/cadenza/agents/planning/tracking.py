@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from cadenza.model.servos import Servos
+from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 

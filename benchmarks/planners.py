@@ -1,0 +1,119 @@
+"""Predictive sampling and iLQG at the paper's settings: how well they play, and where time goes.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners SONG [--steps N] [--iterations I ...]
+
+With --whole-song instead those that plan the whole song: the plan of `ScorePlanner` as it is and
+refined, and `TrackedPresses`.
+
+Prints a table in Markdown. Plans for small matrices are faster where the threads of the linear
+algebra do not compete with those of the simulation, hence the variable.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.agents.agent import Agent, ZeroAgent
+from cadenza.agents.baselines.ilqg import ILQG
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
+from cadenza.agents.baselines.tracked_presses import TrackedPresses
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+)
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.music.library import load_score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+
+class Result(NamedTuple):
+    """How the first steps of a song went."""
+
+    f1: float
+    fingering: float
+    """Mean nearness of the fingers to their keys, 0..1, the task's fingering term."""
+    ratio: float
+    """Planning time over the music's; what is done beforehand is shared out over the song."""
+    parts: dict[str, float]
+    """The share of it that went to each part of the planner, if it keeps account."""
+
+
+def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
+    """Has the agent play the first `num_steps` control steps."""
+    task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
+    task.reset([task_rng], [0])
+    started = time.perf_counter()
+    agent.reset(task, agent_rng)
+    beforehand = time.perf_counter() - started
+    planning = beforehand * num_steps / int(task.sheets.num_steps[0])
+    fingering = 0.0
+    for _ in range(num_steps):
+        started = time.perf_counter()
+        action = agent.act()
+        planning += time.perf_counter() - started
+        fingering += float(task.step(action[None]).terms["fingering"][0])
+    music = num_steps * task.config.control_timestep
+    parts = getattr(agent, "seconds", {})
+    return Result(
+        task.episode_metrics(0)["f1"],
+        fingering / num_steps,
+        planning / music,
+        {name: seconds / music for name, seconds in parts.items()},
+    )
+
+
+def line(name: str, results: list[Result]) -> str:
+    """A row of the table: means over the seeds."""
+    f1, fingering, ratio = (np.mean([r[i] for r in results]) for i in range(3))
+    parts = ", ".join(f"{part} {value:.2f}" for part, value in results[0].parts.items())
+    return f"| {name} | {f1:.3f} | {fingering:.3f} | {ratio:.2f} | {parts} |"
+
+
+def main() -> None:
+    """Plays and prints, row by row."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("song", help="a bundled piece or a MIDI file")
+    parser.add_argument("--steps", type=int, default=40, help="control steps, at most the song's")
+    parser.add_argument("--iterations", type=int, nargs="+", default=[1], help="a control step")
+    parser.add_argument("--seeds", type=int, default=3, help="of planners that sample")
+    parser.add_argument("--centred", action="store_true", help="iLQG with centred differences")
+    parser.add_argument("--whole-song", action="store_true", help="plan the whole song")
+    parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
+    options = parser.parse_args()
+    config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
+    task = PianoTask([load_score(options.song)], config)
+    task.reset([np.random.default_rng(0)], [0])
+    num_steps = min(options.steps, int(task.sheets.num_steps[0]))
+
+    def row(name: str, agent: Agent, seeds: int = 1) -> None:
+        results = [perform(agent, task, num_steps, seed) for seed in range(seeds)]
+        print(line(name, results), flush=True)
+
+    print(f"{options.song}, {num_steps} control steps\n")
+    print("| planner | F1 | fingering | planning time / music | of which |")
+    print("| --- | --- | --- | --- | --- |")
+    if options.whole_song:
+        row("nominal plan", ScorePlanner(ScorePlannerConfig(method="none")))
+        row("nominal plan, refined", ScorePlanner(), options.seeds)
+        row("optimised presses, tracked", TrackedPresses())
+        return
+    row("hands at rest", ZeroAgent())
+    for iterations in options.iterations:
+        sampling = PredictiveSamplingConfig(iterations=iterations)
+        name = f"predictive sampling, {iterations} iteration(s)"
+        row(name, PredictiveSampling(sampling), options.seeds)
+    for iterations in options.iterations:
+        ilqg = ILQGConfig(iterations=iterations, centred=options.centred)
+        row(f"iLQG, {iterations} iteration(s)", ILQG(ilqg))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""How well plans hold up when starts, controls or the model are not what was planned with.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.robustness SONG ... [--seeds N] [--agents A ...]
+
+Prints a table in Markdown. Closed loop: the agent sees how the hands really are. Open
+loop: what it plays when nothing is amiss, recorded and replayed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cadenza.agents.agent import Agent, Array
+from cadenza.agents.baselines.tracked_presses import TrackedPresses
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.playback import ReplayAgent
+from cadenza.agents.rollout import play
+from cadenza.music.library import load_score
+from cadenza.music.score import Score
+from cadenza.scene.perturbation import perturbed
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+AGENTS: dict[str, Callable[[], Agent]] = {
+    "refined": ScorePlanner,
+    "nominal": lambda: ScorePlanner(ScorePlannerConfig(method="none")),
+    "tracked": TrackedPresses,
+}
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What is amiss."""
+
+    name: str
+    start: float = 0.0
+    """The hands start up to this far to the left or right [m]."""
+    noise: float = 0.0
+    """Standard deviation of what every control is off by, in units of half its range."""
+    model: float = 0.0
+    """Figures of the model are off by up to this share."""
+
+
+TROUBLES = (
+    Trouble("nothing"),
+    Trouble("hands start within 5 cm", start=0.05),
+    Trouble("1 % noise on controls", noise=0.01),
+    Trouble("5 % noise on controls", noise=0.05),
+    Trouble("model off by 10 %", model=0.1),
+)
+
+
+class Noisy:
+    """Another agent's actions with noise on all but the pedal."""
+
+    def __init__(self, agent: Agent, noise: float, seed: int) -> None:
+        """`noise` is its standard deviation in units of half the control range."""
+        self._agent, self._noise, self._seed = agent, noise, seed
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        self._agent.reset(task, rng)
+        self._low, self._high = task.action_low, task.action_high
+        self._sigma = self._noise * (self._high - self._low) / 2
+        self._sigma[-1] = 0.0
+        self._rng = np.random.default_rng([self._seed, 1])  # not that of starts and models
+
+    def act(self) -> Array:
+        noise = self._sigma * self._rng.standard_normal(len(self._sigma))
+        return np.clip(self._agent.act() + noise, self._low, self._high)
+
+
+def troubled_task(score: Score, config: TaskConfig, trouble: Trouble, seed: int) -> PianoTask:
+    """The task with hands and model that are amiss."""
+    scene = build_scene()
+    if trouble.model:
+        scene = perturbed(scene, np.random.default_rng([seed, 0]), trouble.model)
+    return PianoTask([score], replace(config, random_hand_position=trouble.start), scene)
+
+
+def f1_in_trouble(
+    score: Score, config: TaskConfig, trouble: Trouble, agent: Agent, seed: int
+) -> tuple[float, Array]:
+    """F1, and the actions (T, A) that the agent chose and noise changed."""
+    task = troubled_task(score, config, trouble, seed)
+    player = Noisy(agent, trouble.noise, seed) if trouble.noise else agent
+    performance = play(task, player, seed)
+    return performance.metrics["f1"], performance.episode.arrays["action"]
+
+
+def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: int) -> Iterator[str]:
+    """A row of the table for each trouble, means and least over the seeds."""
+    nothing = TROUBLES[0]
+    plans = [f1_in_trouble(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
+    for trouble in TROUBLES:
+        f1 = np.array(
+            [
+                [
+                    f1_in_trouble(score, config, trouble, player, seed)[0]
+                    for player in (agent(), ReplayAgent(plan))
+                ]
+                for seed, plan in enumerate(plans)
+            ]
+        )
+        figures = zip(f1.mean(axis=0), f1.min(axis=0), strict=True)
+        cells = " | ".join(f"{mean:.3f} | {least:.3f}" for mean, least in figures)
+        yield f"{trouble.name} | {cells} |"
+
+
+def main() -> None:
+    """Plays and prints, agent by agent."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("songs", nargs="+", help="bundled pieces or MIDI files")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--agents", nargs="+", choices=AGENTS, default=["refined"])
+    parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
+    options = parser.parse_args()
+    config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
+    print("| song | agent | what is amiss | closed loop | least | open loop | least |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for song in options.songs:
+        for name in options.agents:
+            for row in rows(load_score(song), config, AGENTS[name], options.seeds):
+                print(f"| {song} | {name} | {row}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,293 @@
+"""iLQG, the paper's second planner (Zakka et al., CoRL 2023, appendix on MPC).
+
+Linearises the simulation along the last plan, approximates the cost by a quadratic, and improves
+the plan within the limits of the controls (Tassa, Erez, Todorov, "Synthesis and stabilization of
+complex behaviors through online trajectory optimization", IROS 2012; Tassa, Mansard, Todorov,
+"Control-limited differential dynamic programming", ICRA 2014).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Array
+from cadenza.agents.baselines.box_ddp import Model, Policy, backward_pass
+from cadenza.agents.planning.config import ILQGConfig
+from cadenza.configs import check_ranges
+from cadenza.errors import CadenzaError
+from cadenza.music.score import NUM_KEYS
+from cadenza.scene.piano import KEY_TRAVEL
+from cadenza.scene.scene import build_scene
+from cadenza.sim.linearisation import Linearisation, Lineariser
+from cadenza.sim.simulation import Simulation, available_cores
+from cadenza.tasks import reward
+from cadenza.tasks.piano_task import PianoTask
+
+Ids = NDArray[np.intp]
+
+# Within these radii the norms of the cost are nearly squares.
+_KEY_RADIUS = 0.1
+_FINGER_RADIUS = 0.01  # [m]
+_NO_CHANGE = 1e-6  # of controls, in half ranges
+_TRUSTED_STEP = 0.3  # shorter ones say that the model holds less far than it thought
+
+
+class ILQG:
+    """Plans anew at every control step.
+
+    A plan is a control for each control step of the horizon, held as the task holds it; the cost is
+    counted at every planning step on the way, with derivatives over the part of the control step
+    that lies behind. It is the cost of predictive sampling with smooth norms, sqrt(r'r + p^2) - p
+    instead of |r|, and control_weight / 2 times the squared distance of controls from rest. Its
+    Gauss-Newton approximation takes the present norms as weights of squares (iteratively reweighted
+    least squares). The pedal follows the score. Nothing is random.
+
+    Attributes:
+        seconds: wall-clock time spent since the reset in "derivatives", "backward pass" and
+            "line search".
+    """
+
+    def __init__(self, config: ILQGConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
+        self.config = config or ILQGConfig()
+        _check(self.config)
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        """Raises:
+        CadenzaError: the timesteps of task, plan and physics do not divide.
+        """
+        config, hold = self.config, task.config.control_timestep
+        self._steps = _times(config.horizon, hold, "horizon", "control_timestep")
+        planning = config.planning_timestep
+        self._looks = _times(hold, planning, "control_timestep", "planning_timestep")
+        # MuJoCo has no derivatives of a scene in which keys sleep.
+        scene = build_scene(replace(task.scene.config, sleeping_keys=False))
+        self._rollouts = Simulation(scene, 1 + config.num_step_sizes, planning, available_cores())
+        substeps = self._rollouts.num_substeps
+        shape = (self._steps, self._looks, substeps)
+        self._lineariser = Lineariser(scene, *shape, available_cores(), config.centred)
+        self._step_sizes = np.append(0.0, np.geomspace(1.0, 1e-3, config.num_step_sizes))
+        self._task, self._cost = task, _Cost(task, self._steps, self._looks)
+        low, high = task.action_low[:-1], task.action_high[:-1]
+        self._centre, self._half_range = (low + high) / 2, (high - low) / 2
+        self._rest = (np.clip(0.0, low, high) - self._centre) / self._half_range
+        self._nominal = np.tile(self._rest, (self._steps, 1))  # in half ranges from the centre
+        self._damping = _Damping()
+        self.seconds = dict.fromkeys(("derivatives", "backward pass", "line search"), 0.0)
+
+    def act(self) -> Array:
+        start = self._task.simulation.physics_state(0)
+        self._cost.look_ahead()
+        improved = True
+        for _ in range(self.config.iterations):
+            if improved:
+                with self._timed("derivatives"):
+                    model = self._approximate(start)
+            improved = self._improve(model, start)
+        action = self._ctrl(self._nominal[0])
+        self._nominal = np.concatenate([self._nominal[1:], self._nominal[-1:]])
+        return np.append(action, float(self._task.sheets.goal[0, NUM_KEYS]))
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.seconds[part] += time.perf_counter() - started
+
+    def _ctrl(self, controls: Array) -> Array:
+        """Controls in half ranges in actuator units."""
+        limits = self._task.action_low[:-1], self._task.action_high[:-1]
+        return np.clip(self._centre + self._half_range * controls, *limits)
+
+    def _approximate(self, start: Array) -> Model:
+        """The quadratic model around the nominal; its controls are in half ranges."""
+        seen = self._lineariser.linearise(start, self._ctrl(self._nominal))
+        n = seen.jacobian.shape[-2]
+        seen.jacobian[..., n:] *= self._half_range
+        gradient, hessian = self._cost.derivatives(seen)
+        weight = self.config.control_weight
+        gradient[:, n:] += weight * (self._nominal - self._rest)
+        diagonal = np.arange(n, n + len(self._rest))
+        hessian[:, diagonal, diagonal] += weight
+        return Model(seen.jacobian[:, -1], gradient, hessian)
+
+    def _improve(self, model: Model, start: Array) -> bool:
+        """Takes the best step of one backward pass; whether it is better than none."""
+        limit = np.ones(len(self._rest))
+        try:
+            with self._timed("backward pass"):
+                policy = backward_pass(model, self._nominal, -limit, limit, self._damping.value)
+        except np.linalg.LinAlgError:
+            self._damping.increase()
+            return False
+        if np.abs(policy.offset).max() < _NO_CHANGE:
+            self._damping.decrease()  # or it would be the reason
+            return False
+        with self._timed("line search"):
+            candidates, cost = self._search(policy, start)
+        best = int(np.argmin(cost))
+        self._nominal = candidates[best]
+        if self._step_sizes[best] >= _TRUSTED_STEP:
+            self._damping.decrease()
+        else:
+            self._damping.increase()
+        return best > 0
+
+    def _search(self, policy: Policy, start: Array) -> tuple[Array, Array]:
+        """Carries the policy out with every step size, 0 first, which is the nominal itself.
+
+        Returns:
+            Controls (N, K, A) in half ranges and their cost (N,).
+        """
+        sizes, rollouts = self._step_sizes[:, None], self._rollouts
+        controls = np.empty((len(sizes), *self._nominal.shape))
+        cost = np.zeros(len(sizes))
+        rollouts.set_physics_state(start)
+        for k, nominal in enumerate(self._nominal):
+            coordinates = rollouts.coordinates()
+            deviation = coordinates - coordinates[0]
+            change = sizes * policy.offset[k] + deviation @ policy.gain[k].T
+            controls[:, k] = np.clip(nominal + change, -1.0, 1.0)
+            ctrl = self._ctrl(controls[:, k])
+            states = rollouts.rollout(np.repeat(ctrl[:, None], self._looks, axis=1))
+            cost += self._cost.of_step(k, states.key_qpos, states.fingertip_xpos, states.key_xpos)
+        cost += self.config.control_weight / 2 * ((controls - self._rest) ** 2).sum(axis=(1, 2))
+        return controls, np.where(rollouts.state.unstable, np.inf, cost)
+
+
+class _Misses(NamedTuple):
+    """How far keys and fingers are from where they are wanted, at R moments."""
+
+    keys: Array
+    """(R, 88) state of the keys less that wanted."""
+    pairs: reward.Pairs
+    """Q of a finger and its key, at such a moment."""
+    offset: Array
+    """(Q, 3) from where the finger is wanted to where it is [m]."""
+
+
+class _Cost:
+    """Distances of keys from how the goal wants them and of fingers from their keys.
+
+    Over K control steps, counted P times in each.
+    """
+
+    def __init__(self, task: PianoTask, num_steps: int, num_looks: int) -> None:
+        self._task, self._num_steps, self._num_looks = task, num_steps, num_looks
+
+    def look_ahead(self) -> None:
+        """The next control steps begin now."""
+        sheets = self._task.sheets
+        now = int(sheets.row[0])
+        goals, self._fingers = sheets.part(0, now, now + self._num_steps)
+        self._wanted = goals[:, :NUM_KEYS]
+
+    def of_step(self, step: int, key_qpos: Array, tips: Array, centres: Array) -> Array:
+        """(N,) cost of control step `step`; arrays (N, P, ...) as in `State`."""
+        num = len(key_qpos)
+        steps = np.full(num * self._num_looks, step)
+        misses = self._misses(steps, _flat(key_qpos), _flat(tips), _flat(centres))
+        cost = _norm(misses.keys, _KEY_RADIUS) - _KEY_RADIUS
+        fingers = _norm(misses.offset, _FINGER_RADIUS) - _FINGER_RADIUS
+        cost += np.bincount(misses.pairs.row, fingers, minlength=len(cost))
+        return cost.reshape(num, -1).sum(axis=1)
+
+    def derivatives(self, seen: Linearisation) -> tuple[Array, Array]:
+        """Gradient (K, 2 V + A) and Gauss-Newton Hessian (K, 2 V + A, 2 V + A) of each step."""
+        jacobian = _flat(seen.jacobian)
+        steps = np.repeat(np.arange(self._num_steps), self._num_looks)
+        tips, centres = _flat(seen.fingertip_xpos), _flat(seen.key_xpos)
+        misses = self._misses(steps, _flat(seen.key_qpos), tips, centres)
+        by_keys, by_offset = self._jacobians(seen, misses, jacobian)
+        gradients, hessians = [], []
+        for step in range(self._num_steps):
+            mine, pairs = steps == step, steps[misses.pairs.row] == step
+            of_keys = _weighted(misses.keys[mine], by_keys[mine], _KEY_RADIUS)
+            of_fingers = _weighted(misses.offset[pairs], by_offset[pairs], _FINGER_RADIUS)
+            residual, rows = map(np.concatenate, zip(of_keys, of_fingers, strict=True))
+            gradients.append(rows.T @ residual)
+            hessians.append(rows.T @ rows)
+        return np.array(gradients), np.array(hessians)
+
+    def _jacobians(
+        self, seen: Linearisation, misses: _Misses, jacobian: Array
+    ) -> tuple[Array, Array]:
+        """Derivatives of the misses, (R, 88, 2 V + A) and (Q, 3, 2 V + A).
+
+        A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
+        """
+        moment, finger, key = misses.pairs
+        keys = self._task.scene.key_qpos
+        of_keys = jacobian[:, keys]
+        of_tips = _flat(seen.fingertip_jacobian)[moment, finger]
+        of_centres = _flat(seen.key_jacobian)[moment, key]
+        by_offset = of_tips @ jacobian[moment, : of_tips.shape[-1]]
+        by_offset -= of_centres[:, :, None] * of_keys[moment, key][:, None]
+        return of_keys / KEY_TRAVEL[:, None], by_offset
+
+    def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
+        wanted = self._wanted[steps]
+        pairs = self._task.pairs(tips, centres, wanted, self._fingers[steps])
+        keys = reward.key_state(key_qpos) - wanted
+        return _Misses(keys, pairs, reward.press_offsets(tips, centres, pairs))
+
+
+def _norm(residual: Array, radius: float) -> Array:
+    """Smooth norms over the last axis."""
+    return np.sqrt(np.vecdot(residual, residual) + radius**2)
+
+
+def _weighted(residual: Array, jacobian: Array, radius: float) -> tuple[Array, Array]:
+    """Rows (R r, ...) of a least squares problem: residuals (R, r), derivatives (R, r, z)."""
+    weight = _norm(residual, radius) ** -0.5
+    return (residual * weight[:, None]).ravel(), _flat(jacobian * weight[:, None, None])
+
+
+def _flat(values: Array) -> Array:
+    """(N, K, ...) as (N * K, ...)."""
+    return values.reshape(-1, *values.shape[2:])
+
+
+class _Damping:
+    """The schedule of the regularisation (Tassa, Erez, Todorov 2012, II-F)."""
+
+    _FACTOR = 1.6
+    _LEAST, _MOST = 0.1, 1e10
+
+    def __init__(self) -> None:
+        self.value, self._change = 1.0, 1.0
+
+    def increase(self) -> None:
+        self._change = max(self._FACTOR, self._change * self._FACTOR)
+        self.value = min(max(self._LEAST, self.value * self._change), self._MOST)
+
+    def decrease(self) -> None:
+        self._change = min(1 / self._FACTOR, self._change / self._FACTOR)
+        value = self.value * self._change
+        self.value = value if value >= self._LEAST else 0.0
+
+
+def _check(config: ILQGConfig) -> None:
+    check_ranges(
+        config, {"iterations": (1, 10_000), "num_step_sizes": (1, 1000), "horizon": (0, 60)}
+    )
+    for name in ("horizon", "planning_timestep", "control_weight"):
+        if not 0 < (value := getattr(config, name)) < math.inf:
+            raise CadenzaError(f"{name} {value}: choose more than 0")
+
+
+def _times(whole: float, part: float, name: str, part_name: str) -> int:
+    times = round(whole / part)
+    if times < 1 or abs(times * part - whole) > 1e-9:
+        raise CadenzaError(f"{name} {whole} s is not a multiple of {part_name} {part} s")
+    return times

@@ -1,0 +1,299 @@
+"""Optimises the controls of one hand press by press, and finds the gains to track the result with.
+
+Iterative LQR (Tassa, Erez, Todorov, "Synthesis and stabilization of complex behaviors through
+online trajectory optimization", IROS 2012) within the limits of the controls, on windows around the
+presses, one after the other, each from where the one before left the hand; where the nominal plan
+makes no mistake, it stays. The gains are those of time-varying LQR along the trajectory of the
+whole song (e.g. Tedrake, Underactuated Robotics, chapter "Linear Quadratic Regulators").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.baselines.box_ddp import Model, backward_pass
+from cadenza.agents.planning.config import TrackedPressesConfig
+from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.tracking import Tracking
+from cadenza.scene.piano import KEY_TRAVEL
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
+from cadenza.sim.simulation import Simulation, State
+from cadenza.tasks import reward
+
+Array = NDArray[np.float64]
+Law = Callable[[int, State], Array]  # of a step and of states (N, ...), controls (N, A)
+
+_LEAD = 3  # steps before a press in which its window begins
+_BEYOND = 5  # steps of the next window that a window looks at
+_SHORTEST = 3  # steps of a window
+
+# What counts as one: deviations of slides [m] and of hinges [rad], their speeds [/s].
+_SLIDE, _HINGE, _PER_SECOND = 0.01, 0.1, 10.0
+_DIFFERENCE = 0.2  # of that, for derivatives
+
+# Weights of half the squares in the cost of a step.
+_MISTAKE = 3.0  # not squared, and known to the line search only
+_ALMOST = 6.0  # of a key's travel that lacks, or that goes beyond what does no harm
+_NO_HARM = 0.3  # of its travel that a key may be down
+_PLAYING, _IDLE = 6000.0, 400.0  # [1 / m^2] of fingertips from where they should be
+_ALONG_KEY = 0.55  # distances along the key count less
+_CONTROL = 0.05  # of controls from the nominal ones
+_STEP_SIZES = np.append(0.0, np.geomspace(1.0, 0.05, 7))
+_DAMPING = 0.1
+_MORE_DAMPING = 10.0
+
+# The same for tracking.
+_TRACK_TIP = 1e4
+_TRACK_STATE = 0.1
+_TRACK_CONTROL = 1.0
+
+
+class Trajectory(NamedTuple):
+    """T steps of one hand and how to keep to them: u = ctrl + gain (x - state)."""
+
+    ctrl: Array
+    """(T, A)"""
+    state: Array
+    """(T, 2 J) positions and speeds of the joints before each step."""
+    gain: Array
+    """(T, A, 2 J)"""
+
+
+class _Window(NamedTuple):
+    """Controls of the steps from `first` on."""
+
+    first: int
+    ctrl: Array
+    """(K, A)"""
+    before: Array
+    """(K, 2 J) positions and speeds before each step."""
+    cost: float
+    mistakes: int
+
+
+class PressOptimisation:
+    """The controls of one hand for a whole song."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        part: HandPart,
+        onsets: NDArray[np.intp],
+        tracking: Tracking,
+        config: TrackedPressesConfig,
+        dt: float,
+        num_threads: int,
+    ) -> None:
+        """Args:
+        scene: with this hand only.
+        part: what it has to do in T steps.
+        onsets: steps in which presses begin.
+        tracking: the nominal plan of this hand.
+        config: how to optimise.
+        dt: control step [s].
+        num_threads: that share the simulations.
+        """
+        self._part, self._tracking, self._config = part, tracking, config
+        self._starts = _starts(onsets)
+        self._servos = servos_of(scene)
+        self._to_posture = np.linalg.pinv(self._servos.joints)
+        joint_unit = _units(scene.hand_joint_names)
+        self._state_unit = np.concatenate([joint_unit, _PER_SECOND * joint_unit])
+        self._ctrl_unit = _units(self._servos.names)
+        self._unit = np.concatenate([self._state_unit, self._ctrl_unit])
+        self._now = Simulation(scene, 1, dt)
+        self._single = Simulation(scene, 1, dt)
+        self._batch = Simulation(scene, len(_STEP_SIZES), dt, num_threads)
+        difference = _DIFFERENCE * self._unit
+        self._lineariser = HandLineariser(scene, difference, dt, num_threads)
+
+    def optimise(self, hand_qpos: Array, progress: Progress = silent) -> Trajectory:
+        """From joints at rest at `hand_qpos` (J,) on; `progress` is told of "presses", in steps."""
+        steps = len(self._tracking.ctrl)
+        self._now.reset(hand_qpos=hand_qpos[None])
+        ctrl, states = [], []
+        for first, following in pairwise([*self._starts, steps]):
+            progress("presses", first, steps)
+            last = min(following + _BEYOND, steps)
+            window = self._improved(self._window(first, last))
+            kept = following - first
+            ctrl.append(window.ctrl[:kept])
+            states.append(window.before[:kept])
+            self._now.rollout(ctrl[-1][None])
+        self._now.reset(hand_qpos=hand_qpos[None])
+        whole = np.concatenate(ctrl)
+        seen = self._lineariser.linearise(self._now, whole)
+        return Trajectory(whole, np.concatenate(states), self._gains(seen))
+
+    # One window
+
+    def _window(self, first: int, last: int) -> _Window:
+        """As the nominal plan has it, each servo brought back to it by itself."""
+
+        def law(step: int, state: State) -> Array:
+            here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)
+            change = self._tracking.feedback(step, self._to_posture.T @ here)
+            return (self._tracking.ctrl[step] - change)[None]
+
+        return self._roll_out(self._single, first, last, law)[0]
+
+    def _improved(self, window: _Window) -> _Window:
+        damping = _DAMPING
+        known: Model | None = None
+        for _ in range(self._config.iterations):
+            if not window.mistakes:
+                break
+            if known is None:
+                known = self._approximate(window)
+            better = self._step(window, known, damping)
+            if better is None:
+                damping *= _MORE_DAMPING
+            else:
+                window, known = better, None
+        return window
+
+    def _approximate(self, window: _Window) -> Model:
+        """The quadratic model around a window, in units."""
+        seen = self._lineariser.linearise(self._now, window.ctrl)
+        transition = seen.hands * self._unit / self._state_unit[:, None]
+        gradients, hessians = [], []
+        for k in range(len(window.ctrl)):
+            residual, slope = self._residual(seen, window.first + k, k)
+            slope = slope * self._unit
+            gradients.append(slope.T @ residual)
+            hessians.append(slope.T @ slope)
+        gradient, hessian = np.array(gradients), np.array(hessians)
+        steps = slice(window.first, window.first + len(window.ctrl))
+        first = len(self._state_unit)  # of the controls
+        gradient[:, first:] += _CONTROL * self._from_nominal(window.ctrl, steps)
+        diagonal = np.arange(first, len(self._unit))
+        hessian[:, diagonal, diagonal] += _CONTROL
+        return Model(transition, gradient, hessian)
+
+    def _from_nominal(self, ctrl: Array, steps: int | slice) -> Array:
+        """How far controls (..., A) are from those of the nominal plan, in units."""
+        return (ctrl - self._tracking.ctrl[steps]) / self._ctrl_unit
+
+    def _step(self, window: _Window, model: Model, damping: float) -> _Window | None:
+        """The best of all step sizes, if it is better than none."""
+        unit = self._ctrl_unit
+        low, high = self._servos.low / unit, self._servos.high / unit
+        policy = backward_pass(model, window.ctrl / unit, low, high, damping)
+
+        def law(step: int, state: State) -> Array:
+            k = step - window.first
+            deviation = (_coordinates(state) - window.before[k]) / self._state_unit
+            change = _STEP_SIZES[:, None] * policy.offset[k] + deviation @ policy.gain[k].T
+            return window.ctrl[k] + change * unit
+
+        last = window.first + len(window.ctrl)
+        tried = self._roll_out(self._batch, window.first, last, law)
+        best = min(tried, key=lambda candidate: candidate.cost)
+        return best if best.cost < window.cost else None
+
+    def _roll_out(self, simulation: Simulation, first: int, last: int, law: Law) -> list[_Window]:
+        """What comes of a law from now on in each simulation of a batch."""
+        simulation.copy_from(self._now, 0)
+        ctrl, before = [], []
+        cost, mistakes = np.zeros(simulation.num_envs), np.zeros(simulation.num_envs, np.intp)
+        for step in range(first, last):
+            before.append(_coordinates(simulation.state))
+            control = np.clip(law(step, simulation.state), self._servos.low, self._servos.high)
+            simulation.step(control)
+            ctrl.append(control)
+            mistakes += self._mistakes(simulation.state, step)
+            cost += self._cost(simulation.state, step)
+            cost += _CONTROL / 2 * (self._from_nominal(control, step) ** 2).sum(axis=1)
+        cost = np.where(simulation.state.unstable, np.inf, cost + _MISTAKE * mistakes)
+        controls, states = np.stack(ctrl, axis=1), np.stack(before, axis=1)
+        return [
+            _Window(first, controls[i], states[i], float(cost[i]), int(mistakes[i]))
+            for i in range(len(cost))
+        ]
+
+    # Cost
+
+    def _mistakes(self, state: State, step: int) -> NDArray[np.intp]:
+        sounding = reward.key_activation(state.key_qpos)
+        mine, wrong = self._part.mine[step], self._part.wrong[step]
+        return ((mine & ~sounding) | (wrong & sounding)).sum(axis=1)
+
+    def _cost(self, state: State, step: int) -> Array:
+        keys, tips = self._misses(state, step)
+        return ((keys**2).sum(axis=1) + (tips**2).sum(axis=(1, 2))) / 2
+
+    def _misses(self, state: State, step: int) -> tuple[Array, Array]:
+        """Weighted residuals (N, 88), (N, 5, 3) of the states after `step`."""
+        part, depth = self._part, reward.key_state(state.key_qpos)
+        lacking = np.where(part.mine[step], depth - 1.0, 0.0)
+        harm = np.where(part.wrong[step], np.maximum(depth - _NO_HARM, 0.0), 0.0)
+        offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
+        return np.sqrt(_ALMOST) * (lacking + harm), self._tip_weight(step) * offset
+
+    def _tip_weight(self, step: int) -> Array:
+        """(5, 3)"""
+        weight = np.sqrt(np.where(self._part.playing[step + 1], _PLAYING, _IDLE))
+        return weight[:, None] * np.array([_ALONG_KEY, 1.0, 1.0])
+
+    def _residual(self, seen: HandLinearisation, step: int, k: int) -> tuple[Array, Array]:
+        """Residuals (R,) of the state after row `k` and their derivatives (R, 2 J + A)."""
+        state = State._make(values[k : k + 1] for values in seen.states)
+        keys, tips = self._misses(state, step)
+        there = np.flatnonzero(keys[0])
+        by_keys = np.sqrt(_ALMOST) * seen.keys[k, there] / KEY_TRAVEL[there, None]
+        by_tips = self._tip_weight(step)[..., None] * seen.fingertips[k, self._part.fingers]
+        residual = np.concatenate([keys[0, there], tips[0].ravel()])
+        return residual, np.concatenate([by_keys, by_tips.reshape(-1, by_tips.shape[-1])])
+
+    # Tracking
+
+    def _gains(self, seen: HandLinearisation) -> Array:
+        """(T, A, 2 J) of the regulator that keeps fingertips and joints where they are."""
+        transition = seen.hands * self._unit / self._state_unit[:, None]
+        tips = seen.fingertips[:, self._part.fingers] * self._unit
+        rows = tips.reshape(len(tips), -1, tips.shape[-1])
+        hessian = _TRACK_TIP * rows.transpose(0, 2, 1) @ rows
+        hessian += _TRACK_STATE * transition.transpose(0, 2, 1) @ transition
+        diagonal = np.arange(len(self._state_unit), len(self._unit))
+        hessian[:, diagonal, diagonal] += _TRACK_CONTROL
+        return regulator(transition, hessian) * self._ctrl_unit[:, None] / self._state_unit
+
+
+def regulator(transition: Array, hessian: Array) -> Array:
+    """(K, m, n) gains, u = gain x, of the time-varying linear-quadratic regulator.
+
+    Args:
+        transition: (K, n, n + m) derivatives of the next state by state and control.
+        hessian: (K, n + m, n + m) of a step's cost.
+    """
+    steps, n, size = transition.shape
+    limit = np.full(size - n, np.inf)
+    model = Model(transition, np.zeros((steps, size)), hessian)
+    return backward_pass(model, np.zeros((steps, size - n)), -limit, limit, 0.0).gain
+
+
+def _starts(onsets: NDArray[np.intp]) -> list[int]:
+    """First steps of the windows."""
+    starts = [0]
+    for onset in np.unique(onsets):
+        if onset - _LEAD >= starts[-1] + _SHORTEST:
+            starts.append(int(onset) - _LEAD)
+    return starts
+
+
+def _units(names: tuple[str, ...]) -> Array:
+    """Of joints or servos: forearms slide, all others turn."""
+    return np.array([_SLIDE if "forearm_t" in name else _HINGE for name in names])
+
+
+def _coordinates(state: State) -> Array:
+    """(N, 2 J)"""
+    return np.concatenate([state.hand_qpos, state.hand_qvel], axis=1)

@@ -1,0 +1,165 @@
+"""Plays actions that were recorded or planned before."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Array
+from cadenza.episode import Episode
+from cadenza.errors import CadenzaError
+from cadenza.files import (
+    FLAGS,
+    NUMBERS,
+    TEXT,
+    ArrayOf,
+    checked,
+    parsed_json,
+    read_arrays,
+    write_atomically,
+)
+from cadenza.music.score import Score
+from cadenza.scene.config import Physics, SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+_CHANGE_NOTHING = {  # options of the task that move no key and no hand
+    "n_steps_lookahead",
+    "n_seconds_lookahead",
+    "fingering",
+    "energy_coefficient",
+    "sustain_term",
+    "forearm_term",
+}
+_TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
+_ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
+_ABOUT = {
+    "physics": ArrayOf(TEXT),
+    "sleeping_keys": ArrayOf(FLAGS),
+    "options": ArrayOf(TEXT),
+}
+_MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
+
+
+class ReplayAgent:
+    """Plays `plan` (T, A), actions in actuator units, the pedal last."""
+
+    def __init__(self, plan: Array) -> None:
+        self._plan = plan
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        """Raises:
+        CadenzaError: the plan is not as wide as the actions or not as long as the episode.
+        """
+        steps, width = self._plan.shape
+        if width != task.action_size:
+            raise CadenzaError(
+                f"the plan has {width} actions per step, but this task has {task.action_size}: "
+                f"{_other_space(task)}"
+            )
+        if steps != task.sheets.num_steps[0]:
+            raise CadenzaError(
+                f"the plan has {steps} steps, but the song has {task.sheets.num_steps[0]}: "
+                "was it made for another song, tempo or initial silence?"
+            )
+        self._step = 0
+
+    def act(self) -> Array:
+        action = self._plan[self._step]
+        self._step += 1
+        return action
+
+
+def _other_space(task: PianoTask) -> str:
+    flag = "no-reduced" if task.scene.config.reduced_action_space else "reduced"
+    return f"was it made for other hands or the other action space (--{flag}-action-space)?"
+
+
+def physics_of(path: Path) -> dict[str, Any]:
+    """The fields of `SceneConfig` that say in which physics a plan was made.
+
+    A plan is played in the physics it was made in, since a micrometre can decide whether a finger
+    catches on a key. Recordings of the published system do not say; there, keys never sleep.
+    """
+    arrays = read_arrays(path, _ABOUT, _MOST)
+    physics = str(arrays.get("physics", "published"))
+    return {
+        "physics": checked(physics, cast(Any, Physics), f"{path}, physics"),
+        "sleeping_keys": bool(arrays.get("sleeping_keys", False)),
+    }
+
+
+def options_of(task: TaskConfig, scene: SceneConfig, seed: int, **of_song: Any) -> dict[str, Any]:
+    """What has to be the same for a plan to play the same, by name, as JSON has it.
+
+    `of_song` says what of the song is played.
+    """
+    options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING}
+    drawn = any(value for name, value in options.items() if name.startswith("random_"))
+    options |= {n: v for n, v in asdict(scene).items() if n not in _TAKEN_FROM_PLAN}
+    options |= of_song | ({"seed": seed} if drawn else {})
+    return dict(json.loads(json.dumps(options)))
+
+
+def check_options(path: Path, options: Mapping[str, Any]) -> None:
+    """Compares `options` with those that a plan was made with, where it says.
+
+    Raises:
+        CadenzaError: they differ.
+    """
+    text = str(read_arrays(path, _ABOUT, _MOST).get("options", "{}"))
+    made_with = parsed_json(text, dict[str, Any], f"{path}, options")
+    for name, value in made_with.items():
+        if name not in options:
+            raise CadenzaError(
+                f"{path}: was planned with an option {name!a}, which this version of Cadenza does "
+                "not have; plan it again"
+            )
+        if options[name] != value:
+            raise CadenzaError(
+                f"{path}: was planned with {name} {value!r}, but here it is {options[name]!r}; "
+                "use the same value"
+            )
+
+
+def save_plan(
+    path: Path,
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    options: Mapping[str, Any],
+    fingered: Score,
+) -> None:
+    """Writes what `load_plan`, `physics_of` and `check_options` read, and what there is to know.
+
+    action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
+    fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none.
+    """
+    notes = [(note.start, note.pitch, note.finger) for note in fingered.notes]
+    with write_atomically(path) as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            action=episode["action"],
+            physics=episode["physics"],
+            sleeping_keys=episode["sleeping_keys"],
+            song=np.str_(episode.song),
+            dt=np.float64(episode.dt),
+            metrics=np.str_(json.dumps(metrics)),
+            options=np.str_(json.dumps(options)),
+            fingering=np.array(notes, np.float64),
+        )
+
+
+def load_plan(path: Path) -> NDArray[np.float64]:
+    """The array `action` (T, A) of a plan or of a recorded episode.
+
+    Raises:
+        CadenzaError: the file is not there or holds no such array.
+    """
+    return read_arrays(path, _ACTION, _MOST)["action"].astype(np.float64)

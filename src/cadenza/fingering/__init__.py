@@ -1,0 +1,1 @@
+"""Which finger plays which note, where a score does not say."""

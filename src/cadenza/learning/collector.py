@@ -1,0 +1,153 @@
+"""Plays N environments side by side and keeps what happens for learning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.learning.observation import Floats, Observer, Scores
+from cadenza.learning.policy import Policy
+from cadenza.learning.replay_buffer import Replay, Rows
+from cadenza.tasks.piano_task import PianoTask, Transition
+
+Array = NDArray[np.float64]
+
+
+class Finished(NamedTuple):
+    """An episode that ended while gathering experience."""
+
+    f1: float
+    total_reward: float
+
+
+class Collector:
+    """Gathers experience in N environments.
+
+    Attributes:
+        observation: (N, D) what they show now.
+    """
+
+    observation: Floats
+
+    def __init__(
+        self,
+        task: PianoTask,
+        scores: Scores,
+        observer: Observer,
+        replay: Replay,
+        ctrl: Callable[[Floats], Array],
+        rng: np.random.Generator,
+    ) -> None:
+        """Args:
+        task: with N environments.
+        scores: where the scores of the episodes are entered.
+        observer: what is observed.
+        replay: where everything goes.
+        ctrl: turns what the policy does (N, A), in [-1, 1], into actuator units.
+        rng: of the actions, and of each environment.
+        """
+        self._task, self._scores, self._observer = task, scores, observer
+        self._replay, self._ctrl = replay, ctrl
+        self._rng, *self._env_rngs = rng.spawn(1 + task.num_envs)
+        self._env_ids = np.arange(task.num_envs)
+        self._action = np.zeros((task.num_envs, task.action_size), np.float32)
+        self._reward = np.zeros(task.num_envs, np.float32)
+        self._return = np.zeros(task.num_envs)
+        self._first_row = np.zeros(task.num_envs, np.int64)
+        self._taken: list[list[Floats]] = [[] for _ in self._env_ids]
+        self._began: list[dict[str, Any]] = [{} for _ in self._env_ids]
+
+    def begin(self) -> None:
+        """Begins an episode in every environment."""
+        self._reset(self._env_ids)
+        self._observe(self._env_ids)
+
+    def collect(self, policy: Policy | None, steps: int) -> list[Finished]:
+        """Takes steps in every environment, uniformly at random without a policy.
+
+        Returns:
+            The episodes that ended.
+        """
+        finished = []
+        for _ in range(steps):
+            if policy is None:
+                action = self._rng.uniform(-1, 1, self._action.shape).astype(np.float32)
+            else:
+                action = policy.draw(self.observation, self._rng)
+            finished += self._step(action)
+        return finished
+
+    def _step(self, action: Floats) -> list[Finished]:
+        result = self._take(action)
+        self._replay.act(action, self._reward, result.terminated)
+        ended = np.flatnonzero(result.terminated | result.truncated)
+        finished = [
+            Finished(self._task.episode_metrics(env)["f1"], float(self._return[env]))
+            for env in ended.tolist()
+        ]
+        if finished:
+            self._observe(ended)  # the last of an episode, then the first of the next
+            self._reset(ended)
+        self._observe(self._env_ids)
+        return finished
+
+    def _take(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
+        result = self._task.step(self._ctrl(action), env_ids)
+        moving = self._env_ids if env_ids is None else env_ids
+        self._action[moving] = action[moving]
+        self._reward[moving] = result.reward[moving]
+        self._return[moving] += result.reward[moving]
+        for env in moving:
+            self._taken[env].append(action[env])
+        return result
+
+    def _reset(self, env_ids: Rows) -> None:
+        for env in env_ids:
+            self._began[env] = self._env_rngs[env].bit_generator.state
+            self._taken[env] = []
+        self._task.reset([self._env_rngs[env] for env in env_ids], env_ids.tolist())
+        sheets = self._task.sheets
+        for env in env_ids.tolist():
+            self._first_row[env] = self._scores.add(
+                *sheets.part(env, 0, int(sheets.num_steps[env]))
+            )
+        self._return[env_ids] = 0.0
+
+    def _observe(self, env_ids: Rows) -> None:
+        sheets = self._task.sheets
+        row, first = self._first_row + sheets.row, sheets.steps_done == 0
+        rest = self._observer.rest(self._task)
+        self._replay.observe(env_ids, rest[env_ids], row[env_ids], first[env_ids])
+        self.observation = self._observer.observation(row, rest, self._action, self._reward, first)
+
+    # To go on later
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """What can be written as JSON and as arrays, for `restore`."""
+        plain = {
+            "action_rng": self._rng.bit_generator.state,
+            "began": self._began,
+        }
+        taken = [np.array(actions, np.float32) for actions in self._taken]
+        return plain, {f"taken_{env}": actions for env, actions in enumerate(taken)}
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        """Plays the episodes that were under way again, with the actions that were taken.
+
+        The simulation repeats itself to the last bit, and its state need not be kept. The replay
+        is to be restored before.
+        """
+        for rng, began in zip(self._env_rngs, plain["began"], strict=True):
+            rng.bit_generator.state = began
+        self._reset(self._env_ids)
+        taken = [arrays[f"taken_{env}"] for env in self._env_ids]
+        for step in range(max(map(len, taken))):
+            moving = [env for env, actions in enumerate(taken) if step < len(actions)]
+            action = np.zeros_like(self._action)
+            action[moving] = [taken[env][step] for env in moving]
+            self._take(action, moving)
+        self._rng.bit_generator.state = plain["action_rng"]
+        self._observe(self._env_ids)

@@ -1,0 +1,222 @@
+"""What a policy observes: what the task shows, its previous action and reward, the plan's action.
+
+Most of it follows from the score and the step that comes next. `Observer` puts it together from
+what does not follow and a table of the scores, for acting and for learning alike, so that nothing
+of it has to be kept for every transition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.files import INTEGERS, ArrayOf, check_arrays
+from cadenza.learning.ranges import Ranges
+from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER
+from cadenza.tasks.music import goals_of
+from cadenza.tasks.piano_task import PianoTask
+
+Floats = NDArray[np.float32]
+
+_GOAL = NUM_KEYS + 1  # keys and pedal
+_ROW = _GOAL + NUM_FINGERS
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Which entries of what could be observed a network is given.
+
+    Those that are always zero for a song can be left out: no weight of theirs would ever be used
+    or change. A network without them begins with the same other weights.
+    """
+
+    kept: tuple[int, ...]
+    """Indices of those that are given, ascending."""
+    total: int
+    """How many there could be."""
+
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: indices that cannot be."""
+        if any(a >= b for a, b in pairwise((-1, *self.kept, self.total))):
+            raise CadenzaError("inputs must be ascending indices below their total")
+
+
+class Scores:
+    """Goals of scores by row: of each score its control steps and, silent, the lookahead after.
+
+    A score that comes again takes no room again.
+    """
+
+    def __init__(self, task: PianoTask) -> None:
+        """`task` says how far ahead the score is observed."""
+        self._ahead = np.arange(task.observation_layout["goal"].stop // _GOAL)
+        self._rows = np.zeros((0, -(-_ROW // 8)), np.uint8)  # keys, pedal, fingers wanted, in bits
+        self._first: dict[bytes, int] = {}
+
+    def add(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> int:
+        """The row of the first step of goals (T, 89) that `fingers` (T, 88) play, -1 for none."""
+        wanted = (fingers[:, :, None] == np.arange(NUM_FINGERS)).any(axis=1)
+        silence = np.zeros((len(self._ahead) - 1, _ROW), bool)
+        bits = np.packbits(np.concatenate([np.hstack([goal, wanted]), silence]), axis=1)
+        key = bits.tobytes()
+        if key not in self._first:
+            self._first[key] = len(self._rows)
+            self._rows = np.concatenate([self._rows, bits])
+        return self._first[key]
+
+    def add_all(self, task: PianoTask) -> None:
+        """Adds the scores that `task` draws from."""
+        for score in task.scores:
+            goals = goals_of(score, task.config)
+            there = np.isin(goals.fingers, task.scene.fingers)
+            goal = np.concatenate([goals.keys, goals.sustain[:, None]], axis=1)
+            self.add(goal, np.where(there, goals.fingers, np.int8(UNKNOWN_FINGER)))
+
+    def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
+        """(..., len(kept)) of what the task observes as goal, from these rows (...) on."""
+        bits = np.unpackbits(self._rows[rows[..., None] + self._ahead], axis=-1, count=_ROW)
+        flat = bits[..., :_GOAL].reshape(*rows.shape, -1)
+        return flat[..., kept].astype(np.float32)
+
+    def fingers(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
+        """(..., len(kept)) of the fingers that have a key to press in these rows (...)."""
+        bits = np.unpackbits(self._rows[rows], axis=-1, count=_ROW)
+        return bits[..., _GOAL + kept].astype(np.float32)
+
+    def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """(89,) keys and pedal and (10,) fingers that any row asks for."""
+        ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=_ROW).astype(bool)
+        return ever[:_GOAL], ever[_GOAL:]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """To keep; see `restore`."""
+        return {"rows": self._rows, "first": np.array(sorted(self._first.values()), np.int64)}
+
+    @property
+    def num_rows(self) -> int:
+        """Rows in which an observation may begin."""
+        return len(self._rows) - len(self._ahead) + 1
+
+    def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
+        """Raises: CadenzaError: it is not what `arrays` returned."""
+        expected = {
+            "rows": ArrayOf("u", ("rows", self._rows.shape[1]), needed=True),
+            "first": ArrayOf(INTEGERS, ("scores",), needed=True),
+        }
+        check_arrays(arrays, expected, "scores")
+        self._rows = arrays["rows"]
+        ends = [*arrays["first"].tolist(), len(self._rows)]
+        self._first = {self._rows[first:last].tobytes(): first for first, last in pairwise(ends)}
+
+
+def inputs_of(task: PianoTask, scores: Scores | None, with_plan: bool) -> Inputs:
+    """What of an observation is there; with `scores`, without what is zero in all of them."""
+    layout, actions = task.observation_layout, task.action_size
+    goal = np.arange(layout["goal"].stop)
+    fingers = np.arange(NUM_FINGERS if "fingering" in layout else 0)
+    total = task.observation_size + actions + 1 + actions * with_plan
+    rest = np.arange(layout["key_state"].start, total)
+    if scores is not None:
+        keys_wanted, fingers_wanted = scores.ever_wanted()
+        goal, fingers = goal[keys_wanted[goal % _GOAL]], fingers[fingers_wanted[fingers]]
+    kept = np.concatenate([goal, layout["goal"].stop + fingers, rest])
+    return Inputs(tuple(kept.tolist()), total)
+
+
+class Observer:
+    """Puts observations together.
+
+    An observation is that of the task, then as published the previous action in actuator units and
+    the reward that it got, and with a plan its next action. At first both are 0, where the
+    published wrapper shows the least action. With ranges, joints and the previous action are on
+    their scale.
+
+    Attributes:
+        inputs: which entries of it are there.
+    """
+
+    def __init__(
+        self,
+        task: PianoTask,
+        scores: Scores,
+        inputs: Inputs,
+        plan: Floats | None = None,
+        ranges: Ranges | None = None,
+    ) -> None:
+        """Args:
+        task: whose observations they are.
+        scores: the music.
+        inputs: which entries are to be there.
+        plan: (T, A) of the only score, in [-1, 1].
+        ranges: of joints and actions, which are shown as -1 to 1 then.
+
+        Raises:
+            CadenzaError: the observations have other entries.
+        """
+        if inputs.total != inputs_of(task, None, plan is not None).total:
+            raise CadenzaError(
+                f"the policy observes {inputs.total} numbers, but this task has "
+                f"{inputs_of(task, None, plan is not None).total}: use the task and scene options "
+                "that it was trained with"
+            )
+        self.inputs = inputs
+        self._scores, self._plan = scores, plan
+        self._centre = ((task.action_high + task.action_low) / 2).astype(np.float32)
+        self._scale = ((task.action_high - task.action_low) / 2).astype(np.float32)
+        self._joints: tuple[slice, Floats, Floats] | None = None
+        if ranges is not None:
+            self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
+            low, high = ranges.joints.astype(np.float32)
+            self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
+        goals, rest = task.observation_layout["goal"].stop, task.observation_layout["key_state"]
+        kept = np.array(inputs.kept)
+        self._goal = kept[kept < goals]
+        self._fingers = kept[(kept >= goals) & (kept < rest.start)] - goals
+        self._rest = slice(rest.start, task.observation_size)
+
+    def rest(self, task: PianoTask) -> Floats:
+        """(N, S) what the task shows that does not follow from the score."""
+        shown = task.observation()
+        if self._joints:
+            joints, centre, scale = self._joints
+            shown[:, joints] = (shown[:, joints] - centre) / scale
+        return shown[:, self._rest]
+
+    @property
+    def rest_size(self) -> int:
+        """S."""
+        return self._rest.stop - self._rest.start
+
+    def observation(
+        self,
+        rows: NDArray[np.integer],
+        rest: Floats,
+        previous_action: Floats,
+        previous_reward: Floats,
+        first: NDArray[np.bool_],
+    ) -> Floats:
+        """(..., D)
+
+        Args:
+            rows: (...) of the scores, that are played next.
+            rest: (..., S)
+            previous_action: (..., A) in [-1, 1].
+            previous_reward: (...)
+            first: (...) whether there was none, and both count as 0.
+        """
+        action = previous_action * self._scale + self._centre
+        before = np.concatenate([action, previous_reward[..., None]], axis=-1)
+        parts = [
+            self._scores.goals(rows, self._goal),
+            self._scores.fingers(rows, self._fingers),
+            rest,
+            np.where(first[..., None], np.float32(0), before),
+        ]
+        if self._plan is not None:
+            parts.append(self._plan[np.minimum(rows, len(self._plan) - 1)])
+        return np.concatenate(parts, axis=-1)

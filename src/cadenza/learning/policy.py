@@ -1,0 +1,71 @@
+"""A learnt policy: from observations to actions, without anything that learning needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.learning.config import Activation
+from cadenza.learning.observation import Floats
+
+_SQRT_2_OVER_PI = np.float32(np.sqrt(2 / np.pi))
+
+
+def relu(x: Floats) -> Floats:
+    return np.maximum(x, np.float32(0))
+
+
+def gelu(x: Floats) -> Floats:
+    """With the hyperbolic tangent (Hendrycks & Gimpel, Gaussian Error Linear Units, 2016)."""
+    return x / 2 * (1 + np.tanh(_SQRT_2_OVER_PI * (x + np.float32(0.044715) * x**3)))
+
+
+_ACTIVATIONS = {"relu": relu, "gelu": gelu}
+
+
+class Policy:
+    """A perceptron from observations (N, D) to a squashed normal distribution of actions (N, A)."""
+
+    def __init__(
+        self,
+        weights: dict[str, NDArray[Any]],
+        activation: Activation,
+        log_std_range: tuple[float, float],
+    ) -> None:
+        """Args:
+        weights: "hidden_0/kernel" (D, H), "hidden_0/bias" (H,) and so on, "mean/...", "log_std/..."
+        activation: after every hidden layer.
+        log_std_range: what the logarithm of the deviation is limited to.
+        """
+        self.weights = weights
+        self._activate = _ACTIVATIONS[activation]
+        self._range = log_std_range
+        depth = sum(name.endswith("/kernel") for name in weights) - 2
+        self._hidden = [f"hidden_{i}" for i in range(depth)]
+
+    @property
+    def num_actions(self) -> int:
+        """A."""
+        return len(self.weights["mean/bias"])
+
+    def best(self, observation: Floats) -> Floats:
+        """(N, A) the mean, squashed."""
+        return np.tanh(self._layer("mean", self._features(observation)))
+
+    def draw(self, observation: Floats, rng: np.random.Generator) -> Floats:
+        """(N, A) drawn from the distribution."""
+        features = self._features(observation)
+        mean, log_std = self._layer("mean", features), self._layer("log_std", features)
+        noise = rng.standard_normal(mean.shape, np.float32)
+        return np.tanh(mean + np.exp(np.clip(log_std, *self._range)) * noise)
+
+    def _features(self, observation: Floats) -> Floats:
+        x = observation
+        for name in self._hidden:
+            x = self._activate(self._layer(name, x))
+        return x
+
+    def _layer(self, name: str, x: Floats) -> Floats:
+        return x @ self.weights[f"{name}/kernel"] + self.weights[f"{name}/bias"]

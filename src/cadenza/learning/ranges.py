@@ -1,0 +1,70 @@
+"""The part of the keyboard that a song needs, as the scale of what a policy sees and does.
+
+The forearms of the hands slide along 1.2 m of rails, a key is 2 cm wide, and a tune rarely spans
+more than a third of the keyboard. On a scale of the whole of it random actions hardly ever land
+where the song is, and neighbouring keys are hard to tell from each other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.music.score import NUM_KEYS
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.piano import KEY_CENTRE
+from cadenza.scene.servos import servos_of
+from cadenza.tasks.music import goals_of
+from cadenza.tasks.piano_task import PianoTask, to_range
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+_SPARE = 0.05  # [m] on either side: hands turn and fingers spread
+_ALONG_KEYBOARD = 1  # axis y
+
+
+class Ranges(NamedTuple):
+    """From where to where each joint and each action goes, which a policy calls -1 to 1."""
+
+    joints: Array
+    """(2, J) least and most [m, rad]."""
+    actions: Array
+    """(2, A) least and most [m, rad], the pedal last."""
+
+    def ctrl(self, action: Floats) -> Array:
+        """(N, A) actions in actuator units from those in [-1, 1]; what lies outside is clipped."""
+        return to_range(action, *self.actions)
+
+
+def ranges_of(task: PianoTask) -> Ranges:
+    """Those of a task with hands: of the model, and of the forearms where its scores need them."""
+    scene, servos = task.scene, servos_of(task.scene)
+    joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
+    actions = np.stack([task.action_low, task.action_high])
+    keys = _keys_of_fingers(task)
+    points, jacobian = Kinematics(scene, servos).fingers(np.zeros((1, len(servos.names))))
+    tips = points[0, :, TIP, _ALONG_KEYBOARD]
+    for servo in servos.along_keyboard:
+        along = jacobian[0, :, TIP, _ALONG_KEYBOARD, servo]  # (F,) 0 for the other hand's fingers
+        finger, key = np.nonzero(keys & (along != 0)[:, None])
+        wanted = (KEY_CENTRE[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
+        wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
+        ends = np.array([wanted.min() - _SPARE, wanted.max() + _SPARE])
+        actions[:, servo] = np.clip(ends, *actions[:, servo])
+        joints[:, np.flatnonzero(servos.joints[servo])] = actions[:, servo, None]
+    return Ranges(joints, actions)
+
+
+def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
+    """(F, 88) whether any score wants a key of a finger, or of whichever."""
+    shifted = task.config.random_pitch_shift or task.config.random_octave_shift
+    keys = np.full((len(task.scene.fingers), NUM_KEYS), bool(shifted))
+    for score in task.scores:
+        goals = goals_of(score, task.config)
+        anyone = goals.keys & ~np.isin(goals.fingers, task.scene.fingers)
+        for finger, number in enumerate(task.scene.fingers):
+            keys[finger] |= ((goals.fingers == number) | anyone).any(axis=0)
+    return keys

@@ -1,0 +1,214 @@
+"""The transitions that are learnt from.
+
+Kept is what the simulation produced, once: an observation serves as the one after the step before
+and as the one before the step after, and what follows from the score is rebuilt (`observation`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.files import INTEGERS, ArrayOf, check_arrays
+from cadenza.learning.observation import Floats, Observer
+
+Rows = NDArray[np.int64]
+
+_FEW = 1 / 8  # of the frames; where fewer are complete, drawing from all takes too many attempts
+
+
+class Batch(NamedTuple):
+    """Transitions; arrays (..., D), (..., A), (...), (...), (..., D)."""
+
+    observation: Floats
+    action: Floats
+    reward: Floats
+    discount: Floats
+    """0 where the episode terminated, else 1; a song's end does not terminate it."""
+    next_observation: Floats
+
+
+class Replay:
+    """A ring of frames for each of N environments, in the order in which they came.
+
+    A frame is what was observed, the action taken then, its reward, and whether it ended the
+    episode for good. The last frame of an episode has no action, and neither has the newest.
+    """
+
+    def __init__(self, observer: Observer, num_envs: int, capacity: int, action_size: int) -> None:
+        """`capacity` is the number of frames of all environments together.
+
+        Raises:
+            CadenzaError: there is no room for them.
+        """
+        self._observer = observer
+        # With four, one that was acted on outlives the end of its episode and the next beginning.
+        length = max(-(-capacity // num_envs), 4)
+        self._shape = (num_envs, length)
+        try:
+            self._frames = self._empty(observer.rest_size, action_size)
+        except MemoryError as error:
+            raise CadenzaError(
+                f"replay_capacity {capacity}: not enough memory; choose less"
+            ) from error
+        self._count = np.zeros(num_envs, np.int64)  # frames ever added
+        self._size = 0  # transitions
+
+    def _empty(self, rest_size: int, action_size: int) -> dict[str, NDArray[Any]]:
+        return {
+            "rest": np.zeros((*self._shape, rest_size), np.float32),
+            "action": np.zeros((*self._shape, action_size), np.float32),
+            "reward": np.zeros(self._shape, np.float32),
+            "row": np.zeros(self._shape, np.int32),
+            "first": np.zeros(self._shape, bool),
+            "terminated": np.zeros(self._shape, bool),
+            "complete": np.zeros(self._shape, bool),
+        }
+
+    def __len__(self) -> int:
+        """How many transitions there are to learn from."""
+        return self._size
+
+    def observe(self, env_ids: Rows, rest: Floats, row: Rows, first: NDArray[np.bool_]) -> None:
+        """Adds a frame (E, ...) to each of these environments."""
+        frames, (_, length) = self._frames, self._shape
+        at = (env_ids, self._count[env_ids] % length)
+        self._size -= int(frames["complete"][at].sum())
+        frames["rest"][at], frames["row"][at], frames["first"][at] = rest, row, first
+        frames["complete"][at] = False
+        self._count[env_ids] += 1
+        # What came before the next frame is gone.
+        after = (env_ids, self._count[env_ids] % length)
+        lost = frames["complete"][after] & ~frames["first"][after]
+        self._size -= int(lost.sum())
+        frames["complete"][after] &= ~lost
+
+    def act(self, action: Floats, reward: Floats, terminated: NDArray[np.bool_]) -> None:
+        """Completes the newest frame of every environment, (N, A), (N,), (N,)."""
+        frames, (num_envs, length) = self._frames, self._shape
+        at = (np.arange(num_envs), (self._count - 1) % length)
+        frames["action"][at], frames["reward"][at] = action, reward
+        frames["terminated"][at], frames["complete"][at] = terminated, True
+        self._size += num_envs
+
+    def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Batch:
+        """Transitions drawn uniformly with replacement, arrays (*shape, ...).
+
+        Raises:
+            ValueError: there is none.
+        """
+        if not self._size:
+            raise ValueError("the replay buffer has no transitions yet")
+        env, column = self._draw(rng, int(np.prod(shape)))
+        return Batch(*(part.reshape(*shape, *part.shape[1:]) for part in self._batch(env, column)))
+
+    def _draw(self, rng: np.random.Generator, number: int) -> tuple[Rows, Rows]:
+        num_envs, length = self._shape
+        written = int(min(self._count.max(), length))
+        if self._size < _FEW * num_envs * written:  # much was lost
+            complete = np.flatnonzero(self._frames["complete"][:, :written])
+            drawn = rng.choice(complete, number)
+            return drawn // written, drawn % written
+        drawn = np.zeros(0, np.int64)
+        while len(drawn) < number:
+            flat = rng.integers(num_envs * written, size=number - len(drawn))
+            drawn = np.append(drawn, flat[self._complete_at(flat, written)])
+        return drawn // written, drawn % written
+
+    def _complete_at(self, flat: Rows, written: int) -> NDArray[np.bool_]:
+        return self._frames["complete"][flat // written, flat % written]
+
+    def _batch(self, env: Rows, column: Rows) -> Batch:
+        frames, length = self._frames, self._shape[1]
+        before, after = (env, (column - 1) % length), (env, (column + 1) % length)
+        here = (env, column)
+        observe = self._observer.observation
+        action, reward = frames["action"], frames["reward"]
+        return Batch(
+            observation=observe(
+                frames["row"][here],
+                frames["rest"][here],
+                action[before],
+                reward[before],
+                frames["first"][here],
+            ),
+            action=action[here],
+            reward=reward[here],
+            discount=np.where(frames["terminated"][here], np.float32(0), np.float32(1)),
+            next_observation=observe(
+                frames["row"][after],
+                frames["rest"][after],
+                action[here],
+                reward[here],
+                np.zeros(len(env), bool),
+            ),
+        )
+
+    # To go on later
+
+    def complete_counts(self) -> Rows:
+        """(N,) how many frames ever added are not going to change any more."""
+        return self._count - 1
+
+    def holds(self, counts: Rows) -> bool:
+        """Whether any frame is still there that was added before there were `counts` (N,)."""
+        return bool((counts > self.complete_counts() - self._shape[1]).any())
+
+    def since(self, counts: Rows | int) -> dict[str, NDArray[Any]]:
+        """The frames that were completed since the environments had `counts` (N,), and are there.
+
+        Those of one environment after another; `from` and `to` (N,) say which they are.
+        """
+        length, to = self._shape[1], self.complete_counts()
+        start = np.maximum(counts, to - length)
+        at = self._places(start, to)
+        return {name: values[at] for name, values in self._frames.items()} | {
+            "from": start,
+            "to": to,
+        }
+
+    def restore(self, chunk: dict[str, NDArray[Any]]) -> None:
+        """Adds what `since` returned, in its order. The newest frame is to be observed again.
+
+        Raises:
+            CadenzaError: it is not that of such environments.
+        """
+        check_arrays(chunk, self._expected(), "experience")
+        start, to, there = chunk["from"], chunk["to"], len(chunk["row"])
+        if ((start < self._count) | (to < start) | (to > start + self._shape[1])).any():
+            raise CadenzaError("experience: does not continue what came before; start a new run")
+        if there != (expected := (to - start).sum()):
+            raise CadenzaError(f"experience: has {there} frames instead of {expected}")
+        gap = np.flatnonzero(self._count < start)
+        self.skip(start)
+        at = self._places(start, to)
+        for name, values in self._frames.items():
+            values[at] = chunk[name]
+        after = (gap, start[gap] % self._shape[1])
+        self._frames["complete"][after] &= self._frames["first"][after]
+        self._count, self._size = to.copy(), int(self._frames["complete"].sum())
+
+    def skip(self, counts: Rows) -> None:
+        """Goes on as if there were `counts` (N,) frames; those that are not there are lost."""
+        length, complete = self._shape[1], self._frames["complete"]
+        # The last before a gap lacks the one after it.
+        last = np.where(self._count < counts, self._count - 1, counts)
+        complete[self._places(np.maximum(last, counts - length), counts)] = False
+        self._count, self._size = counts.copy(), int(complete.sum())
+
+    def _places(self, start: Rows, to: Rows) -> tuple[Rows, Rows]:
+        """Where the frames from `start` (N,) up to `to` (N,) are."""
+        env = np.repeat(np.arange(len(to)), to - start)
+        number = np.concatenate([np.arange(a, b) for a, b in zip(start, to, strict=True)])
+        return env, number % self._shape[1]
+
+    def _expected(self) -> dict[str, ArrayOf]:
+        counts = ArrayOf(INTEGERS, (self._shape[0],), needed=True)
+        frames = {
+            name: ArrayOf(values.dtype.kind, ("frames", *values.shape[2:]), needed=True)
+            for name, values in self._frames.items()
+        }
+        return frames | {"from": counts, "to": counts}

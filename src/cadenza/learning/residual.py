@@ -1,0 +1,88 @@
+"""The plan that a residual policy corrects: inverse kinematics of the song, with feedback."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.song_plan import plan_song
+from cadenza.errors import CadenzaError
+from cadenza.learning.observation import Floats
+from cadenza.scene.servos import servos_of
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+Array = NDArray[np.float64]
+
+# How far a correction may go, about three times what the planner's own search draws [m, rad].
+_REACH = {"forearm_tx": 0.03, "forearm_ty": 0.015, "WRJ2": 0.1, "WRJ1": 0.1}
+_FINGER_REACH = 0.25
+
+
+class Plan(NamedTuple):
+    """How the hands are to play T steps with A servos, and how far that may be corrected."""
+
+    ctrl: Floats
+    """(T, A) [m, rad]"""
+    gain: Floats
+    """(T, A, 2) what a deviation of position and speed takes from it."""
+    expected: Floats
+    """(T + 1, A, 2) position and speed of each servo."""
+    pedal: Floats
+    """(T,)"""
+    reach: Floats
+    """(A,) of corrections [m, rad]."""
+
+
+def plan_of(task: PianoTask) -> Plan:
+    """The plan for the only score of a task.
+
+    Raises:
+        CadenzaError: the task changes the score or the start at random, or has no hands.
+    """
+    check_one_score(task.config)
+    (score,) = task.scores
+    plan = plan_song(task, score)
+    reach = [_REACH.get(name, _FINGER_REACH) for name in servos_of(task.scene).names]
+    arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
+    return Plan._make(array.astype(np.float32) for array in arrays)
+
+
+class PlanFollower:
+    """Turns corrections in [-1, 1] into actions."""
+
+    def __init__(self, task: PianoTask, plan: Plan) -> None:
+        self._task, self._plan = task, plan
+        self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
+        self._low, self._high = task.action_low, task.action_high
+
+    @property
+    def actions(self) -> Floats:
+        """(T, A + 1) of the plan with the pedal, in [-1, 1]."""
+        action = np.concatenate([self._plan.ctrl, self._plan.pedal[:, None]], axis=1)
+        centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
+        return ((action - centre) / scale).astype(np.float32)
+
+    def ctrl(self, correction: Floats) -> Array:
+        """(N, A + 1) actions in actuator units from corrections (N, A + 1) in [-1, 1].
+
+        The pedal is the score's whatever the correction.
+        """
+        row, state, plan = self._task.sheets.row, self._task.state, self._plan
+        position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
+        here = np.stack([position, speed], axis=-1)
+        feedback = (plan.gain[row] * (here - plan.expected[row])).sum(axis=-1)
+        hands = plan.ctrl[row] - feedback + plan.reach * correction[:, :-1]
+        both = np.concatenate([hands, plan.pedal[row, None]], axis=1)
+        return np.clip(both, self._low, self._high)
+
+
+def check_one_score(config: TaskConfig) -> None:
+    """Raises: CadenzaError: the task changes the score or the start at random."""
+    names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
+    if drawn := [name for name in names if getattr(config, name)]:
+        raise CadenzaError(
+            f"a residual policy corrects one plan of one score: leave out {', '.join(drawn)}"
+        )

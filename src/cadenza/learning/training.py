@@ -1,0 +1,348 @@
+"""Trains a policy for one song, to be stopped and resumed at any moment."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cadenza.agents.rollout import play
+from cadenza.errors import CadenzaError
+from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
+from cadenza.learning.collector import Collector, Finished
+from cadenza.learning.config import TrainingConfig, check
+from cadenza.learning.control import control_of
+from cadenza.learning.droq import (
+    NUM_THREADS,
+    Learner,
+    from_arrays,
+    num_threads,
+    to_arrays,
+    weights_of,
+)
+from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.policy import Policy
+from cadenza.learning.policy_folder import LearntPolicy, save_policy
+from cadenza.learning.ranges import ranges_of
+from cadenza.learning.replay_buffer import Replay
+from cadenza.learning.residual import plan_of
+from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite
+from cadenza.music.score import Score
+from cadenza.tasks.piano_task import PianoTask
+
+Row = dict[str, float]
+
+_EPISODES_SHOWN = 100  # a row of figures holds the mean of the last so many episodes
+_EXPECTED = {  # arrays of a checkpoint; their sizes are checked by whose they are
+    "learner:*": ArrayOf(NUMBERS, None),
+    "collector:*": ArrayOf(FLOATS, None),
+    "scores:*": ArrayOf(INTEGERS, None),
+    "figures:*": ArrayOf(FLOATS, ("updates",)),
+}
+
+
+class Training:
+    """A run of training.
+
+    Attributes:
+        step: control steps so far, of all environments together.
+        best: the best evaluation so far, empty before the first.
+        rows: figures since the last look, oldest first; whoever shows them takes them out.
+    """
+
+    def __init__(self, config: TrainingConfig, score: Score, folder: RunFolder) -> None:
+        """Goes on from the newest checkpoint in `folder`, if there is one.
+
+        Args:
+            config: of the run.
+            score: what is to be learnt.
+            folder: where the run is kept.
+
+        Raises:
+            CadenzaError: the song cannot be played, an option makes no sense, or the checkpoints
+                are damaged.
+        """
+        check(config)
+        self.config, self._folder = config, folder
+        self.step, self.best, self.rows = 0, Row(), deque[Row]()
+        self._score = score.without_fingers() if config.residual else score
+        self._task = self._new_task(config.num_envs)
+        self._scores = Scores(self._task)
+        self._scores.add_all(self._task)
+        self._plan = plan_of(self._task) if config.residual else None
+        narrowed = config.song_range and self._task.scene.sides
+        self._ranges = ranges_of(self._task) if narrowed else None
+        control = control_of(self._task, self._plan, self._ranges)
+        inputs = inputs_of(self._task, self._known_scores(), config.residual)
+        observer = Observer(self._task, self._scores, inputs, control.plan, self._ranges)
+        actions = self._task.action_size
+        self._inputs = inputs
+        self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
+        rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
+        self._collector = Collector(
+            self._task, self._scores, observer, self._replay, control.ctrl, rng
+        )
+        checkpoint = folder.load(_EXPECTED)
+        self._ends = _ends(config, checkpoint)
+        ends = tuple(
+            (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
+        )
+        self._learner = Learner(config.learner, inputs, actions, ends)
+        self._threads = num_threads()
+        if self._threads not in (None, NUM_THREADS):
+            print(
+                f"JAX was started before this run with {self._threads} threads instead of "
+                f"{NUM_THREADS}: results differ in their last digits from other runs with "
+                "the same seed",
+                file=sys.stderr,
+            )
+        self._state = self._learner.initial_state(config.seed)
+        self._policy = self._latest_policy()
+        self._background = ThreadPoolExecutor(1)
+        self._learning = ThreadPoolExecutor(1)
+        self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
+        self._figures: list[dict[str, NDArray[Any]]] = []
+        self._finished = deque[Finished](maxlen=_EPISODES_SHOWN)
+        self._chunks: list[Chunk] = []
+        self._seconds = 0.0
+        with threadpool_limits(1):
+            if checkpoint is None:
+                self._collector.begin()
+            else:
+                try:
+                    self._restore(checkpoint)
+                except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+                    raise CadenzaError(
+                        f"{folder.path}: its checkpoint does not belong to this run ({error!r}); "
+                        "use another copy, or start a new run"
+                    ) from error
+
+    def _new_task(self, num_envs: int) -> PianoTask:
+        return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
+
+    def _known_scores(self) -> Scores | None:
+        """What will be played, if what is always zero in it is to be left out."""
+        task = self.config.task
+        known = not (task.random_pitch_shift or task.random_octave_shift)
+        return self._scores if known and not self.config.keep_zero_inputs else None
+
+    # The loop
+
+    def run(self, goes_on: Callable[[], bool]) -> None:
+        """Trains until all steps are done or `goes_on` is false, which is asked once a round.
+
+        Raises:
+            CadenzaError: there is no room for a checkpoint.
+        """
+        first, began = self.step, time.perf_counter() - self._seconds
+        saved = time.perf_counter()
+        with threadpool_limits(1):  # the other cores learn
+            while self.step < self.config.num_steps and goes_on():
+                before = self.step
+                self._round()
+                self._seconds = time.perf_counter() - began
+                finished = self.step >= self.config.num_steps
+                if finished or self._passed(before, self.config.eval_interval):
+                    self._evaluate()
+                if self._passed(before, self.config.log_interval):
+                    self._log()
+                if time.perf_counter() - saved > self.config.checkpoint_interval:
+                    self._save()
+                    saved = time.perf_counter()
+            if self.step > first:
+                self._save()
+
+    def _passed(self, before: int, interval: int) -> bool:
+        return before // interval != self.step // interval
+
+    def _round(self) -> None:
+        config = self.config
+        if self.step < config.seed_steps or not len(self._replay):
+            self._collect(random=self.step < config.seed_steps)
+        elif config.parallel:
+            learning = self._learning.submit(self._learn, self._batches())
+            self._collect(random=False)
+            learning.result()
+            self._policy = self._latest_policy()
+        else:
+            self._collect(random=False)
+            self._learn(self._batches())
+            self._policy = self._latest_policy()
+
+    def _collect(self, random: bool) -> None:
+        config = self.config
+        policy = None if random else self._policy
+        self._finished += self._collector.collect(policy, config.steps_per_round)
+        self.step += config.steps_per_round * config.num_envs
+
+    def _batches(self) -> Any:
+        config = self.config
+        return self._replay.sample(
+            self._sample_rng, (config.updates_per_round, config.learner.batch_size)
+        )
+
+    def _learn(self, batches: Any) -> None:
+        self._state, figures = self._learner.update(self._state, batches)
+        self._figures.append({name: np.asarray(values) for name, values in figures.items()})
+
+    def _latest_policy(self) -> Policy:
+        learner = self.config.learner
+        log_std_range = (learner.log_std_min, learner.log_std_max)
+        return Policy(weights_of(self._state.actor), learner.activation, log_std_range)
+
+    def _learnt(self) -> LearntPolicy:
+        config, learner = self.config, self.config.learner
+        return LearntPolicy(
+            weights=weights_of(self._state.averaged_actor),
+            activation=learner.activation,
+            log_std_range=(learner.log_std_min, learner.log_std_max),
+            inputs=self._inputs,
+            plan=self._plan,
+            ranges=self._ranges,
+            task=config.task,
+            scene=config.scene,
+            score=self._score,
+        )
+
+    # Figures
+
+    def _log(self) -> None:
+        figures = _one_after_another(self._figures)
+        row = {f"train/{name}": float(np.nanmean(values)) for name, values in figures.items()}
+        if self._finished:
+            row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
+            row["episodes/return"] = float(
+                np.mean([episode.total_reward for episode in self._finished])
+            )
+        self._figures.clear()
+        self._add_row(row | {"updates": int(self._state.updates)})
+
+    def _add_row(self, row: Row) -> None:
+        row = {"step": self.step, "seconds": round(self._seconds, 3)} | row
+        self._folder.add_row(row)
+        self.rows.append(row)
+
+    def _evaluate(self) -> None:
+        self._take_evaluation()
+        self._evaluation = self._background.submit(self._play_once, self._learnt(), self.step)
+
+    def _play_once(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
+        with closing(self._new_task(1)) as task:
+            metrics = play(task, learnt.agent, self.config.seed).metrics
+        numbers = {n: v for n, v in metrics.items() if isinstance(v, int | float)}
+        row = {f"eval/{name}": float(value) for name, value in numbers.items()}
+        return {"eval_step": step} | row, learnt
+
+    def _take_evaluation(self) -> None:
+        """Waits for the evaluation under way and keeps its policy if it is the best so far."""
+        if self._evaluation is None:
+            return
+        row, learnt = self._evaluation.result()
+        self._evaluation = None
+        self._add_row(row)
+        if row["eval/f1"] > self.best.get("eval/f1", -1.0):
+            self.best = row
+            save_policy(self._folder.path / "best", learnt, row)
+
+    # Checkpoints
+
+    def _save(self) -> None:
+        self._take_evaluation()
+        since = np.array(self._chunks[-1].to) if self._chunks else 0
+        gathered = self._replay.since(since)
+        name = self._folder.save_gathered(self.step, gathered)
+        chunk = Chunk(name, tuple(gathered["to"].tolist()))
+        self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
+        plain, arrays = self._collector.state()
+        facts = Facts(
+            step=self.step,
+            seconds=self._seconds,
+            best={name: finite(value) for name, value in self.best.items()},
+            sample_rng=dict(self._sample_rng.bit_generator.state),
+            collector=plain,
+            finished=tuple((finite(f1), finite(total)) for f1, total in self._finished),
+            replay=tuple(self._chunks),
+            ends=self._ends,
+            threads=self._threads,
+        )
+        parts = {"learner": to_arrays(self._state), "collector": arrays}
+        parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
+        self._folder.save(facts, _joined(parts))
+        self._save_last()
+
+    def _save_last(self) -> None:
+        save_policy(self._folder.path / "last", self._learnt(), {"step": self.step})
+
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        facts, parts = checkpoint.facts, _parted(checkpoint.arrays)
+        self.step, self._seconds = facts.step, facts.seconds
+        self.best = {name: _number(value) for name, value in facts.best.items()}
+        self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
+        self._sample_rng.bit_generator.state = facts.sample_rng
+        self._state = from_arrays(parts["learner"], self._state)
+        self._policy = self._latest_policy()
+        self._scores.restore(parts["scores"])
+        self._figures = [parts["figures"]] if "figures" in parts else []
+        self._restore_replay(checkpoint)
+        self._collector.restore(facts.collector, parts["collector"])
+        self._save_last()  # a kill may have come before it
+
+    def _restore_replay(self, checkpoint: Checkpoint) -> None:
+        for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
+            if gathered is None:
+                continue
+            rows = gathered["row"]
+            if len(rows) and not 0 <= rows.min() <= rows.max() < self._scores.num_rows:
+                raise CadenzaError(f"{self._folder.path}: {chunk.file} belongs to other scores")
+            self._replay.restore(gathered)
+            self._chunks.append(chunk)
+        if checkpoint.facts.replay:
+            self._replay.skip(np.array(checkpoint.facts.replay[-1].to))
+
+    def close(self) -> None:
+        """Stops the threads."""
+        with ExitStack() as stack:
+            stack.callback(self._task.close)
+            stack.callback(self._background.shutdown)
+            stack.callback(self._learning.shutdown)
+
+
+def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
+    """Since which step the run was to end at which, with the end that it has now."""
+    ends = checkpoint.facts.ends if checkpoint else ()
+    if not ends:
+        return ((0, config.num_steps),)
+    if checkpoint and ends[-1][1] != config.num_steps:
+        return (*ends, (checkpoint.facts.step, config.num_steps))
+    return ends
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _one_after_another(figures: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """By name (U,) of all updates, from those (u,) of each round."""
+    names = figures[0] if figures else {}
+    return {name: np.concatenate([some[name] for some in figures]) for name in names}
+
+
+def _joined(parts: dict[str, dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    return {f"{part}:{name}": a for part, arrays in parts.items() for name, a in arrays.items()}
+
+
+def _parted(arrays: dict[str, NDArray[Any]]) -> dict[str, dict[str, NDArray[Any]]]:
+    parts: dict[str, dict[str, NDArray[Any]]] = {}
+    for name, array in arrays.items():
+        part, _, rest = name.partition(":")
+        parts.setdefault(part, {})[rest] = array
+    return parts

@@ -1,0 +1,124 @@
+"""What a page needs to draw a performance without MuJoCo: shapes, and poses over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.scene.hand import COLLIDING_GROUP, PALM_LINKS
+from cadenza.scene.piano import IS_BLACK, KEY_CENTRE, KEY_HALF_SIZE, KEY_TRAVEL, NUM_KEYS
+from cadenza.scene.scene import Scene
+
+_NAMES = {
+    mujoco.mjtGeom.mjGEOM_BOX: ("box", 3),
+    mujoco.mjtGeom.mjGEOM_CAPSULE: ("capsule", 2),
+    mujoco.mjtGeom.mjGEOM_CYLINDER: ("cylinder", 2),
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: ("ellipsoid", 3),
+    mujoco.mjtGeom.mjGEOM_SPHERE: ("sphere", 1),
+}
+
+
+def drawing(scene: Scene) -> dict[str, Any]:
+    """Everything that can be seen, as plain values for JSON.
+
+    bodies: names of the B bodies of the hands, in the order of `body_poses`.
+    skeleton: for each of them its parent (index, or -1 where that stands still), pos [m] and quat
+        (w x y z) in the parent's frame while all joints are at 0, and its joints, one after the
+        other: type (slide or hinge), axis in the body's frame, index among the J joints.
+    geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
+        [m] and quat (w x y z) in the body's frame, rgba, finger (0..9 for a fingertip, or None),
+        and whether it is part of a palm, which hides keys.
+    keys: for each of the 88 its box at rest, pos and half size [m], a point on the hinge, the
+        hinge's axis, travel [rad], and whether it is black.
+    """
+    model = scene.model
+    index = {int(body): i for i, body in enumerate(scene.hand_bodies)}
+    fingertip = dict(
+        zip(model.site_bodyid[scene.fingertip_sites].tolist(), scene.fingers.tolist(), strict=True)
+    )
+    geoms = []
+    for g in range(model.ngeom):
+        body = int(model.geom_bodyid[g])
+        if model.geom_group[g] == COLLIDING_GROUP or _is_key(model, body):
+            continue
+        palm = model.body(body).name.endswith(PALM_LINKS)
+        geom = {"body": index.get(body, -1), "finger": fingertip.get(body), "palm": palm}
+        geoms.append(geom | _shape(model, g, fixed=body not in index))
+    return {
+        "bodies": [model.body(b).name for b in scene.hand_bodies],
+        "skeleton": [_jointed(scene, int(b), index) for b in scene.hand_bodies],
+        "geoms": geoms,
+        "keys": [_key(k) for k in range(NUM_KEYS)],
+    }
+
+
+def body_poses(
+    scene: Scene, hand_qpos: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Positions (T, B, 3) [m] and orientations (T, B, 4) of the hands' bodies.
+
+    Args:
+        hand_qpos: (T, J) [m, rad].
+    """
+    data = mujoco.MjData(scene.model)
+    xpos = np.zeros((len(hand_qpos), len(scene.hand_bodies), 3), np.float32)
+    xquat = np.zeros((len(hand_qpos), len(scene.hand_bodies), 4), np.float32)
+    for t, qpos in enumerate(hand_qpos):
+        data.qpos[scene.hand_qpos] = qpos
+        mujoco.mj_kinematics(scene.model, data)
+        xpos[t], xquat[t] = data.xpos[scene.hand_bodies], data.xquat[scene.hand_bodies]
+    return xpos, xquat
+
+
+def _is_key(model: mujoco.MjModel, body: int) -> bool:
+    return "_key_" in model.body(body).name
+
+
+def _jointed(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
+    """Of a body whose joints turn about its own origin, as all of the hands do."""
+    model = scene.model
+    first = int(model.body_jntadr[body])
+    joints = range(first, first + int(model.body_jntnum[body]))
+    return {
+        "parent": index.get(int(model.body_parentid[body]), -1),
+        "pos": _plain(model.body_pos[body]),
+        "quat": _plain(model.body_quat[body]),
+        "joints": [
+            {
+                "type": "slide" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "hinge",
+                "axis": _plain(model.jnt_axis[j]),
+                "index": int(model.jnt_qposadr[j]) - scene.hand_qpos.start,
+            }
+            for j in joints
+        ],
+    }
+
+
+def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
+    name, num_sizes = _NAMES[mujoco.mjtGeom(model.geom_type[g])]
+    pos = model.geom_pos[g] + (model.body_pos[model.geom_bodyid[g]] if fixed else 0.0)
+    return {
+        "type": name,
+        "size": _plain(model.geom_size[g, :num_sizes]),
+        "pos": _plain(pos),
+        "quat": _plain(model.geom_quat[g]),
+        "rgba": _plain(model.geom_rgba[g]),
+    }
+
+
+def _key(k: int) -> dict[str, Any]:
+    return {
+        "pos": _plain(KEY_CENTRE[k]),
+        "size": _plain(KEY_HALF_SIZE[k]),
+        "hinge": _plain(KEY_CENTRE[k] - [KEY_HALF_SIZE[k, 0], 0.0, 0.0]),
+        "axis": [0.0, 1.0, 0.0],
+        "travel": round(float(KEY_TRAVEL[k]), 6),
+        "black": bool(IS_BLACK[k]),
+    }
+
+
+def _plain(values: NDArray[Any]) -> list[float]:
+    return [round(float(v), 6) for v in values]

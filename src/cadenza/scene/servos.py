@@ -1,0 +1,98 @@
+"""The servos of the hands: what they move, and what stands against them.
+
+All figures are read off the compiled model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Servos:
+    """A servos of a scene, in its order, and J joints of the hands.
+
+    A posture (A,) is given in the servos' coordinates: a finger's last two joints hang on one
+    tendon, whose coordinate is the sum of both angles, and each joint takes half of it.
+    """
+
+    names: tuple[str, ...]
+    """Joint or tendon of each, without its side: "FFJ3", "forearm_tx"."""
+    joints: Array
+    """(A, J) what a unit of each coordinate adds to each joint [rad/rad, m/m]."""
+    stiffness: Array
+    """(A,) [N/m, N m/rad]."""
+    damping: Array
+    """(A,) [N s/m, N m s/rad]."""
+    inertia: Array
+    """(A,) with all other joints at rest in the posture of the compiled model [kg, kg m^2]."""
+    low: Array
+    """(A,) the range of the coordinate, and of its control [m, rad]."""
+    high: Array
+    """(A,)"""
+
+    @property
+    def along_keyboard(self) -> list[int]:
+        """Those that slide the forearms, the right one first."""
+        return [a for a, name in enumerate(self.names) if name == "forearm_tx"]
+
+
+def servos_of(scene: Scene) -> Servos:
+    """The servos of a scene with hands."""
+    model, dofs = scene.model, scene.hand_qvel
+    joints = np.zeros((model.nu, len(scene.hand_joint_names)))
+    for a in range(model.nu):
+        target = model.actuator_trnid[a, 0]
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
+            first = model.tendon_adr[target]
+            pulled = model.wrap_objid[first : first + model.tendon_num[target]]
+        else:
+            pulled = np.array([target])
+        joints[a, model.jnt_dofadr[pulled] - dofs.start] = 1.0 / len(pulled)
+    # Kinetic energy and dissipation of a unit of speed add up over the joints of a coordinate.
+    return Servos(
+        names=tuple(name.split("A_", 1)[1] for name in scene.actuator_names),
+        joints=joints,
+        stiffness=model.actuator_gainprm[:, 0].copy(),
+        damping=joints**2 @ model.dof_damping[dofs],
+        inertia=joints**2 @ model.dof_M0[dofs],
+        low=model.actuator_ctrlrange[:, 0].copy(),
+        high=model.actuator_ctrlrange[:, 1].copy(),
+    )
+
+
+def reaction(scene: Scene, servos: Servos, postures: Array, dt: float) -> Array:
+    """(T, A) [N, N m] what the motion of all joints asks of each servo beside its own inertia.
+
+    A forearm that is pushed along the keyboard would leave its hand behind. By inverse dynamics
+    (recursive Newton-Euler, MuJoCo's `mj_rne`) of postures (T + 1, A), `dt` [s] apart; row t
+    belongs to the step from posture t to t + 1. Gravity is compensated in the model.
+    """
+    model, data = scene.model, mujoco.MjData(scene.model)
+    speed = np.gradient(postures, dt, axis=0)
+    acceleration = np.zeros_like(postures)
+    acceleration[1:-1] = np.diff(postures, n=2, axis=0) / dt**2
+    force = np.zeros((len(postures) - 1, len(scene.hand_joint_names)))
+    moving, resting = np.zeros(model.nv), np.zeros(model.nv)
+    dofs = scene.hand_qvel
+    rows = zip(*(a @ servos.joints for a in (postures, speed, acceleration)), strict=True)
+    for t, (qpos, qvel, qacc) in enumerate(list(rows)[:-1]):
+        data.qpos[scene.hand_qpos] = qpos
+        data.qvel[dofs], data.qacc[dofs] = qvel, qacc
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 1, moving)
+        data.qvel[dofs] = 0.0
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, resting)
+        force[t] = (moving - resting)[dofs]
+    return force @ servos.joints.T - servos.inertia * acceleration[:-1]

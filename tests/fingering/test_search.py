@@ -1,0 +1,268 @@
+"""The fingers found for a score, against what hands can do and what pianists write."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cadenza.fingering.search import LEAST, LETTING_GO, MOST, find_fingering, solve
+from cadenza.music.keyboard import IS_BLACK, KEY_Y
+from cadenza.music.library import load_score, songs
+from cadenza.music.score import Note, Score
+from cadenza.scene.piano import IS_BLACK as MODEL_IS_BLACK
+from cadenza.scene.piano import KEY_CENTRE
+from music_strategies import lengths, monophonic_per_key, scores, times
+
+
+def bare(score: Score) -> Score:
+    return Score(tuple(replace(note, finger=-1) for note in score.notes), score.pedal)
+
+
+def melody(*pitches: int, seconds: float = 0.4) -> Score:
+    return Score(tuple(Note(seconds * i, seconds * (i + 1), p) for i, p in enumerate(pitches)))
+
+
+def chord(*pitches: int) -> Score:
+    return Score(tuple(Note(0.0, 1.0, pitch) for pitch in pitches))
+
+
+def fingers(score: Score) -> list[int]:
+    return [note.finger for note in score.notes]
+
+
+unfingered = scores().map(monophonic_per_key).map(bare)
+
+
+# The keyboard
+
+
+def test_keys_lie_where_the_model_has_them() -> None:
+    np.testing.assert_array_equal(IS_BLACK, MODEL_IS_BLACK)
+    np.testing.assert_allclose(KEY_Y, KEY_CENTRE[:, 1], atol=6e-4)
+
+
+# What hands can do
+
+
+def check_hands(score: Score) -> None:
+    """Whenever a note begins, what sounds lies in the order of the fingers, within their reach."""
+    played = [note for note in score.notes if note.finger >= 0]
+    for time in {note.start for note in played}:
+        sounding = [n for n in played if n.start <= time and (n.end > time + LETTING_GO)]
+        sounding += [n for n in played if n.start == time and n not in sounding]
+        sounding.sort(key=lambda note: note.pitch)
+        left_to_right = [n.finger if n.finger < 5 else 4 - n.finger for n in sounding]
+        assert left_to_right == sorted(set(left_to_right)), (time, sounding)
+        for a, b in itertools.combinations(sounding, 2):
+            if a.finger // 5 == b.finger // 5:
+                first, second = sorted((a.finger % 5, b.finger % 5))
+                distance = KEY_Y[b.key] - KEY_Y[a.key]
+                assert LEAST[first, second] <= distance <= MOST[first, second]
+
+
+@settings(deadline=None)
+@given(score=unfingered, sides=st.sampled_from([("right", "left"), ("right",), ("left",)]))
+def test_any_score_can_be_played_or_says_why_not(score: Score, sides) -> None:
+    found, dropped = find_fingering(score, sides)
+    check_hands(found)
+    assert bare(found) == score
+    assert [d.note for d in dropped] == [note for note in found.notes if note.finger == -1]
+    assert all(d.reason for d in dropped)
+    there = [f for f in range(10) if ("right", "left")[f // 5] in sides]
+    assert {f for f in fingers(found) if f >= 0} <= set(there)
+    assert any(f >= 0 for f in fingers(found))
+
+
+@settings(deadline=None)
+@given(score=unfingered)
+def test_what_is_found_is_kept(score: Score) -> None:
+    """Given back, the fingers found contradict nothing and cost what they did."""
+    first = solve(score)
+    played = replace(first.score, notes=tuple(n for n in first.score.notes if n.finger >= 0))
+    again = solve(played)
+    assert again.score == played
+    assert not again.unheeded
+    if not first.dropped:
+        assert again.cost == pytest.approx(first.cost)
+
+
+@settings(deadline=None)
+@given(score=scores())
+def test_given_fingers_are_kept_however_odd(score: Score) -> None:
+    found, dropped = find_fingering(score)
+    for before, after in zip(score.notes, found.notes, strict=True):
+        assert after.finger == before.finger or before.finger == -1
+    assert all(d.note in score.notes for d in dropped)
+
+
+def test_a_score_with_all_fingers_comes_back() -> None:
+    odd = Score((Note(0, 1, 21, finger=3), Note(0, 1, 108, finger=3), Note(0, 1, 60, finger=9)))
+    assert find_fingering(odd) == (odd, ())
+
+
+def test_a_note_held_keeps_its_finger_from_others() -> None:
+    score = Score((Note(0, 2, 60, finger=0), *(Note(t / 4, t / 4 + 0.25, 64) for t in range(8))))
+    found, dropped = find_fingering(score)
+    assert not dropped
+    assert 0 not in fingers(found)[2:]
+
+
+def test_a_note_held_stays_in_its_hand() -> None:
+    """The little finger has no finger beyond it, and the other hand cannot take the note over."""
+    for little, beyond in ((4, 62), (9, 58)):
+        _, dropped = find_fingering(Score((Note(0, 2, 60, finger=little), Note(1, 2, beyond))))
+        assert [(d.note.pitch, d.reason) for d in dropped] == [
+            (beyond, "too far from what is held by both hands")
+        ]
+
+
+# What is dropped
+
+
+def test_outer_notes_are_kept_when_there_are_too_many() -> None:
+    score = chord(*range(21, 109))
+    found, dropped = find_fingering(score)
+    check_hands(found)
+    assert [n.finger for n in found.notes if n.finger >= 0] == [9, 8, 7, 6, 5, 0, 1, 2, 3, 4]
+    assert {found.notes[0].finger, found.notes[-1].finger} == {9, 4}
+    assert len(dropped) == 78
+    assert {reason for _, reason in dropped} == {"more than 10 notes at once for both hands"}
+
+
+def test_what_no_hand_reaches_is_dropped_from_the_middle() -> None:
+    _, dropped = find_fingering(chord(24, 60, 96))
+    assert [(d.note.pitch, d.reason) for d in dropped] == [
+        (60, "too far from the other notes for both hands")
+    ]
+    _, dropped = find_fingering(chord(48, 84), ["right"])
+    assert [(d.note.pitch, d.reason) for d in dropped] == [
+        (48, "too far from the other notes for the right hand")
+    ]
+
+
+def test_louder_notes_come_first() -> None:
+    """Of two equally far inside a chord of six."""
+    for loud in (64, 65):
+        notes = (Note(0, 1, p, 100 if p == loud else 60) for p in (60, 62, 64, 65, 67, 69))
+        _, dropped = find_fingering(Score(tuple(notes)), ["right"])
+        assert [(d.note.pitch, d.reason) for d in dropped] == [
+            (64 + 65 - loud, "more than 5 notes at once for the right hand")
+        ]
+
+
+def test_a_note_that_is_struck_twice_at_once_has_one_finger() -> None:
+    found, dropped = find_fingering(Score((Note(0, 1, 60), Note(0, 0.5, 60), Note(0.01, 2, 60))))
+    assert not dropped
+    assert len(set(fingers(found))) == 1
+
+
+@pytest.mark.parametrize("pitches", [(21, 22, 23), (106, 107, 108), (21, 108)])
+def test_both_ends_of_the_keyboard(pitches: tuple[int, ...]) -> None:
+    for sides in (("right", "left"), ("right",), ("left",)):
+        for score in (melody(*pitches), melody(*pitches, seconds=0.05)):
+            _, dropped = find_fingering(score, sides)
+            assert not dropped
+
+
+# What pianists play
+
+
+def test_five_keys_in_a_row_take_the_five_fingers() -> None:
+    found, _ = find_fingering(melody(72, 74, 76, 77, 79, 77, 76, 74, 72), ["right"])
+    assert fingers(found) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
+    found, _ = find_fingering(melody(48, 50, 52, 53, 55, 53, 52, 50, 48), ["left"])
+    assert fingers(found) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
+
+
+def test_triads_and_octaves() -> None:
+    assert fingers(find_fingering(chord(72, 76, 79), ["right"])[0]) == [0, 2, 4]
+    assert fingers(find_fingering(chord(48, 60), ["left"])[0]) == [9, 5]
+
+
+def test_a_repeated_key_keeps_its_finger() -> None:
+    for seconds in (0.1, 0.5):
+        found, _ = find_fingering(melody(*[67] * 6, 69, *[67] * 3, seconds=seconds))
+        assert len({n.finger for n in found.notes if n.pitch == 67}) == 1
+
+
+def test_low_notes_go_left_and_high_notes_right() -> None:
+    found, _ = find_fingering(Score((*chord(36, 43).notes, *chord(84, 88).notes)))
+    assert [finger // 5 for finger in fingers(found)] == [1, 1, 0, 0]
+
+
+def test_agrees_with_the_bundled_fingering() -> None:
+    """Written by a person's rules: most hands are the same, more than half of the fingers."""
+    hand, finger = [], []
+    for piece in songs():
+        written = load_score(piece.name)
+        found, dropped = find_fingering(bare(written))
+        assert not dropped, piece.name
+        check_hands(found)
+        pairs = np.array([fingers(written), fingers(found)])
+        hand.append((pairs[0] // 5 == pairs[1] // 5).mean())
+        finger.append((pairs[0] == pairs[1]).mean())
+    assert np.mean(hand) > 0.9
+    assert np.mean(finger) > 0.55
+
+
+@pytest.mark.parametrize("piece", songs(), ids=lambda piece: piece.name)
+def test_the_bundled_fingering_is_possible_and_costs_more(piece) -> None:
+    """Hands of people and of robots are alike enough for that."""
+    written = load_score(piece.name)
+    theirs, ours = solve(written), solve(bare(written))
+    assert theirs.unheeded == ()
+    assert ours.cost <= theirs.cost + 1e-6
+
+
+# The search
+
+
+@pytest.mark.parametrize(
+    "score",
+    [
+        melody(60, 67, 61, seconds=0.1),
+        chord(60, 64, 67),
+        Score((Note(0, 1, 60), Note(0.3, 0.5, 64), Note(0.6, 1.0, 59))),
+        Score((Note(0, 0.2, 48), Note(0, 0.2, 54), Note(0.2, 0.3, 54))),
+    ],
+    ids=["melody", "chord", "held", "repeated"],
+)
+def test_nothing_is_cheaper(score: Score) -> None:
+    """Among all ways to put ten fingers on three notes."""
+    costs = []
+    for choice in itertools.product(range(10), repeat=3):
+        notes = zip(score.notes, choice, strict=True)
+        solution = solve(replace(score, notes=tuple(replace(n, finger=f) for n, f in notes)))
+        if not solution.unheeded:
+            costs.append(solution.cost)
+    assert len(costs) > 20
+    assert solve(score).cost == pytest.approx(min(costs))
+
+
+WHITE_PITCHES = [pitch for pitch in range(21, 109) if not IS_BLACK[pitch - 21]]
+
+
+@settings(deadline=None)
+@given(
+    played=st.lists(st.tuples(times, lengths, st.integers(12, 39)), min_size=1, max_size=10),
+)
+def test_mirrored_music_costs_the_same(played: list[tuple[float, float, int]]) -> None:
+    """On white keys, which lie symmetrically about the keyboard's middle."""
+    there, mirrored = (
+        monophonic_per_key(Score(tuple(Note(t, t + d, pitches[w]) for t, d, w in played)))
+        for pitches in (WHITE_PITCHES, WHITE_PITCHES[::-1])
+    )
+    a, b = solve(there), solve(mirrored)
+    if not a.dropped and not b.dropped:
+        assert a.cost == pytest.approx(b.cost)
+
+
+def test_a_long_song() -> None:
+    found, dropped = find_fingering(melody(*(60 + (7 * i) % 12 for i in range(2000)), seconds=0.2))
+    assert not dropped
+    check_hands(replace(found, notes=found.notes[-50:]))

@@ -1,0 +1,129 @@
+"""What learning begins with, against what the paper and the published run script say."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import asdict, replace
+
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.files import checked
+from cadenza.learning.config import (
+    LearnerConfig,
+    TrainingConfig,
+    check,
+    preset,
+)
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+
+def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
+    """RoboPianist (Zakka et al., CoRL 2023), appendix: hyperparameters of DroQ."""
+    config = LearnerConfig()
+    assert config.num_critics == 2
+    assert config.hidden_sizes == (256, 256, 256)
+    assert config.activation == "relu"
+    assert (config.dropout, config.layer_norm) == (0.01, True)
+    assert config.tau == 0.005
+    assert (config.log_std_min, config.log_std_max) == (-20, 2)
+    assert config.initial_temperature == 1.0
+    assert config.target_entropy is None  # minus half the number of actions
+    assert {
+        config.actor_learning_rate, config.critic_learning_rate, config.temperature_learning_rate
+    } == {3e-4}  # fmt: skip
+    assert (config.adam_beta1, config.adam_beta2) == (0.9, 0.999)
+    assert config.discount == 0.99
+    assert config.batch_size == 256
+    assert config.actor_update_period == 1
+    assert config.actor_average == 1.0  # none: the actor itself is evaluated
+
+
+def test_the_defaults_of_training_are_the_table_of_the_paper() -> None:
+    config = TrainingConfig()
+    assert config.learner == LearnerConfig()
+    assert config.seed_steps == 5_000
+    assert config.num_steps == 5_000_000
+    assert config.replay_capacity == 1_000_000
+    assert config.eval_interval == 10_000
+    # One environment, one update a step, as in the published code.
+    assert (config.num_envs, config.steps_per_round, config.updates_per_round) == (1, 1, 1)
+    assert (config.parallel, config.residual, config.song_range) == (False, False, False)
+    assert config.task.n_steps_lookahead == 10
+    assert config.task.control_timestep == 0.05
+    assert config.task.trim_silence
+    assert (config.task.sustain_term, config.task.forearm_term) == (False, False)  # three terms
+    assert config.scene.reduced_action_space
+    assert config.scene.gravity_compensation
+    assert config.scene.primitive_fingertips
+
+
+def test_the_published_preset_differs_in_what_the_published_script_sets() -> None:
+    """run.sh of robopianist-rl: discount 0.8; networks with its default activation, GELU."""
+    published, paper = preset("published"), preset("paper")
+    assert paper == TrainingConfig()
+    assert published.learner == replace(paper.learner, discount=0.8, activation="gelu")
+    assert published.task == replace(paper.task, sustain_term=True, forearm_term=True)
+    assert replace(published, learner=paper.learner, task=paper.task) == paper
+
+
+def test_the_fast_preset_observes_and_rewards_what_the_paper_does() -> None:
+    fast = preset("fast")
+    assert replace(fast.task, initial_buffer_time=0.0) == TaskConfig()
+    assert fast.scene == SceneConfig()
+
+
+@pytest.mark.parametrize("name", ["fast", "paper", "published"])
+def test_comes_back_from_json(name: str) -> None:
+    config = replace(
+        preset(name, residual=True),  # type: ignore[arg-type]
+        scene=SceneConfig(forearm_dofs=("ty", "yaw")),
+        task=TaskConfig(n_seconds_lookahead=1 / 3),
+    )
+    assert config.residual
+    assert checked(json.loads(json.dumps(asdict(config))), TrainingConfig, "here") == config
+
+
+def test_naming_the_options_does_not_load_what_learning_needs() -> None:
+    """The command line shows them."""
+    program = "import sys, cadenza.learning.config; print({'jax', 'mujoco'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("name", ["paper", "published", "fast"])
+def test_the_presets_make_sense(name: str) -> None:
+    check(preset(name))
+    check(preset(name, residual=True))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({name: 0} for name in ("eval_interval", "log_interval", "steps_per_round")),
+        *({name: 0} for name in ("updates_per_round", "num_envs", "num_steps")),
+        *({name: -1} for name in ("seed", "seed_steps", "checkpoint_interval")),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int]) -> None:
+    (name,) = options
+    with pytest.raises(CadenzaError, match=name):
+        check(TrainingConfig(**options))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({name: 0} for name in ("batch_size", "num_critics", "actor_update_period")),
+        *({name: 0.0} for name in ("initial_temperature", "actor_learning_rate")),
+        *({"hidden_sizes": sizes} for sizes in ((), (256, 0))),
+        *({"dropout": 1.0}, {"discount": float("nan")}),
+    ],
+)
+def test_options_of_the_learner_too(options: dict[str, object]) -> None:
+    (name,) = options
+    with pytest.raises(CadenzaError, match=name):
+        check(TrainingConfig(learner=LearnerConfig(**options)))

@@ -1,0 +1,200 @@
+"""What a policy observes, against what the task itself shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from rl_examples import melody, reset
+
+from cadenza.errors import CadenzaError
+from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.music.score import NUM_KEYS
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+SONGS = [melody(60, 64, 67, pedal=True), melody(72, 50, length=0.3)]
+TASKS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "published": ({}, {}),
+    "pedal and buffer": ({"sustain_term": True, "initial_buffer_time": 0.2}, {}),
+    "one hand": ({}, {"hands": "left"}),
+    "no hands": ({}, {"hands": "none"}),
+    "without fingers": ({"fingering": "off", "n_seconds_lookahead": 0.22}, {}),
+    "no lookahead": ({"n_steps_lookahead": 0}, {"reduced_action_space": False}),
+    "random": ({"random_stretch": 0.3, "random_hand_position": 0.1}, {}),
+}
+
+
+class Acting:
+    """Takes random actions, and has several observers look at what happens."""
+
+    def __init__(self, task: PianoTask, scores: Scores, seed: int = 0) -> None:
+        self.task, self.scores = task, scores
+        self.rng = np.random.default_rng(seed)
+        reset(task, seed)
+        shape = (task.num_envs, task.action_size)
+        self.action = self.rng.uniform(-1, 1, shape).astype(np.float32)  # of the episode before
+        self.reward = np.full(task.num_envs, 3.0, np.float32)
+        sheets = task.sheets
+        self.first_row = np.array(
+            [scores.add(*sheets.part(e, 0, int(sheets.num_steps[e]))) for e in range(task.num_envs)]
+        )
+
+    def step(self) -> None:
+        task = self.task
+        self.action = self.rng.uniform(-1, 1, self.action.shape).astype(np.float32)
+        self.reward = task.step(task.scale_action(self.action)).reward.astype(np.float32)
+
+    def seen_by(self, observer: Observer) -> np.ndarray:
+        return observer.observation(
+            self.first_row + self.task.sheets.row,
+            observer.rest(self.task),
+            self.action,
+            self.reward,
+            self.task.sheets.steps_done == 0,
+        )
+
+
+@pytest.fixture(params=TASKS)
+def task(request: pytest.FixtureRequest) -> PianoTask:
+    options, scene = TASKS[request.param]
+    return PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene), num_envs=3)
+
+
+def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) -> None:
+    scores = Scores(task)
+    observer = Observer(task, scores, inputs_of(task, None, False))
+    for seed in range(3):
+        acting = Acting(task, scores, seed)
+        for _ in range(int(task.sheets.num_steps.max()) + 3):
+            assert_array_equal(
+                acting.seen_by(observer)[:, : task.observation_size], task.observation()
+            )
+            acting.step()
+
+
+def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
+    scores = Scores(task)
+    scores.add_all(task)
+    inputs = inputs_of(task, scores, False)
+    observer = Observer(task, scores, inputs)
+    whole = Observer(task, scores, inputs_of(task, None, False))
+    kept = np.array(inputs.kept)
+    left_out = np.setdiff1d(np.arange(task.observation_size), kept)
+    # Some 80 keys that no song asks for, in all the steps ahead.
+    assert len(left_out) > 80 * (task.observation_layout["goal"].stop // (NUM_KEYS + 1))
+    for seed in range(3):
+        acting = Acting(task, scores, seed)
+        for _ in range(int(task.sheets.num_steps.max()) + 1):
+            assert not task.observation()[:, left_out].any()
+            assert_array_equal(acting.seen_by(observer), acting.seen_by(whole)[:, kept])
+            acting.step()
+
+
+def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
+    """By one song: a key is kept for all steps ahead, and is asked for in all of them."""
+    task = PianoTask([SONGS[0]])
+    scores = Scores(task)
+    scores.add_all(task)
+    inputs = inputs_of(task, scores, False)
+    acting = Acting(task, scores)
+    seen = np.zeros(task.observation_size, bool)
+    seen[task.observation_layout["key_state"].start :] = True
+    for _ in range(int(task.sheets.num_steps[0])):
+        seen |= task.observation()[0] != 0
+        acting.step()
+    kept_of_task = [i for i in inputs.kept if i < task.observation_size]
+    assert len(kept_of_task) < task.observation_size
+    # What only the first steps ask for is never seen far ahead.
+    assert set(np.flatnonzero(seen)) <= set(kept_of_task)
+    assert np.mean(seen[kept_of_task]) > 0.9
+
+
+def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_them() -> None:
+    """CanonicalSpec maps [-1, 1] to the range, ObservationActionReward shows that and the reward.
+
+    (dm_env_wrappers; there the action before the first is the least, and here it is zero.)
+    """
+    task = PianoTask(SONGS, num_envs=2)
+    low, high = task.action_low, task.action_high
+    observer = Observer(task, scores := Scores(task), inputs_of(task, None, False))
+    acting = Acting(task, scores)
+    previous = np.zeros((2, task.action_size + 1))
+    for _ in range(6):
+        shown = acting.seen_by(observer)[:, task.observation_size :]
+        assert shown.dtype == np.float32
+        assert_allclose(shown, previous, rtol=1e-6, atol=1e-6)
+        acting.step()
+        in_range = low + 0.5 * (acting.action.astype(np.float64) + 1) * (high - low)
+        previous = np.concatenate([in_range, task.reward[:, None]], axis=1)
+    assert np.abs(previous).max() > 0
+
+
+def test_with_a_plan_its_next_action_comes_last() -> None:
+    task = PianoTask(SONGS[:1])
+    scores = Scores(task)
+    scores.add_all(task)
+    reset(task)
+    steps = int(task.sheets.num_steps[0])
+    plan = np.random.default_rng(0).uniform(-1, 1, (steps, task.action_size)).astype(np.float32)
+    observer = Observer(task, scores, inputs_of(task, None, True), plan)
+    acting = Acting(task, scores)
+    for step in range(steps + 2):
+        shown = acting.seen_by(observer)[0, -task.action_size :]
+        assert_array_equal(shown, plan[min(step, steps - 1)])
+        acting.step()
+
+
+def test_a_score_that_comes_again_takes_no_room() -> None:
+    task = PianoTask(SONGS, num_envs=4)
+    scores = Scores(task)
+    scores.add_all(task)
+    room = scores.arrays()["rows"].nbytes
+    for seed in range(4):
+        Acting(task, scores, seed)  # adds what is drawn
+    assert scores.arrays()["rows"].nbytes == room
+
+
+def test_scores_are_restored_with_their_rows() -> None:
+    config = TaskConfig(random_stretch=0.5, random_pitch_shift=3)
+    task = PianoTask(SONGS, config, num_envs=4)
+    scores = Scores(task)
+    for seed in range(3):
+        Acting(task, scores, seed)
+    again = Scores(task)
+    again.restore({name: array.copy() for name, array in scores.arrays().items()})
+    for seed in range(5):  # of which the last two are new to both
+        assert_array_equal(
+            Acting(task, again, seed).first_row, Acting(task, scores, seed).first_row
+        )
+    for name, array in scores.arrays().items():
+        assert_array_equal(again.arrays()[name], array)
+
+
+def test_scores_of_many_rows_are_looked_up_together() -> None:
+    """A batch of rows gives for each what it gives alone."""
+    task = PianoTask(SONGS)
+    scores = Scores(task)
+    scores.add_all(task)
+    observer = Observer(task, scores, inputs_of(task, scores, False))
+    rng = np.random.default_rng(0)
+    rows = rng.integers(8, size=(2, 5))
+    rest = rng.random((2, 5, observer.rest_size), np.float32)
+    action = rng.random((2, 5, task.action_size), np.float32)
+    reward, first = rng.random((2, 5), np.float32), rng.random((2, 5)) < 0.5
+    together = observer.observation(rows, rest, action, reward, first)
+    for i in np.ndindex(2, 5):
+        alone = observer.observation(rows[i], rest[i], action[i], reward[i], first[i])
+        assert_array_equal(together[i], alone)
+        assert alone.shape == (len(observer.inputs.kept),)
+
+
+def test_refuses_a_task_that_shows_something_else() -> None:
+    learnt = PianoTask(SONGS)
+    other = PianoTask(SONGS, TaskConfig(n_steps_lookahead=3))
+    with pytest.raises(CadenzaError, match=r"observes 1\d+ numbers.*has \d+: use") as error:
+        Observer(other, Scores(other), inputs_of(learnt, None, False))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,197 @@
+"""Policies on disk: the same on another machine, without anything that learning needs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from rl_examples import melody
+
+from cadenza.agents.rollout import Performance, play
+from cadenza.errors import CadenzaError
+from cadenza.learning.observation import Scores, inputs_of
+from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
+from cadenza.learning.ranges import ranges_of
+from cadenza.learning.residual import plan_of
+from cadenza.learning.sealed_folder import read_sealed, write_sealed
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+# Times that no decimal of a few digits says exactly.
+SONG = Score(
+    (
+        Note(0.0, 1 / 3, 60, 99, finger=2),
+        Note(0.1 + 0.2, 0.7, 64),
+        Note(float(np.nextafter(0.7, 1)), 0.9, 60),
+    ),
+    (PedalEvent(np.pi / 10, 127), PedalEvent(0.8, 3)),
+    "Stück № 1",
+    ("two notes were mended",),
+)
+
+
+def some_policy(residual: bool = False, ranged: bool = False, **task: Any) -> LearntPolicy:
+    config = TaskConfig(initial_buffer_time=0.1, **task)
+    scene = SceneConfig(hands="right", forearm_dofs=("tx", "ty"))
+    shown = PianoTask([SONG], config, scene)
+    scores = Scores(shown)
+    scores.add_all(shown)
+    inputs = inputs_of(shown, scores, residual)
+    rng = np.random.default_rng(0)
+
+    def layer(name: str, *shape: int) -> dict[str, np.ndarray]:
+        return {
+            f"{name}/kernel": rng.normal(0, 0.2, shape).astype(np.float32),
+            f"{name}/bias": rng.normal(0, 0.2, shape[-1]).astype(np.float32),
+        }
+
+    actions = shown.action_size
+    weights = layer("hidden_0", len(inputs.kept), 16) | layer("hidden_1", 16, 16)
+    weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
+    plan = plan_of(shown) if residual else None
+    ranges = ranges_of(shown) if ranged else None
+    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, plan, ranges, config, scene, SONG)
+
+
+def played(learnt: LearntPolicy) -> Performance:
+    return play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent)
+
+
+@pytest.mark.parametrize("kind", ["plain", "residual", "ranged"])
+def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> None:
+    learnt = some_policy(kind == "residual", kind == "ranged")
+    save_policy(tmp_path / "policy", learnt, {"step": 3})
+    again = load_policy(tmp_path / "policy")
+    nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+    assert replace(again, **nothing) == replace(learnt, **nothing)
+    assert (again.plan is None) == (learnt.plan is None) == (kind != "residual")
+    assert (again.ranges is None) == (learnt.ranges is None) == (kind != "ranged")
+    for ours, theirs in ((again.plan, learnt.plan), (again.ranges, learnt.ranges)):
+        for name, array in (theirs._asdict() if theirs else {}).items():
+            assert_array_equal(getattr(ours, name), array)
+    assert [note.start.hex() for note in again.score.notes] == [n.start.hex() for n in SONG.notes]
+    assert again.weights.keys() == learnt.weights.keys()
+    for name, array in learnt.weights.items():
+        assert again.weights[name].dtype == np.float32
+        assert_array_equal(again.weights[name], array)
+    first, second = played(learnt), played(again)
+    for name, array in first.episode.arrays.items():
+        if name != "metrics":  # times
+            assert_array_equal(second.episode.arrays[name], array)
+    assert first.metrics["f1"] == second.metrics["f1"]
+    assert np.ptp(first.episode.arrays["action"], axis=0).max() > 0
+
+
+def test_plays_by_what_it_is_shown() -> None:
+    """Its action depends on the goal: another song gets others from the same start."""
+    learnt = some_policy()
+    other = replace(learnt, score=melody(72, 50))
+    assert (
+        played(learnt).episode.arrays["action"][0] != played(other).episode.arrays["action"][0]
+    ).any()
+
+
+def test_corrections_are_of_the_song_that_was_learnt() -> None:
+    other = replace(some_policy(residual=True), score=melody(60, 64, 67, 72, 76))
+    with pytest.raises(CadenzaError, match="can only play the song"):
+        played(other)
+
+
+def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
+    save_policy(tmp_path / "policy", some_policy(), {})
+    program = f"""
+import sys
+from pathlib import Path
+from cadenza.learning.policy_folder import load_policy
+from cadenza.agents.rollout import play
+from cadenza.tasks.piano_task import PianoTask
+learnt = load_policy(Path({str(tmp_path / "policy")!r}))
+metrics = play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
+learning = {{"jax", "jaxlib", "flax", "optax", "orbax", "tensorboardX", "wandb"}}
+print(metrics["steps"], sorted(learning & {{name.split(".")[0] for name in sys.modules}}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stderr == ""
+    assert done.stdout == "21 []\n"
+
+
+# What is refused
+
+
+def assert_refused(folder: Path, saying: str) -> None:
+    with pytest.raises(CadenzaError, match=saying) as error:
+        load_policy(folder)
+    assert "\n" not in str(error.value)
+
+
+def test_another_format_is_refused(tmp_path: Path) -> None:
+    save_policy(tmp_path / "policy", some_policy(), {})
+    facts, arrays = read_sealed(tmp_path / "policy", "policy")
+    write_sealed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
+    assert_refused(
+        tmp_path / "policy", "format 99, but this version reads only up to 2; install the version"
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"task": None},
+        {"task": {"tempo": 3}},
+        {"scene": []},
+        {"score": {"notes": 3, "pedal": [], "title": "", "remarks": []}},
+        {"score": None},
+        {"inputs": {"kept": [1, 5], "total": 5}},
+        {"inputs": {"kept": [2, 1], "total": 5}},
+        {"inputs": None},
+        {"activation": "swish"},
+        {"log_std_range": [1, 2, 3]},
+    ],
+)
+def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+    save_policy(tmp_path / "policy", some_policy(), {})
+    facts, arrays = read_sealed(tmp_path / "policy", "policy")
+    write_sealed(tmp_path / "policy", "policy", facts | change, arrays)
+    (name,) = change
+    assert_refused(tmp_path / "policy", rf"facts\.json: .*{name}")
+    write_sealed(tmp_path / "policy", "policy", facts | {"format": 1}, arrays)
+    load_policy(tmp_path / "policy")
+
+
+@pytest.mark.parametrize("name", ["hidden_0/kernel", "hidden_1/bias", "mean/kernel"])
+def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
+    learnt = some_policy()
+    for weights in (
+        {n: w for n, w in learnt.weights.items() if n != name},
+        learnt.weights | {name: learnt.weights[name][:-1]},
+    ):
+        save_policy(tmp_path / "policy", replace(learnt, weights=weights), {})
+        assert_refused(
+            tmp_path / "policy", "not a policy that this version can read|from another version"
+        )
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    learnt = some_policy()
+    learnt.weights["mean/bias"][3] = np.nan
+    save_policy(tmp_path / "policy", learnt, {})
+    assert_refused(tmp_path / "policy", "numbers that are not finite")
+
+
+def test_a_task_that_shows_something_else_is_refused() -> None:
+    learnt = some_policy()
+    with pytest.raises(CadenzaError, match="use the task and scene"):
+        play(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
+
+
+def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:
+    write_sealed(tmp_path / "policy", "checkpoint", {"step": 3}, {})
+    assert_refused(tmp_path / "policy", "is not a policy written by Cadenza")

@@ -1,0 +1,33 @@
+"""The policies that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cadenza.agents.rollout import play
+from cadenza.learning import pretrained
+from cadenza.learning.policy_folder import load_policy
+from cadenza.music.library import songs
+from cadenza.tasks.piano_task import PianoTask
+
+FOLDERS = sorted(path.parent for path in Path(pretrained.__file__).parent.glob("*/manifest.json"))
+
+
+def test_there_are_three_and_they_are_small() -> None:
+    assert len(FOLDERS) >= 3
+    for folder in FOLDERS:
+        assert folder.name in {piece.name for piece in songs()}
+        assert sum(path.stat().st_size for path in folder.iterdir()) < 3e6
+
+
+def test_one_of_them_was_learnt_from_nothing() -> None:
+    assert load_policy(pretrained.pretrained_folder("TwinkleTwinkleLittleStar")).plan is None
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_they_play_what_they_have_learnt(folder: Path) -> None:
+    learnt = load_policy(folder)
+    task = PianoTask([learnt.score], learnt.task, learnt.scene)
+    assert play(task, learnt.agent).metrics["f1"] >= 0.95

@@ -1,0 +1,109 @@
+"""Where the forearms go for a song, against MuJoCo's kinematics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
+from rl_examples import melody, reset
+
+from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.ranges import ranges_of
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+THUMB, LITTLE = 0, 4
+SONG = Score((Note(0.0, 0.5, 64, finger=THUMB), Note(0.5, 1.0, 72, finger=LITTLE)))
+
+
+def slides(task: PianoTask) -> list[int]:
+    return [a for a, name in enumerate(task.scene.actuator_names) if name.endswith("forearm_tx")]
+
+
+def above(task: PianoTask, forearm: float, finger: int, pitch: int) -> float:
+    """How far right of a key a finger of the right hand is [m], by MuJoCo."""
+    model = task.scene.model
+    data = mujoco.MjData(model)
+    joint = model.joint("rh_forearm_tx")
+    data.qpos[joint.qposadr[0]] = forearm
+    mujoco.mj_kinematics(model, data)
+    tip = data.site_xpos[task.scene.fingertip_sites[finger], 1]
+    return float(data.geom_xpos[task.scene.key_geoms][pitch - 21, 1] - tip)
+
+
+def test_every_finger_gets_to_its_keys_and_5_cm_further() -> None:
+    task = PianoTask([SONG])
+    low, high = ranges_of(task).actions[:, slides(task)[0]]
+    assert high - low < 0.4 < np.subtract(task.action_high, task.action_low)[slides(task)[0]]
+    found = sorted(
+        forearm
+        for finger, pitch in ((THUMB, 64), (LITTLE, 72))
+        for forearm in np.linspace(low, high, 2001)
+        if abs(above(task, forearm, finger, pitch)) < 2e-4
+    )
+    assert_allclose([found[0] - low, high - found[-1]], 0.05, atol=1e-3)
+
+
+def test_a_hand_without_notes_rests() -> None:
+    task = PianoTask([SONG])
+    ranges = ranges_of(task)
+    assert_allclose(ranges.actions[:, slides(task)[1]], [-0.05, 0.05])
+
+
+def test_keys_that_name_no_finger_are_for_all_of_them() -> None:
+    """Thumb and little finger of the right hand may be asked for the lowest and the highest."""
+    task = PianoTask([melody(60, 72)], TaskConfig(fingering="off"))
+    low, high = ranges_of(task).actions[:, slides(task)[0]]
+    for finger in (THUMB, LITTLE):
+        for pitch in (60, 72):
+            assert above(task, low, finger, pitch) * above(task, high, finger, pitch) < 0
+
+
+@pytest.mark.parametrize("option", ["random_pitch_shift", "random_octave_shift"])
+def test_every_key_may_come_where_songs_are_moved(option: str) -> None:
+    whole = PianoTask([SONG], TaskConfig(**{option: 1}))
+    ranges, a = ranges_of(whole), slides(whole)[0]
+    assert ranges.actions[1, a] - ranges.actions[0, a] > 1.0
+
+
+@pytest.mark.parametrize("hands", ["right", "both"])
+def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> None:
+    scene = SceneConfig(hands=hands, forearm_dofs=("tx", "ty"))  # type: ignore[arg-type]
+    task = PianoTask([SONG], scene=scene)
+    ranges = ranges_of(task)
+    others = np.setdiff1d(np.arange(task.action_size), slides(task))
+    assert_array_equal(ranges.actions[0, others], task.action_low[others])
+    assert_array_equal(ranges.actions[1, others], task.action_high[others])
+    joints = [task.scene.model.joint(name).range for name in task.scene.hand_joint_names]
+    moved = np.flatnonzero((joints != ranges.joints.T).any(axis=1))
+    names = [task.scene.hand_joint_names[j] for j in moved]
+    assert names == ["rh_forearm_tx", "lh_forearm_tx"][: len(names)]
+    assert len(names) == len(slides(task))
+
+
+def test_acts_and_sees_on_that_scale() -> None:
+    task = PianoTask([SONG], num_envs=2)
+    scores, ranges = Scores(task), ranges_of(task)
+    scores.add_all(task)
+    observer = Observer(task, scores, inputs_of(task, None, False), ranges=ranges)
+    for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):
+        assert_allclose(ranges.ctrl(np.full((2, task.action_size), end, np.float32)), [rows, rows])
+    assert_array_equal(
+        ranges.ctrl(np.full((1, task.action_size), 9, np.float32)), ranges.actions[1:]
+    )
+    reset(task)
+    for _ in range(3):
+        action = default_rng(0).uniform(-1, 1, (2, task.action_size)).astype(np.float32)
+        reward = task.step(ranges.ctrl(action)).reward.astype(np.float32)
+        rest, zero = observer.rest(task), np.zeros(2, bool)
+        seen = observer.observation(task.sheets.row, rest, action, reward, zero)
+        joints = seen[:, task.observation_layout["joints"]]
+        low, high = ranges.joints
+        assert_allclose(low + (joints + 1) / 2 * (high - low), task.state.hand_qpos, atol=1e-6)
+        assert_array_equal(seen[:, task.observation_size : -1], action)
+        keys = task.observation_layout["key_state"]
+        assert_array_equal(seen[:, keys], task.observation()[:, keys])

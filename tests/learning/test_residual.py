@@ -1,0 +1,100 @@
+"""The plan that a residual policy corrects, against the planner that makes the same plan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from rl_examples import melody
+
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.rollout import Performance, play
+from cadenza.errors import CadenzaError
+from cadenza.fingering.search import find_fingering
+from cadenza.learning.residual import PlanFollower, plan_of
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+SONG = melody(60, 64, 67, 55, length=0.4, pedal=True)
+BUFFER = {"initial_buffer_time": 0.5}
+
+
+class Following:
+    """Plays the plan with the same correction at every step."""
+
+    def __init__(self, correction: float = 0.0) -> None:
+        self.correction = correction
+
+    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        self.task, self.follower = task, PlanFollower(task, plan_of(task))
+
+    def act(self) -> Any:
+        correction = np.full((1, self.task.action_size), self.correction, np.float32)
+        return self.follower.ctrl(correction)[0]
+
+
+def performance(agent: Any, score: Score = SONG, **options: Any) -> Performance:
+    scene = SceneConfig(hands=options.pop("hands", "both"))
+    return play(PianoTask([score], TaskConfig(**BUFFER, **options), scene), agent)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"fingering": "off"}, {"fingering": "transport"}, {"hands": "left"}]
+)
+def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, Any]) -> None:
+    """Also where the task does not care about fingers, and the score names none."""
+    ours = performance(Following(), **options)
+    planner = performance(ScorePlanner(ScorePlannerConfig(method="none")), **options)
+    for name in ("action", "hand_qpos"):
+        assert_allclose(ours.episode.arrays[name], planner.episode.arrays[name], atol=1e-4)
+    assert ours.metrics["f1"] == planner.metrics["f1"] > 0.9
+    assert ours.metrics["sustain_f1"] == 1
+
+
+def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
+    task = PianoTask([SONG], TaskConfig(**BUFFER))
+    task.reset([np.random.default_rng(0)], [0])
+    follower = PlanFollower(task, plan_of(task))
+    plain, moved = (
+        follower.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
+    )
+    change = moved - plain
+    assert change[-1] == 0
+    assert (change[:-1] >= 0).all()
+    assert (change[:-1] > 0).mean() > 0.8  # the others were at the end of their range
+    for name, by in zip(task.scene.actuator_names, change, strict=False):
+        if name.endswith("forearm_tx"):
+            assert_allclose(by, 0.03)
+    assert performance(Following(1.0)).metrics["sustain_f1"] == 1
+    assert performance(Following(1.0)).metrics["f1"] < 0.9
+
+
+def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
+    played = performance(Following())
+    task = PianoTask([SONG], TaskConfig(**BUFFER))
+    plan = task.scale_action(PlanFollower(task, plan_of(task)).actions)
+    done = played.episode.arrays["action"]
+    assert plan.shape == done.shape
+    size = task.action_high - task.action_low
+    assert np.median(np.abs(plan - done) / size) < 0.02
+
+
+def test_a_plan_is_for_one_score_and_for_hands() -> None:
+    for option in ({"random_stretch": 0.1}, {"random_hand_position": 0.1}):
+        task = PianoTask([SONG], TaskConfig(**option))  # type: ignore[arg-type]
+        with pytest.raises(CadenzaError, match=f"leave out {next(iter(option))}"):
+            plan_of(task)
+    task = PianoTask([SONG], scene=SceneConfig(hands="none"))
+    with pytest.raises(CadenzaError, match="this scene has no hands"):
+        plan_of(task)
+
+
+def test_the_fingers_of_a_file_are_forgotten() -> None:
+    fingered, _ = find_fingering(SONG)
+    assert fingered.has_fingering
+    assert fingered.without_fingers() == SONG

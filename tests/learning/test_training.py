@@ -1,0 +1,419 @@
+"""Training runs: the same bits however often they are stopped, killed and resumed."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from rl_examples import TINY, melody
+
+from cadenza.agents.rollout import play
+from cadenza.errors import CadenzaError
+from cadenza.learning import training
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.sealed_folder import read_sealed
+from cadenza.learning.training import Training
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+SONG = melody(60, 64, 67)
+CONFIG = TrainingConfig(
+    learner=TINY,
+    task=TaskConfig(initial_buffer_time=0.1),
+    scene=SceneConfig(hands="right", physics="fast"),
+    num_steps=208,
+    num_envs=2,
+    seed_steps=48,
+    steps_per_round=4,
+    updates_per_round=2,
+    replay_capacity=120,
+    keep_zero_inputs=False,
+    eval_interval=60,
+    log_interval=40,
+)
+WAYS = {
+    "in turn": CONFIG,
+    "parallel": replace(CONFIG, parallel=True, song_range=True),
+    "residual": replace(CONFIG, parallel=True, residual=True),
+    # Its score is drawn anew every time.
+    "stretched": replace(CONFIG, task=replace(CONFIG.task, random_stretch=0.3)),
+}
+# How long things took, and when they were noted.
+TIMES = {"seconds", "step", "eval/planning_seconds", "eval/playing_seconds"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once() -> Iterator[None]:
+    """A learner keeps nothing of a run, and runs of this module may share it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "Learner", functools.cache(training.Learner))
+        yield
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Callable[[], RunFolder]:
+    def new() -> RunFolder:
+        path = tmp_path / str(len(list(tmp_path.iterdir())))
+        path.mkdir()
+        return RunFolder(path)
+
+    return new
+
+
+def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
+    """To the end, closed and opened again after these numbers of rounds."""
+    for rounds in (*stops, 10**9):
+        left = iter(range(rounds))
+        with closing(Training(config, SONG, run)) as one:
+            one.run(lambda left=left: next(left, None) is not None)  # type: ignore[misc]
+
+
+def evaluations(run: RunFolder) -> list[dict[str, Any]]:
+    rows = [row for row in run.rows() if "eval_step" in row]
+    return [{name: v for name, v in row.items() if name not in TIMES} for row in rows]
+
+
+def figures(run: RunFolder) -> list[dict[str, Any]]:
+    """Of the rows in between."""
+    rows = [row for row in run.rows() if "eval_step" not in row]
+    return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
+
+
+def newest(run: RunFolder) -> Path:
+    """The folder of its last checkpoint."""
+    return max((run.path / "checkpoints").iterdir())
+
+
+def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
+    """Weights and all else that the last checkpoint holds; policies; figures."""
+    assert newest(run).name == newest(other).name
+    facts, arrays = read_sealed(newest(run), "checkpoint")
+    other_facts, other_arrays = read_sealed(newest(other), "checkpoint")
+    assert arrays.keys() == other_arrays.keys()
+    for name, array in arrays.items():
+        assert_array_equal(array, other_arrays[name], err_msg=name)
+    for name in ("step", "sample_rng", "collector", "finished"):
+        assert facts[name] == other_facts[name]
+    for name in ("best", "last"):
+        ours, theirs = (load_policy(r.path / name) for r in (run, other))
+        nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+        assert replace(ours, **nothing) == replace(theirs, **nothing)
+        for layer, array in ours.weights.items():
+            assert_array_equal(array, theirs.weights[layer], err_msg=f"{name}: {layer}")
+    assert evaluations(run) == evaluations(other)
+    assert figures(run) == figures(other)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], RunFolder]:
+    @functools.cache
+    def run(way: str) -> RunFolder:
+        folder = RunFolder(tmp_path_factory.mktemp(way.replace(" ", "_")))
+        train(WAYS[way], folder)
+        return folder
+
+    return run
+
+
+# What a run leaves behind
+
+
+@pytest.mark.parametrize("way", ["in turn", "residual"])
+def test_a_run_evaluates_and_keeps_the_best_and_the_last(
+    way: str, undisturbed: Callable[[str], RunFolder]
+) -> None:
+    """The best plays again what its evaluation says."""
+    run = undisturbed(way)
+    rows = evaluations(run)
+    assert [row["eval_step"] for row in rows] == [64, 120, 184, 208]  # the last at the end
+    _, about = (read_sealed(run.path / name, "policy")[0]["about"] for name in ("last", "best"))
+    best = max(rows, key=lambda row: row["eval/f1"])
+    assert about["eval/f1"] == best["eval/f1"]
+    assert about["eval_step"] == best["eval_step"]
+    learnt = load_policy(run.path / "best")
+    assert (learnt.plan is not None) == WAYS[way].residual
+    metrics = play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
+    for name in ("f1", "precision", "return", "reward/key_press", "steps"):
+        assert metrics[name] == best[f"eval/{name}"]
+
+
+def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder]) -> None:
+    rows = [row for row in undisturbed("in turn").rows() if "eval_step" not in row]
+    assert [row["step"] for row in rows] == [40, 80, 120, 160, 200]
+    # 48 steps at random, then two updates with every eight steps.
+    assert [row["updates"] for row in rows] == [2 * max(row["step"] - 48, 0) // 8 for row in rows]
+    assert all(np.isfinite(row["train/critic_loss"]) for row in rows[1:])
+    assert 0 <= rows[-1]["episodes/f1"] <= 1
+
+
+def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
+    run = undisturbed("in turn")
+    with closing(Training(CONFIG, SONG, RunFolder(run.path / "unused"))) as fresh:
+        begun = fresh._learnt().weights
+    for name, array in load_policy(run.path / "last").weights.items():
+        assert (array != begun[name]).any(), name
+
+
+def test_keys_can_be_learnt_to_move_by_themselves(runs: Callable[[], RunFolder]) -> None:
+    """Without hands there is no forearm whose range could be the song's."""
+    run = runs()
+    train(replace(CONFIG, scene=SceneConfig(hands="none"), song_range=True, num_steps=64), run)
+    assert load_policy(run.path / "best").ranges is None
+    assert evaluations(run)[-1]["eval/steps"] > 0
+
+
+def test_another_seed_is_another_run(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    other = runs()
+    train(replace(CONFIG, seed=1), other)
+    assert evaluations(other) != evaluations(undisturbed("in turn"))
+
+
+# Interrupted
+
+
+@pytest.mark.parametrize("way", ["in turn", "parallel"])
+def test_the_same_seed_gives_the_same_bits(
+    way: str, runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    again = runs()
+    train(WAYS[way], again)
+    assert_same_runs(again, undisturbed(way))
+
+
+@pytest.mark.parametrize(
+    ("way", "stops"),
+    [
+        ("in turn", [0, 3, 5, 1, 9]),
+        ("parallel", [7, 1, 0, 11, 2]),
+        ("residual", [4, 13]),
+        ("stretched", [8, 9]),
+    ],
+)
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    way: str,
+    stops: list[int],
+    runs: Callable[[], RunFolder],
+    undisturbed: Callable[[str], RunFolder],
+) -> None:
+    """Before anything, among random actions, at an evaluation, twice at once."""
+    stopped = runs()
+    train(WAYS[way], stopped, *stops)
+    assert_same_runs(stopped, undisturbed(way))
+
+
+@pytest.mark.parametrize("way", ["in turn", "parallel"])
+def test_checkpoints_on_the_way_change_nothing(
+    way: str, runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    """One after every round, the last of them right before the end's."""
+    often = runs()
+    train(replace(WAYS[way], checkpoint_interval=0.0), often, 13)
+    assert_same_runs(often, undisturbed(way))
+    # And from the one at the end all experience is there.
+    with (
+        closing(Training(CONFIG, SONG, RunFolder(often.path))) as ours,
+        closing(Training(CONFIG, SONG, RunFolder(undisturbed(way).path))) as theirs,
+    ):
+        for a, b in zip(ours._batches(), theirs._batches(), strict=True):
+            assert_array_equal(a, b)
+
+
+def test_a_run_that_is_done_stays_as_it_is(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    done = runs()
+    train(CONFIG, done)
+    train(CONFIG, done)
+    assert_same_runs(done, undisturbed("in turn"))
+
+
+class Killed(BaseException):
+    """Nothing catches it for good."""
+
+
+@contextmanager
+def killed_after(calls: int) -> Iterator[list[str]]:
+    """Has every change of the disk but the first ones fail, also those that clean up.
+
+    Yields the names of the calls.
+    """
+    made: list[str] = []
+
+    def mortal(owner: Any, name: str) -> Callable[..., Any]:
+        real = getattr(owner, name)
+
+        def call(*args: Any, **options: Any) -> Any:
+            if len(made) >= calls:
+                raise Killed
+            made.append(name)
+            return real(*args, **options)
+
+        return call
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("fsync", "replace", "rename"):
+            patch.setattr(os, name, mortal(os, name))
+        patch.setattr(shutil, "rmtree", mortal(shutil, "rmtree"))
+        patch.setattr(Path, "unlink", mortal(Path, "unlink"))
+        yield made
+
+
+@pytest.mark.parametrize("way", ["in turn", pytest.param("residual", marks=pytest.mark.slow)])
+def test_a_run_that_is_killed_at_any_write_of_its_end_goes_on(
+    way: str,
+    runs: Callable[[], RunFolder],
+    undisturbed: Callable[[str], RunFolder],
+) -> None:
+    """The last evaluation, the best policy, the last checkpoint, what it drops, the last policy."""
+    begun = runs()
+    with closing(Training(WAYS[way], SONG, begun)) as one:
+        one.run(lambda: one.step < 176)
+    for calls in count():
+        killed = runs()
+        shutil.copytree(begun.path, killed.path, dirs_exist_ok=True)
+        with killed_after(calls) as made:
+            try:
+                train(WAYS[way], killed)
+            except Killed:
+                pass
+            else:
+                break
+        train(WAYS[way], killed)
+        assert_same_runs(killed, undisturbed(way))
+    assert made.count("rename") >= 4  # a checkpoint, the last policy and that which it replaces
+
+
+def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    run = runs()
+    train(replace(CONFIG, num_steps=104), run)
+    train(CONFIG, run)
+    _, arrays = read_sealed(newest(run), "checkpoint")
+    _, whole = read_sealed(newest(undisturbed("in turn")), "checkpoint")
+    assert arrays.keys() == whole.keys()
+    for name, array in arrays.items():
+        assert_array_equal(array, whole[name], err_msg=name)
+
+
+def test_a_damaged_checkpoint_costs_only_time(
+    runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
+) -> None:
+    run = runs()
+    with closing(Training(replace(CONFIG, checkpoint_interval=0.0), SONG, run)) as one:
+        one.run(lambda: one.step < 200)
+    (newest(run) / "arrays.npz").write_bytes(b"")
+    train(CONFIG, run)
+    assert_same_runs(run, undisturbed("in turn"))
+
+
+def test_a_full_disk_ends_a_run_with_what_to_do(
+    runs: Callable[[], RunFolder],
+    undisturbed: Callable[[str], RunFolder],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whatever finds no room: figures, the best policy, a checkpoint, the last policy."""
+    run, room = runs(), 0
+
+    def nearly_full(_: int) -> None:
+        nonlocal room
+        room -= 1
+        if room < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    failed = []
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", nearly_full)
+        for files in range(20):
+            room = files
+            try:
+                train(replace(CONFIG, num_steps=64), run)
+            except CadenzaError as error:
+                failed.append(str(error).removeprefix(str(run.path)))
+            else:
+                break
+    assert all("could not be written (No space left on device" in message for message in failed)
+    assert {message.partition(":")[0] for message in failed} == {"", "/best", "/last"}
+    assert len(failed) > 6  # two rows, three files of the best policy, what was gathered, ...
+    train(CONFIG, run)
+    assert_same_runs(run, undisturbed("in turn"))
+
+
+# Killed
+
+PROGRAM = """
+import sys
+from contextlib import closing
+from pathlib import Path
+import jax
+jax.config.update("jax_disable_most_optimizations", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.training import Training
+run = RunFolder(Path(sys.argv[2]))
+config, score = run.settings()
+with run.locked(), closing(Training(config, score, run)) as training:
+    print("begins", training.step, flush=True)
+    training.run(lambda: True)
+"""
+
+
+def started(cache: Path, run: RunFolder) -> subprocess.Popen[str]:
+    """The process, once it has begun to train."""
+    command = [sys.executable, "-c", PROGRAM, str(cache), str(run.path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("begins")
+    return process
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["in turn", "residual"])
+def test_a_run_that_is_killed_at_any_moment_goes_on(
+    way: str, runs: Callable[[], RunFolder], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """SIGKILL at random times, while there is a checkpoint at every round."""
+    cache = tmp_path_factory.mktemp("compiled")
+    whole, killed = runs(), runs()
+    config = replace(WAYS[way], num_steps=480, checkpoint_interval=0.0)
+    for run in (whole, killed):
+        run.begin(config, SONG)
+    process, began = started(cache, whole), time.monotonic()
+    assert process.wait() == 0
+    longest = (time.monotonic() - began) / 6  # of which some went into compiling
+    rng, kills, code = random.Random(0), 0, None
+    while code != 0:
+        process = started(cache, killed)
+        timer = threading.Timer(rng.uniform(0, longest), process.kill)
+        timer.start()
+        code = process.wait()
+        timer.cancel()
+        assert code in (0, -signal.SIGKILL)
+        kills += code != 0
+        longest *= 1.2
+    assert kills > 2
+    assert_same_runs(killed, whole)

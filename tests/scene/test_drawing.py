@@ -1,0 +1,107 @@
+"""What the page draws agrees with the simulation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.drawing import body_poses, drawing
+from cadenza.scene.piano import NUM_KEYS
+from cadenza.scene.scene import Scene, build_scene
+
+EPISODE = Path(__file__).parents[1] / "data/episode_d.npz"
+SIZES = {"box": 3, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "sphere": 1}
+
+
+@pytest.fixture(scope="module", params=["both", "right", "left", "none"])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    return build_scene(SceneConfig(hands=request.param))
+
+
+def test_is_plain_json(scene: Scene) -> None:
+    drawn = drawing(scene)
+    assert json.loads(json.dumps(drawn, allow_nan=False)) == drawn
+
+
+def test_geoms_are_fixed_to_bodies_that_there_are(scene: Scene) -> None:
+    drawn = drawing(scene)
+    assert drawn["bodies"] == [scene.model.body(b).name for b in scene.hand_bodies]
+    moving = {geom["body"] for geom in drawn["geoms"]}
+    assert moving == {-1, *range(len(drawn["bodies"]))}
+    for geom in drawn["geoms"]:
+        assert len(geom["size"]) == SIZES[geom["type"]]
+        assert min(geom["size"]) > 0
+        assert (len(geom["pos"]), len(geom["quat"]), len(geom["rgba"])) == (3, 4, 4)
+        assert_allclose(np.linalg.norm(geom["quat"]), 1.0, atol=1e-5)
+
+
+def test_each_finger_has_a_tip(scene: Scene) -> None:
+    drawn = drawing(scene)
+    tips = {
+        g["finger"]: drawn["bodies"][g["body"]] for g in drawn["geoms"] if g["finger"] is not None
+    }
+    assert sorted(tips) == scene.fingers.tolist()
+    for finger, body in tips.items():
+        side = "rh_" if finger < 5 else "lh_"
+        assert body == f"{side}{('th', 'ff', 'mf', 'rf', 'lf')[finger % 5]}distal"
+
+
+def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:
+    keys, model = drawing(scene)["keys"], scene.model
+    assert len(keys) == NUM_KEYS
+    assert sum(key["black"] for key in keys) == 36
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for key, adr in zip(keys, range(model.nq)[scene.key_qpos], strict=True):
+        (joint,) = np.flatnonzero(model.jnt_qposadr == adr)
+        geom = model.body_geomadr[model.jnt_bodyid[joint]]
+        assert_allclose(key["pos"], data.geom_xpos[geom], atol=1e-6)
+        assert_allclose(key["size"], model.geom_size[geom], atol=1e-6)
+        assert_allclose(key["hinge"], data.xanchor[joint], atol=1e-6)
+        assert_allclose(key["axis"], data.xaxis[joint], atol=1e-6)
+        assert_allclose(key["travel"], model.jnt_range[joint, 1], atol=1e-6)
+
+
+def test_poses_put_the_fingertips_where_they_were_recorded(scene: Scene) -> None:
+    with np.load(EPISODE) as file:
+        of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
+        qpos = file["hand_qpos"][::10, of_side]
+        tips = file["fingertip_xpos"][::10, scene.fingers]
+    xpos, xquat = body_poses(scene, qpos)
+    assert xpos.shape == (len(qpos), len(scene.hand_bodies), 3)
+    assert xquat.shape == (len(qpos), len(scene.hand_bodies), 4)
+    for i, site in enumerate(scene.fingertip_sites):
+        body = np.flatnonzero(scene.hand_bodies == scene.model.site_bodyid[site])[0]
+        offset = np.zeros(3)
+        for t in range(len(qpos)):
+            mujoco.mju_rotVecQuat(offset, scene.model.site_pos[site], xquat[t, body].astype(float))
+            assert_allclose(xpos[t, body] + offset, tips[t, i], rtol=0, atol=1e-6)
+
+
+def test_poses_are_those_of_mujoco(scene: Scene) -> None:
+    with np.load(EPISODE) as file:
+        of_side = [n[:3] in prefixes(scene) for n in file["hand_joint_names"]]
+        qpos = file["hand_qpos"][::50, of_side]
+    xpos, xquat = body_poses(scene, qpos)
+    data = mujoco.MjData(scene.model)
+    for t in range(len(qpos)):
+        data.qpos[scene.hand_qpos] = qpos[t]
+        mujoco.mj_forward(scene.model, data)
+        assert_allclose(xpos[t], data.xpos[scene.hand_bodies], rtol=0, atol=1e-6)
+        assert_allclose(xquat[t], data.xquat[scene.hand_bodies], rtol=0, atol=1e-6)
+
+
+def prefixes(scene: Scene) -> tuple[str, ...]:
+    return tuple("rh_" if side == "right" else "lh_" for side in scene.sides)
+
+
+def test_nothing_to_draw_of_hands_that_are_not_there() -> None:
+    xpos, xquat = body_poses(build_scene(SceneConfig(hands="none")), np.zeros((4, 0)))
+    assert xpos.shape == (4, 0, 3)
+    assert xquat.shape == (4, 0, 4)

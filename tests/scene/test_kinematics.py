@@ -1,0 +1,85 @@
+"""The arrays of postures against MuJoCo, one posture at a time."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.scene import build_scene
+from cadenza.scene.servos import reaction, servos_of
+
+CONFIGS = [SceneConfig(), SceneConfig(hands="left"), SceneConfig(reduced_action_space=False)]
+
+
+@pytest.mark.parametrize("config", CONFIGS, ids=["both", "left", "full"])
+def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
+    scene = build_scene(config)
+    servos = servos_of(scene)
+    postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
+    points, jacobian = Kinematics(scene, servos).fingers(postures)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    for posture, tips, slope in zip(postures, points[:, :, TIP], jacobian[:, :, TIP], strict=True):
+        data.qpos[scene.hand_qpos] = posture @ servos.joints
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        np.testing.assert_allclose(tips, data.site_xpos[scene.fingertip_sites], atol=1e-12)
+        for site, own in zip(scene.fingertip_sites, slope, strict=True):
+            of_joints = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, of_joints, None, site)
+            expected = of_joints[:, scene.hand_qvel] @ servos.joints.T
+            np.testing.assert_allclose(own, expected, atol=1e-12)
+
+
+def test_links_are_where_their_bodies_are() -> None:
+    scene = build_scene(SceneConfig(hands="right"))
+    servos = servos_of(scene)
+    posture = np.random.default_rng(1).uniform(servos.low, servos.high)
+    points, _ = Kinematics(scene, servos).fingers(posture[None])
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = posture @ servos.joints
+    mujoco.mj_kinematics(scene.model, data)
+    for finger, links in {0: ("thproximal", "thmiddle"), 4: ("lfproximal", "lfmiddle")}.items():
+        for link, name in enumerate(links):
+            np.testing.assert_allclose(
+                points[0, finger, link], data.body(f"rh_{name}").xpos, atol=1e-12
+            )
+
+
+def test_servos_hold_what_the_model_says() -> None:
+    scene = build_scene()
+    servos = servos_of(scene)
+    by_name = dict(zip(servos.names, servos.stiffness, strict=True))
+    assert (by_name["WRJ2"], by_name["FFJ0"], by_name["forearm_tx"]) == (10.0, 0.5, 300.0)
+    # A control held for long is where the servos end up, the coupled joints sharing it.
+    data = mujoco.MjData(scene.model)
+    data.ctrl = np.clip(0.3, servos.low, servos.high) * 0.9
+    mujoco.mj_step(scene.model, data, 600)
+    reached = np.linalg.pinv(servos.joints).T @ data.qpos[scene.hand_qpos]
+    off = np.abs(reached - data.ctrl)
+    assert np.median(off) < 0.02
+
+
+def test_reaction_is_what_inverse_dynamics_say() -> None:
+    """A forearm that speeds up pushes its hand: what that asks of the fingers' servos."""
+    scene = build_scene(SceneConfig(hands="right"))
+    scene.model.opt.gravity[:] = 0.0  # which the model compensates otherwise
+    servos = servos_of(scene)
+    slide = servos.names.index("forearm_tx")
+    dt, change = 0.05, 0.02
+    postures = np.zeros((5, len(servos.low)))
+    postures[:, slide] = change / 2 * np.arange(5.0) ** 2
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = postures[2] @ servos.joints
+    data.qvel[scene.hand_qvel] = (postures[3] - postures[1]) @ servos.joints / (2 * dt)
+    data.qacc[scene.hand_qvel] = change / dt**2 * servos.joints[slide]
+    mujoco.mj_inverse(scene.model, data)
+    needed = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
+    others = np.arange(len(servos.low)) != slide
+    np.testing.assert_allclose(
+        reaction(scene, servos, postures, dt)[2][others],
+        (needed[scene.hand_qvel] @ servos.joints.T)[others],
+        atol=1e-9,
+    )
