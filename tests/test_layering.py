@@ -12,7 +12,7 @@ import pytest
 import cadenza
 
 PACKAGE = Path(cadenza.__file__).parent
-EVERYWHERE = {"errors", "files", "configs", "episode"}
+EVERYWHERE = {"errors", "files", "configs", "episode", "registry"}
 # What a folder stands on; it may import that, and what that stands on.
 STANDS_ON: dict[str, set[str]] = {
     "music": set(),

@@ -11,7 +11,7 @@ from cadenza.tasks.registration import register_envs
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
-    from cadenza.agents.named import make_agent
+    from cadenza.agents.registry import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
     from cadenza.music.arrangement import Arrangement
@@ -48,7 +48,7 @@ __all__ = [
 
 _MODULES = {
     "agents.agent": ("Agent",),
-    "agents.named": ("make_agent",),
+    "agents.registry": ("make_agent",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
     "scene.config": ("SceneConfig",),

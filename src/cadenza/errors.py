@@ -1,5 +1,12 @@
 """The one exception that is meant for a person rather than a programmer."""
 
+from __future__ import annotations
+
+import os
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class CadenzaError(Exception):
     """Something the user gave cannot be used.
@@ -14,3 +21,22 @@ class CadenzaWarning(UserWarning):
 
     The message is one line. The command line prints it without a traceback.
     """
+
+
+@contextmanager
+def by_others(what: str) -> Iterator[None]:
+    """Raises as a CadenzaError of a line whatever goes wrong in the block; it begins with `what`.
+
+    For code that somebody else has written. The error itself is the cause. Files that cannot be
+    read or written stay what they are.
+    """
+    try:
+        yield
+    except (CadenzaError, OSError):
+        raise
+    except (Exception, SystemExit) as error:  # a module may end the process
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        where = f" ({frame.filename}, line {frame.lineno})"
+        # Python's own machinery of imports has no file.
+        raise CadenzaError(f"{what}: {said}{where * os.path.isfile(frame.filename)}") from error

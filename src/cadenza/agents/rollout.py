@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Progress, ReportingAgent, silent
-from cadenza.agents.others import by_others
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, by_others
 from cadenza.music.score import NUM_KEYS
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.tasks.piano_task import PianoTask

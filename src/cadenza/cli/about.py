@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cadenza.agents.named import AGENTS
-from cadenza.errors import CadenzaError
+from cadenza.agents.registry import AGENTS
+from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.music.arrangement import Arrangement
 from cadenza.tasks.config import TaskConfig
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Songs:
-    """List the bundled songs."""
+    """List the bundled songs, and those that other packages add."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Info:
 
 
 def songs(_: Songs) -> None:
+    from cadenza.music.library import LIBRARIES, library
     from cadenza.music.library import songs as pieces
 
     for piece in pieces():
@@ -41,6 +43,12 @@ def songs(_: Songs) -> None:
             f"{piece.name:34} {piece.difficulty:12} {piece.seconds:5.1f} s  "
             f"{piece.title} ({piece.composer})"
         )
+    for name, entry in LIBRARIES.entries().items():
+        try:
+            for song in library(name):
+                print(f"{name}/{song:33} {entry.about}")
+        except CadenzaError as error:
+            warnings.warn(str(error), CadenzaWarning, stacklevel=1)
 
 
 def info(command: Info) -> None:
@@ -140,4 +148,4 @@ def _installation_facts() -> dict[str, Any]:
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
         "can render video": drawing,
-    } | {f"agent {name}": agent.about for name, agent in AGENTS.items()}
+    } | {f"agent {name}": agent.about for name, agent in AGENTS.entries().items()}

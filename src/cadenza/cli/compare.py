@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cadenza.agents.named import REPLAY
+from cadenza.agents.registry import REPLAY
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.performing import (
     Again,

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from cadenza.agents.named import AGENTS, PRETRAINED, REPLAY
 from cadenza.agents.planning.config import (
     ILQGConfig,
     PredictiveSamplingConfig,
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
+from cadenza.agents.registry import AGENTS
 from cadenza.cli.progress import stages
 from cadenza.files import folder_name
 from cadenza.music.arrangement import Arrangement
@@ -33,9 +33,9 @@ Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
 
 AGENTS_HELP = (
-    f"Who plays: {', '.join(AGENTS)}; {PRETRAINED}, the policy that comes with the song; {REPLAY}, "
-    "the actions of --plan; the folder of a policy; or module:Class, your own agent. By default "
-    "the planner, or the policy whose folder is SONG."
+    f'Who plays: {", ".join(AGENTS.own)}; an agent of another package, which "cadenza info" '
+    "lists; the folder of a policy; or module:Class, your own agent. By default the planner, or "
+    "the policy whose folder is SONG."
 )
 
 
@@ -53,7 +53,10 @@ class Performing:
     @property
     def configs(self) -> dict[str, Any]:
         """Agent -> its options."""
-        return {"planner": self.planner}
+        options = {
+            name: name.replace("-", "_") for name, entry in AGENTS.own.items() if entry.config
+        }
+        return {name: vars(self)[field] for name, field in options.items() if field in vars(self)}
 
 
 @dataclass(frozen=True)
@@ -63,16 +66,6 @@ class WithOtherPlanners(Performing):
     predictive_sampling: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
     ilqg: ILQGConfig = field(default_factory=ILQGConfig)
     tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
-
-    @property
-    def configs(self) -> dict[str, Any]:
-        """Agent -> its options."""
-        return {
-            "planner": self.planner,
-            "predictive-sampling": self.predictive_sampling,
-            "ilqg": self.ilqg,
-            "tracked-presses": self.tracked_presses,
-        }
 
 
 def cast_of(command: Performing, agent: str | None, plan: Path | None = None) -> Casting:

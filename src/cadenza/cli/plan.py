@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from cadenza.agents.named import PLANNER
+from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.performing import (

@@ -15,8 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, by_others
 from cadenza.music.score import Score
+from cadenza.registry import Registry
 
 _FOLDER = Path(__file__).parent / "pieces"
 _MIDI = (".mid", ".midi")
@@ -58,8 +59,29 @@ def songs() -> tuple[Piece, ...]:
     return tuple(Piece(name, **about) for name, about in index.items())
 
 
+LIBRARIES = Registry("song library", "cadenza.songs")
+"""Folders of songs that other packages add: a path, or a function that returns one."""
+
+
+def library(name: str) -> dict[str, Path]:
+    """The songs of a library of another package in alphabetical order: name -> file.
+
+    Raises:
+        CadenzaError: there is no such library, or it is no folder.
+    """
+    place = LIBRARIES.load(name, object)
+    with by_others(f"song library {name}"):
+        place = place() if callable(place) else place
+    if not isinstance(place, str | Path) or not os.path.isdir(place):
+        raise CadenzaError(f"song library {name}: {place!r:.100} is not a folder")
+    files = sorted(Path(place).iterdir())
+    return {file.stem: file for file in files if file.suffix.lower() in (*_MIDI, *_MUSICXML)}
+
+
 def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
-    """A bundled piece by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
+    """A piece by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
+
+    Pieces of a library that another package adds are called `library/piece`.
 
     Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the file, the notes have its
@@ -81,7 +103,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     path = Path(name_or_path)
     suffix = path.suffix.lower()
     if suffix not in (*_MIDI, *_MUSICXML, *_NOT_READ) and not os.path.isfile(path):
-        path = _FOLDER / f"{_bundled_name(str(name_or_path))}.mid"
+        path = _file_of(str(name_or_path))
     if suffix in _NOT_READ:
         raise CadenzaError(f"{path}: {suffix} files cannot be read; {_NOT_READ[suffix]}")
     score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
@@ -100,10 +122,16 @@ def check_is_name(song: object) -> None:
         )
 
 
-def _bundled_name(name: str) -> str:
-    names = {piece.name.lower(): piece.name for piece in songs()}
+def _file_of(name: str) -> Path:
+    """Of a bundled song, or of one of a library."""
+    prefix, _, song = name.partition("/")
+    if song and prefix in LIBRARIES.entries():
+        files = {f"{prefix}/{song}": file for song, file in library(prefix).items()}
+    else:
+        files = {piece.name: _FOLDER / f"{piece.name}.mid" for piece in songs()}
+    names = {known.lower(): known for known in files}
     if name.lower() in names:
-        return names[name.lower()]
+        return files[names[name.lower()]]
     close = [names[match] for match in get_close_matches(name.lower(), names, cutoff=0.5)]
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.named import (
+from cadenza.agents.playback import ReplayAgent, check_options, load_plan, options_of, physics_of
+from cadenza.agents.registry import (
     AGENTS,
     PLANNER,
     PRETRAINED,
@@ -20,7 +21,6 @@ from cadenza.agents.named import (
     checked_agent,
     make_agent,
 )
-from cadenza.agents.playback import ReplayAgent, check_options, load_plan, options_of, physics_of
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
@@ -126,7 +126,7 @@ def cast(
 
     Args:
         song: see `load_song`, or a score.
-        agent: a name of `cadenza.agents.named`, the folder of a policy, `module:Class`, or an
+        agent: a name of `cadenza.agents.registry`, the folder of a policy, `module:Class`, or an
             agent. Where there is none, the policy whose folder is the song plays, or the planner.
         arrangement: which notes of a song that is not a score yet.
         configs: agent's name -> its options, see `make_agent`.
@@ -161,7 +161,7 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     """The policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(song))
-    return load_policy(Path(agent)) if agent not in AGENTS and os.path.isdir(agent) else None
+    return load_policy(Path(agent)) if agent not in AGENTS.own and os.path.isdir(agent) else None
 
 
 def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:

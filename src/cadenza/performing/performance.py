@@ -164,10 +164,10 @@ def play(
     Args:
         song: a bundled song (see `cadenza.songs`), the path of a MIDI or MusicXML file, the folder
             of a policy, which holds the song that it has learnt, or a `Score`.
-        agent: "planner", "predictive-sampling" and so on, see `cadenza.agents.named`; "pretrained";
-            the folder of a policy; "module:Class"; "replay"; or an `Agent`, such as a planner with
-            options, `make_agent("planner", config)`. None is the policy where the song is its
-            folder, and the planner everywhere else.
+        agent: a name of `cadenza.agents.registry`, such as "planner"; the folder of a policy;
+            "module:Class"; or an `Agent`, such as a planner with options,
+            `make_agent("planner", config)`. None is the policy where the song is its folder, and
+            the planner everywhere else.
         seed: of everything random; the same seed plays the same.
         task: what is played, observed and rewarded. None is what the policy was trained with, and
             for other agents `TaskConfig(initial_buffer_time=0.5)`, time for the hands to get into

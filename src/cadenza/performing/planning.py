@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.named import PLANNER
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.playback import save_plan
+from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score

@@ -1,0 +1,100 @@
+"""The names of agents. Imports nothing heavy: the command line shows them.
+
+Learnt policies are folders, see `cadenza.learning.policy_folder`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cadenza.agents.planning.config import (
+    ILQGConfig,
+    PredictiveSamplingConfig,
+    ScorePlannerConfig,
+    TrackedPressesConfig,
+)
+from cadenza.configs import as_config
+from cadenza.errors import CadenzaError, by_others
+from cadenza.registry import Entry, Registry
+
+if TYPE_CHECKING:
+    from cadenza.agents.agent import Agent
+
+PLANNER, PRETRAINED, REPLAY = "planner", "pretrained", "replay"
+
+_BASELINES = "cadenza.agents.baselines"
+AGENTS = Registry(
+    "agent",
+    "cadenza.agents",
+    {
+        PLANNER: Entry(
+            "cadenza.agents.planning.score_planner:ScorePlanner",
+            "inverse kinematics of the song, refined by sampling",
+            ScorePlannerConfig,
+        ),
+        "predictive-sampling": Entry(
+            f"{_BASELINES}.predictive_sampling:PredictiveSampling",
+            "the paper's planner without derivatives",
+            PredictiveSamplingConfig,
+        ),
+        "ilqg": Entry(
+            f"{_BASELINES}.ilqg:ILQG", "the paper's planner with derivatives", ILQGConfig
+        ),
+        "tracked-presses": Entry(
+            f"{_BASELINES}.tracked_presses:TrackedPresses",
+            "key presses optimised beforehand and tracked with LQR",
+            TrackedPressesConfig,
+        ),
+        "zero": Entry("cadenza.agents.agent:ZeroAgent", "hands that stay where they are"),
+        "random": Entry("cadenza.agents.agent:RandomAgent", "uniformly random actions"),
+        PRETRAINED: Entry(
+            "cadenza.learning.policy_agent:PolicyAgent", "the policy that comes with the song"
+        ),
+        REPLAY: Entry("cadenza.agents.playback:ReplayAgent", "the actions of a plan"),
+    },
+    otherwise="the folder of a policy or module:Class",
+)
+
+
+def make_agent(name: str, config: Any = None) -> Agent:
+    """An agent that plays any task.
+
+    Args:
+        name: one of `AGENTS`, or `module:Class`, a class of your own with the methods of
+            `cadenza.Agent`, which is called without arguments.
+        config: the options of a planner, see `cadenza.agents.planning.config`; its defaults where
+            there are none.
+
+    Raises:
+        CadenzaError: there is no such agent, it has not the methods of one, or an option makes no
+            sense.
+    """
+    if not isinstance(name, str):
+        raise CadenzaError(f"agent {name!r:.100}: give its name, such as {PLANNER!r}")
+    if name in (PRETRAINED, REPLAY):
+        raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
+    kind: Any = AGENTS.load(name, type)
+    options = AGENTS.own[name].config if name in AGENTS.own else None
+    if options is not None:
+        return kind(as_config(config, options))
+    if config is not None:
+        raise CadenzaError(f"agent {name!r} has no options: give none")
+    with by_others(f"agent {name}"):
+        agent = kind()
+    return checked_agent(agent, name)
+
+
+def checked_agent(agent: Any, place: str) -> Agent:
+    """`agent`, which is to be one; errors name it `place`.
+
+    Raises:
+        CadenzaError: it has not the methods of one.
+    """
+    if isinstance(agent, type):
+        raise CadenzaError(f"agent {place}: {agent.__name__} is a class; give an instance of it")
+    if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
+        raise CadenzaError(
+            f"agent {place}: has no method {' and no method '.join(lacking)}; "
+            "it needs reset(task, rng) and act(), see cadenza.Agent"
+        )
+    return agent

@@ -1,0 +1,121 @@
+"""Names for what can be exchanged: agents, hands, song libraries, learners.
+
+A name is one of our own, from a table beside its kind; one that another installed package has added
+by an entry point; or `module:Name`. What it stands for is imported when it is asked for, so that a
+package that is broken harms nobody who does not use it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from importlib import metadata
+from operator import attrgetter, itemgetter
+from typing import TypeVar
+
+from cadenza.errors import CadenzaError, by_others
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What has a name."""
+
+    place: str
+    """Where it is, as `module:Name`."""
+    about: str = ""
+    """What it is, in a line."""
+    config: type | None = None
+    """The dataclass of its options, if it has any."""
+
+
+@dataclass(frozen=True)
+class Registry:
+    """All names of one kind.
+
+        HANDS = Registry("hand", "cadenza.hands", {"shadow": Entry("cadenza.hands.shadow:SHADOW")})
+        hand = HANDS.load("shadow", Hand)
+
+    Another package adds to it in its `pyproject.toml`:
+
+        [project.entry-points."cadenza.hands"]
+        claw = "my_package:CLAW"
+    """
+
+    kind: str
+    """As errors call it, such as "agent"."""
+    group: str
+    """Of the entry points by which other packages add to it."""
+    own: Mapping[str, Entry] = field(default_factory=dict)
+    """Our own, which come before those of others."""
+    otherwise: str = "module:Name"
+    """What can be given instead of a name, as errors say."""
+
+    def entries(self) -> dict[str, Entry]:
+        """By name: our own, and then those of other packages in alphabetical order."""
+        theirs = sorted(self._installed(), key=itemgetter(0))
+        return {**self.own, **{name: entry for name, entry in theirs if name not in self.own}}
+
+    def load(self, name: str, kind: type[T]) -> T:
+        """What `name` stands for, which is to be a `kind`.
+
+        Raises:
+            CadenzaError: there is no such name, two packages have it, it cannot be imported, or it
+                is something else.
+        """
+        entry = self._find(name)
+        module, _, attribute = entry.place.partition(":")
+        what = f"{self.kind} {name}" + f" ({entry.about})" * (name not in (*self.own, entry.place))
+        with by_others(f"{what}: cannot import {module!r}"):
+            imported = importlib.import_module(module)
+        try:
+            found = attrgetter(attribute)(imported)
+        except AttributeError:
+            raise CadenzaError(f"{what}: there is no {attribute!r} in {module}") from None
+        if not isinstance(found, kind):
+            wanted = "class" if kind is type else kind.__name__
+            raise CadenzaError(
+                f"{what}: {entry.place} is of type {type(found).__name__}; give a {wanted}"
+            )
+        return found
+
+    def _find(self, name: str) -> Entry:
+        if name in self.own:
+            return self.own[name]
+        if ":" in name:
+            return Entry(name)
+        match [entry for known, entry in self._installed() if known == name]:
+            case [entry]:
+                return entry
+            case []:
+                raise self._unknown(name)
+            case several:
+                packages = " and ".join(entry.about for entry in several)
+                places = " or ".join(entry.place for entry in several)
+                raise CadenzaError(
+                    f"{self.kind} {name!r}: {packages} have this name; give {places}"
+                )
+
+    def _unknown(self, name: str) -> CadenzaError:
+        names = list(self.entries())
+        close = get_close_matches(name, names, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        choice = f"choose from {', '.join(names)}, or give " if names else "give "
+        return CadenzaError(f"no {self.kind} {name!r}: {hint}{choice}{self.otherwise}")
+
+    def _installed(self) -> Iterator[tuple[str, Entry]]:
+        """Names and entries of other packages, as their metadata has them."""
+        seen = set()
+        for package in metadata.distributions():
+            try:
+                name, points = package.metadata["Name"], package.entry_points
+            except Exception:  # its metadata is broken, which is not for us to say
+                continue
+            if name in seen:  # behind another version of it on the path
+                continue
+            seen.add(name)
+            for point in points.select(group=self.group):
+                yield point.name, Entry(point.value, f"from the package {name}")
