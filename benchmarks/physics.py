@@ -21,7 +21,8 @@ from cadenza.music.metrics import step_metrics
 from cadenza.music.score import NUM_KEYS
 from cadenza.scene.config import Physics, SceneConfig
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.sim.simulation import Simulation, available_cores
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.threads import available_cores
 from cadenza.tasks.reward import key_activation
 
 NOISE = 0.01  # standard deviation, in units of half the control range
@@ -39,7 +40,7 @@ def variations(plan: NDArray[np.float64], scene: Scene) -> NDArray[np.float64]:
 def replayed_f1(plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene) -> NDArray:
     """F1 of each variation of the plan, (1 + NUM_NOISY,)."""
     ctrl = variations(plan, scene)[..., :-1]
-    simulation = Simulation(scene, len(ctrl), num_threads=available_cores())
+    simulation = PlanningSimulation(scene, len(ctrl), num_threads=available_cores())
     played = key_activation(simulation.rollout(ctrl).key_qpos)
     simulation.close()
     return np.array([step_metrics(keys, goal)[2].mean() for keys in played])

@@ -18,7 +18,7 @@ from cadenza.tasks.piano_task import PianoTask
 @pytest.fixture(autouse=True)
 def one_millisecond(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estimate, "seconds_of_a_step", lambda *_: 1e-3)
-    monkeypatch.setattr("cadenza.sim.simulation.available_cores", lambda: 2)
+    monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 2)
 
 
 def setup(seconds: int, agent: Agent | None = None) -> Setup:

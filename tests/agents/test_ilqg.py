@@ -23,7 +23,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.linearisation import Lineariser
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -140,9 +140,9 @@ def test_regularisation_shortens_the_steps() -> None:
 # Derivatives
 
 
-def pressing(scene: Scene) -> tuple[Simulation, np.ndarray]:
+def pressing(scene: Scene) -> tuple[PlanningSimulation, np.ndarray]:
     """A hand that leans on the keys, and the controls that make it."""
-    simulation = Simulation(scene)
+    simulation = PlanningSimulation(scene)
     low, high = scene.action_low[:-1], scene.action_high[:-1]
     ctrl = np.random.default_rng(2).uniform(low, high)
     wrist = scene.actuator_names.index("rh_A_WRJ1")
@@ -177,7 +177,7 @@ def slope(scene: Scene, start: np.ndarray, ctrl: np.ndarray, direction: np.ndarr
     for change in (-1e-8, 1e-8):
         state = start.copy()
         state[1 : 1 + num] += change * direction[:num]
-        simulation = Simulation(scene, control_timestep=0.01)
+        simulation = PlanningSimulation(scene, control_timestep=0.01)
         simulation.set_physics_state(state)
         way = []
         for _ in range(5):
@@ -205,7 +205,7 @@ def displaced(scene: Scene, hand_qpos: np.ndarray) -> np.ndarray:
     """(10, 3, J) central differences of the fingertips by the hands' joints."""
     columns = []
     for step in 1e-6 * np.eye(len(hand_qpos)):
-        simulation = Simulation(scene, 2)
+        simulation = PlanningSimulation(scene, 2)
         simulation.reset(hand_qpos=np.array([hand_qpos - step, hand_qpos + step]))
         columns.append(np.diff(simulation.state.fingertip_xpos, axis=0)[0] / 2e-6)
     return np.moveaxis(np.array(columns), 0, -1)

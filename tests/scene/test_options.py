@@ -17,7 +17,7 @@ from cadenza.music.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.piano import KEY_TRAVEL, NUM_KEYS
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.reward import key_activation
 
@@ -46,7 +46,7 @@ def test_every_published_rollout_is_run() -> None:
 def test_moves_as_published(case: str) -> None:
     """Until the forearms touch, whose shells are a mesh there and a cylinder here."""
     scene = build_scene(ROLLOUTS[case])
-    simulation = Simulation(scene, watch_forearms=True)
+    simulation = MujocoSimulation(scene, watch_forearms=True)
     recorded = {step["step"]: step for step in PUBLISHED["rollouts"]["cases"][case]}
     touched = False
     for step in range(1, max(recorded) + 1):
@@ -244,7 +244,7 @@ class TestPianoThatPlaysItself:
 
     @pytest.mark.parametrize("key", [0, 1, 43, 46, 87])
     def test_a_key_sounds_while_it_is_held_and_no_other(self, scene: Scene, key: int) -> None:
-        simulation = Simulation(scene)
+        simulation = MujocoSimulation(scene)
         ctrl = np.zeros((1, NUM_KEYS))
         for _ in range(2):
             ctrl[0, key] = KEY_TRAVEL[key]
@@ -260,7 +260,7 @@ class TestPianoThatPlaysItself:
         assert abs(simulation.state.key_qpos).max() < 0.1 * KEY_TRAVEL[0]
 
     def test_all_keys_follow_at_once(self, scene: Scene) -> None:
-        simulation, key = Simulation(scene), np.arange(NUM_KEYS)
+        simulation, key = MujocoSimulation(scene), np.arange(NUM_KEYS)
         for step in range(12):
             down = (key + step) % 3 == 0
             simulation.step(np.where(down, KEY_TRAVEL, 0.0)[None])

@@ -12,7 +12,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.planning_simulation import PlanningSimulation
 
 SCALED = (
     "body_mass", "body_inertia", "dof_armature", "dof_damping", "dof_frictionloss",
@@ -72,7 +72,7 @@ def test_servos_come_to_rest_where_they_did(scene: Scene) -> None:
     ctrl[-2:] = 0.1, -0.3  # the forearm, off the keys
     rest = []
     for each in (scene, perturbed(scene, np.random.default_rng(2), 0.3)):
-        simulation = Simulation(each)
+        simulation = PlanningSimulation(each)
         simulation.rollout(np.tile(ctrl, (1, 60, 1)))
         rest.append(simulation.state.hand_qpos[0] @ np.linalg.pinv(servos_of(each).joints))
     assert np.abs(simulation.state.hand_qvel).max() < 1e-2

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hand_linearisation import HandLineariser
-from cadenza.sim.simulation import Simulation
+from cadenza.sim.planning_simulation import PlanningSimulation
 
 DT = 0.05
 
@@ -32,9 +32,9 @@ def sizes(scene: Scene) -> tuple[int, int]:
 
 def test_predicts_where_hands_go_that_begin_elsewhere(scene: Scene, ctrl: np.ndarray) -> None:
     joints, servos = sizes(scene)
-    start = Simulation(scene, 1, DT)
+    start = PlanningSimulation(scene, 1, DT)
     seen = HandLineariser(scene, np.full(2 * joints + servos, 1e-5), DT).linearise(start, ctrl)
-    other = Simulation(scene, 1, DT)
+    other = PlanningSimulation(scene, 1, DT)
     z = 1e-3 * np.random.default_rng(0).standard_normal(2 * joints + servos)
     other.displace(z[None, :joints], z[None, joints : 2 * joints])
     start.step(ctrl[:1])
@@ -51,7 +51,7 @@ def test_predicts_where_hands_go_that_begin_elsewhere(scene: Scene, ctrl: np.nda
 
 def test_states_are_those_of_the_simulation(scene: Scene, ctrl: np.ndarray) -> None:
     joints, servos = sizes(scene)
-    start = Simulation(scene, 1, DT)
+    start = PlanningSimulation(scene, 1, DT)
     seen = HandLineariser(scene, np.full(2 * joints + servos, 1e-3), DT).linearise(start, ctrl)
     for values, expected in zip(seen.states, start.rollout(ctrl[None]), strict=True):
         assert_array_equal(values, expected[0])
@@ -61,7 +61,7 @@ def test_a_key_follows_the_finger_on_it() -> None:
     """Pressed deeper, it goes down; keys that nobody touches have no part in it."""
     scene = build_scene(SceneConfig(hands="right"))
     joints, servos = sizes(scene)
-    start, ctrl = Simulation(scene, 1, DT), np.zeros((1, servos))
+    start, ctrl = PlanningSimulation(scene, 1, DT), np.zeros((1, servos))
     names = [name.split("A_", 1)[1] for name in scene.actuator_names]
     ctrl[0, [names.index("WRJ1"), names.index("MFJ3")]] = 0.3, 0.6
     for _ in range(20):
@@ -77,7 +77,7 @@ def test_a_key_follows_the_finger_on_it() -> None:
 def test_displacing_one_simulation_leaves_the_other(scene: Scene, ctrl: np.ndarray) -> None:
     by = np.zeros((2, sizes(scene)[0]))
     by[1, 2:4] = 0.1, -0.2
-    simulation = Simulation(scene, 2, DT)
+    simulation = PlanningSimulation(scene, 2, DT)
     simulation.step(np.repeat(ctrl[:1], 2, axis=0))
     before = simulation.state
     simulation.displace(by, 2 * by)

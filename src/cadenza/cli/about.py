@@ -135,7 +135,7 @@ def _installation_facts() -> dict[str, Any]:
 
     from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
-    from cadenza.sim.simulation import available_cores
+    from cadenza.sim.threads import available_cores
 
     try:
         Renderer(build_scene()).close()

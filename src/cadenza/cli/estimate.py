@@ -22,7 +22,7 @@ _LEAST, _MOST = 0.6, 1.8
 def tell_how_long(setup: Setup) -> None:
     """Says on stderr about how long the planner will take, where that is long."""
     from cadenza.agents.planning.score_planner import ScorePlanner
-    from cadenza.sim.simulation import available_cores
+    from cadenza.sim.threads import available_cores
 
     agent, config, score = setup.agent, setup.task.config, setup.task.scores[0]
     if QUIET.get() or not isinstance(agent, ScorePlanner) or agent.config.method == "none":
@@ -42,9 +42,9 @@ def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
     """What a control step of hands that are still takes on this machine now [s]."""
     import numpy as np
 
-    from cadenza.sim.simulation import Simulation
+    from cadenza.sim.mujoco_simulation import MujocoSimulation
 
-    simulation = Simulation(scene, 1, control_timestep)
+    simulation = MujocoSimulation(scene, 1, control_timestep)
     still = np.zeros((1, scene.model.nu))
     simulation.step(still)
     began, steps = time.perf_counter(), 40

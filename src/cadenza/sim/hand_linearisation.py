@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.scene.scene import Scene
-from cadenza.sim.simulation import Simulation, State
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 
@@ -49,10 +51,10 @@ class HandLineariser:
         self._difference = difference
         self._joints = len(scene.hand_joint_names)
         self._displaced = np.concatenate([np.zeros((1, len(difference))), np.diag(difference)])
-        self._along = Simulation(scene, 1, control_timestep)
-        self._batch = Simulation(scene, 1 + len(difference), control_timestep, num_threads)
+        self._along = PlanningSimulation(scene, 1, control_timestep)
+        self._batch = PlanningSimulation(scene, 1 + len(difference), control_timestep, num_threads)
 
-    def linearise(self, start: Simulation, ctrl: Array) -> HandLinearisation:
+    def linearise(self, start: MujocoSimulation, ctrl: Array) -> HandLinearisation:
         """Along the steps that simulation 0 of `start` would take with controls (K, A)."""
         self._along.copy_from(start, 0)
         rows = [self._step(control) for control in ctrl]

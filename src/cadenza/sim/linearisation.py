@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.scene.piano import NUM_KEYS
 from cadenza.scene.scene import Scene
-from cadenza.sim.simulation import PHYSICS_STATE
+from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Lineariser:
 
     def linearise(self, state: Array, ctrl: Array) -> Linearisation:
         """Args:
-        state: (S,) where to begin, as `Simulation.physics_state` returns it.
+        state: (S,) where to begin, as `MujocoSimulation.physics_state` returns it.
         ctrl: (K, A) in actuator units, held for a control step each.
         """
         seen = self._roll_out(state, ctrl)

@@ -19,7 +19,8 @@ from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import NUM_KEYS, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.sim.simulation import MOST_ENVS, Simulation
+from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
+from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
 
@@ -63,7 +64,7 @@ class PianoTask:
     Attributes:
         scene: the scene that is simulated.
         config: the task's configuration.
-        simulation: the physics; planners copy its state.
+        simulation: the physics.
         action_low, action_high: (A,) ranges of an action in actuator units, the pedal last.
         observation_layout: name -> slice of an observation.
         observation_size: D.
@@ -84,6 +85,7 @@ class PianoTask:
         num_threads: int = 1,
         reward_terms: Mapping[str, reward.RewardTerm] | None = None,
         progress: Callable[[int, int], None] | None = None,
+        make_simulation: MakeSimulation = MujocoSimulation,
     ) -> None:
         """Args:
             scores: the songs to draw from, one per episode.
@@ -94,6 +96,7 @@ class PianoTask:
             reward_terms: name -> function of a `reward.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
             progress: is told of how many notes the fingers have been looked for, and of all.
+            make_simulation: what moves hands and keys; MuJoCo if nothing else is given.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -103,11 +106,11 @@ class PianoTask:
         self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.scores = music.prepare(scores, self.config, self.scene.sides, progress)
         self._offset_joints = self._find_offset_joints()
-        self.simulation = Simulation(
-            self.scene,
-            num_envs,
-            self.config.control_timestep,
-            num_threads,
+        self.simulation = make_simulation(
+            scene=self.scene,
+            num_envs=num_envs,
+            control_timestep=self.config.control_timestep,
+            num_threads=num_threads,
             watch_forearms=self.config.forearm_term,
         )
         self.action_low = self.scene.action_low

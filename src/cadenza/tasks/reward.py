@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cadenza.scene.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
-from cadenza.sim.simulation import State
+from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -27,7 +27,8 @@ from cadenza.music.score import NUM_KEYS
 from cadenza.scene.piano import KEY_TRAVEL
 from cadenza.scene.scene import build_scene
 from cadenza.sim.linearisation import Linearisation, Lineariser
-from cadenza.sim.simulation import Simulation, available_cores
+from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
+from cadenza.sim.threads import available_cores
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 
@@ -72,7 +73,9 @@ class ILQG:
         self._looks = _times(hold, planning, "control_timestep", "planning_timestep")
         # MuJoCo has no derivatives of a scene in which keys sleep.
         scene = build_scene(replace(task.scene.config, sleeping_keys=False))
-        self._rollouts = Simulation(scene, 1 + config.num_step_sizes, planning, available_cores())
+        self._rollouts = PlanningSimulation(
+            scene, 1 + config.num_step_sizes, planning, available_cores()
+        )
         substeps = self._rollouts.num_substeps
         shape = (self._steps, self._looks, substeps)
         self._lineariser = Lineariser(scene, *shape, available_cores(), config.centred)
@@ -86,7 +89,7 @@ class ILQG:
         self.seconds = dict.fromkeys(("derivatives", "backward pass", "line search"), 0.0)
 
     def act(self) -> Array:
-        start = self._task.simulation.physics_state(0)
+        start = as_mujoco(self._task.simulation).physics_state(0)
         self._cost.look_ahead()
         improved = True
         for _ in range(self.config.iterations):

@@ -15,7 +15,9 @@ from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
-from cadenza.sim.simulation import Simulation, State, available_cores
+from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
+from cadenza.sim.protocol import State
+from cadenza.sim.threads import available_cores
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 
@@ -39,7 +41,7 @@ class PredictiveSampling:
         config = self.config
         self._task, self._rng = task, rng
         self._low, self._high = task.action_low[:-1], task.action_high[:-1]
-        self._rollouts = Simulation(
+        self._rollouts = PlanningSimulation(
             task.scene,
             config.num_candidates,
             config.planning_timestep,
@@ -76,7 +78,7 @@ class PredictiveSampling:
         times = np.arange(steps) * config.planning_timestep
         rows = np.floor(times / hold + 1e-9).astype(np.intp)  # control step of each planning step
         ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
-        self._rollouts.copy_from(self._task.simulation, 0)
+        self._rollouts.copy_from(as_mujoco(self._task.simulation), 0)
         states = self._rollouts.rollout(ctrl)
         cost = self._cost(states, rows).sum(axis=1)
         return np.where(states.unstable.any(axis=1), np.inf, cost)

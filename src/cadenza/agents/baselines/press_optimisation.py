@@ -25,7 +25,8 @@ from cadenza.scene.piano import KEY_TRAVEL
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
-from cadenza.sim.simulation import Simulation, State
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 from cadenza.tasks import reward
 
 Array = NDArray[np.float64]
@@ -109,9 +110,9 @@ class PressOptimisation:
         self._state_unit = np.concatenate([joint_unit, _PER_SECOND * joint_unit])
         self._ctrl_unit = _units(self._servos.names)
         self._unit = np.concatenate([self._state_unit, self._ctrl_unit])
-        self._now = Simulation(scene, 1, dt)
-        self._single = Simulation(scene, 1, dt)
-        self._batch = Simulation(scene, len(_STEP_SIZES), dt, num_threads)
+        self._now = PlanningSimulation(scene, 1, dt)
+        self._single = PlanningSimulation(scene, 1, dt)
+        self._batch = PlanningSimulation(scene, len(_STEP_SIZES), dt, num_threads)
         difference = _DIFFERENCE * self._unit
         self._lineariser = HandLineariser(scene, difference, dt, num_threads)
 
@@ -199,7 +200,9 @@ class PressOptimisation:
         best = min(tried, key=lambda candidate: candidate.cost)
         return best if best.cost < window.cost else None
 
-    def _roll_out(self, simulation: Simulation, first: int, last: int, law: Law) -> list[_Window]:
+    def _roll_out(
+        self, simulation: PlanningSimulation, first: int, last: int, law: Law
+    ) -> list[_Window]:
         """What comes of a law from now on in each simulation of a batch."""
         simulation.copy_from(self._now, 0)
         ctrl, before = [], []

@@ -18,7 +18,7 @@ from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import Side
 from cadenza.scene.scene import HandAlone, hand_alone
-from cadenza.sim.simulation import available_cores
+from cadenza.sim.threads import available_cores
 from cadenza.tasks.piano_task import PianoTask
 
 

@@ -16,7 +16,8 @@ from cadenza.agents.planning.tracking import Tracking
 from cadenza.scene.config import Side
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.simulation import Simulation, State
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 from cadenza.tasks import reward
 
 Array = NDArray[np.float64]
@@ -115,9 +116,9 @@ class HandRefinement:
         self._sigma = np.array([_sigma(name) for name in self._servos.names])
         self._finger = np.array([_finger(name) for name in self._servos.names])
         self._lifts = _lifts(self._servos.names, self._horizon)
-        self._twin = Simulation(scene, 1, dt)
-        self._single = Simulation(scene, 1, dt)
-        self._batch = Simulation(scene, self._candidates, dt, num_threads)
+        self._twin = PlanningSimulation(scene, 1, dt)
+        self._single = PlanningSimulation(scene, 1, dt)
+        self._batch = PlanningSimulation(scene, self._candidates, dt, num_threads)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
@@ -218,7 +219,11 @@ class HandRefinement:
         return cost if self._update is cheapest else np.inf  # the others weigh all candidates
 
     def _try(
-        self, simulation: Simulation, ctrl: Array, rows: NDArray[np.intp], most: float = np.inf
+        self,
+        simulation: PlanningSimulation,
+        ctrl: Array,
+        rows: NDArray[np.intp],
+        most: float = np.inf,
     ) -> tuple[Array, NDArray[np.intp]]:
         """Cost (N,) of plans (N, H, A) from here on, and how often a key was wrong in each.
 

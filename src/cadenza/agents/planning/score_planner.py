@@ -10,7 +10,7 @@ from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
 from cadenza.scene.scene import hand_alone
-from cadenza.sim.simulation import available_cores
+from cadenza.sim.threads import available_cores
 from cadenza.tasks.piano_task import PianoTask
 
 

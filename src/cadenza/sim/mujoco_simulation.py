@@ -1,0 +1,189 @@
+"""A batch of N independent MuJoCo simulations of one scene, stepped by a pool of threads."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from copy import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.configs import whole_number
+from cadenza.errors import CadenzaError
+from cadenza.scene.scene import Scene
+from cadenza.sim.lock import Lock, one_at_a_time
+from cadenza.sim.protocol import State
+from cadenza.sim.threads import Threads
+
+Array = NDArray[np.float64]
+
+PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+MOST_ENVS = 10_000
+"""Each takes about a megabyte."""
+_LOG = logging.getLogger(__name__)
+# Bad positions, velocities, accelerations and controls are neighbours among MuJoCo's warnings.
+_UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+
+# MuJoCo would otherwise print to the terminal and leave MUJOCO_LOG.TXT wherever it runs.
+mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
+
+
+class MujocoSimulation:
+    """N simulations, each with its own `MjData`; implements `protocol.Simulation`.
+
+    Every simulation is stepped by one thread at a time and shares nothing with the others, so the
+    results are the same bits for any number of threads. Threads that call its methods wait for each
+    other.
+
+    Attributes:
+        state: the state after the last step; its arrays are never written to again.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int = 1,
+        control_timestep: float = 0.05,
+        num_threads: int = 1,
+        watch_forearms: bool = False,
+    ) -> None:
+        """Args:
+            scene: what to simulate.
+            num_envs: N.
+            control_timestep: time that a step takes [s], a multiple of the physics step.
+            num_threads: how many threads share the work.
+            watch_forearms: whether `State.forearm_contact` is wanted.
+
+        Raises:
+            CadenzaError: a number is not positive or the timesteps do not divide.
+        """
+        self.scene = scene
+        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
+        self.control_timestep = control_timestep
+        self.num_substeps = _divide(control_timestep, scene.model.opt.timestep)
+        self._lock = Lock()
+        self._threads = Threads(num_threads)
+        self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
+        self._watch_forearms = watch_forearms and len(scene.sides) == 2
+        self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
+        for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
+            row[geoms] = True
+        self.state = State.zeros(scene, num_envs)
+        self.reset()
+
+    @one_at_a_time
+    def reset(self, env_ids: Sequence[int] | None = None, hand_qpos: Array | None = None) -> None:
+        """Puts simulations back to the start.
+
+        Args:
+            env_ids: which; all by default.
+            hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
+        """
+
+        def put(row: int, data: mujoco.MjData) -> None:
+            mujoco.mj_resetData(self.scene.model, data)
+            if hand_qpos is not None:
+                data.qpos[self.scene.hand_qpos] = hand_qpos[row]
+
+        self._put(put, env_ids)
+
+    def _put(
+        self, put: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
+    ) -> None:
+        """Has `put(row, data)` change simulations, all by default, and reads what follows."""
+        state = self.state.copy()
+        for row, i in enumerate(self._ids(env_ids)):
+            put(row, self._data[i])
+            mujoco.mj_step1(self.scene.model, self._data[i])
+            self._read(i, state, i)
+        self.state = state
+
+    @one_at_a_time
+    def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
+        """Applies `ctrl` (N, A) in actuator units for one control step.
+
+        Args:
+            ctrl: one row for every simulation, also for those not stepped.
+            env_ids: which simulations to step; all by default.
+        """
+        out = State.zeros(self.scene, self.num_envs) if env_ids is None else self.state.copy()
+
+        def advance(i: int) -> None:
+            self._advance(i, ctrl[i])
+            self._read(i, out, i)
+
+        self._threads.for_each(self._ids(env_ids), advance)
+        self._follow(out)
+
+    def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if env_ids is None else env_ids
+
+    def _advance(self, i: int, ctrl: Array) -> None:
+        # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
+        # also reproduces the published recordings, which were made by the same engine.
+        model, data = self.scene.model, self._data[i]
+        data.ctrl = ctrl
+        mujoco.mj_step2(model, data)
+        if self.num_substeps > 1:
+            mujoco.mj_step(model, data, self.num_substeps - 1)
+        mujoco.mj_step1(model, data)
+
+    def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
+        """Copies the state of simulation `i` into `out` at `row`."""
+        data, scene = self._data[i], self.scene
+        qpos, qvel = data.qpos, data.qvel
+        out.key_qpos[row] = qpos[scene.key_qpos]
+        out.key_xpos[row] = data.geom_xpos[scene.key_geoms]
+        out.hand_qpos[row] = qpos[scene.hand_qpos]
+        out.hand_qvel[row] = qvel[scene.hand_qvel]
+        out.fingertip_xpos[row][scene.fingers] = data.site_xpos[scene.fingertip_sites]
+        out.actuator_force[row] = data.actuator_force
+        out.actuator_velocity[row] = data.actuator_velocity
+        if self._watch_forearms:
+            touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
+            out.forearm_contact[row] = touched.all(axis=0).any()
+        out.unstable[row] = data.warning.number[_UNSTABLE].any()
+
+    def _follow(self, state: State) -> None:
+        """`state` is what a step has led to."""
+        for i in np.flatnonzero(state.unstable & ~self.state.unstable):
+            _LOG.warning("simulation %d became unstable", i)
+        self.state = state
+
+    @one_at_a_time
+    def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
+        """Puts all of `data`, of the same model, into the physical state of `env_id`."""
+        for each in data:
+            mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
+
+    @one_at_a_time
+    def physics_state(self, env_id: int) -> Array:
+        """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
+        model = self.scene.model
+        state = np.empty(mujoco.mj_stateSize(model, PHYSICS_STATE))
+        mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
+        return state
+
+    @one_at_a_time
+    def close(self) -> None:
+        """Stops the threads."""
+        self._threads.close()
+
+    @one_at_a_time
+    def __getstate__(self) -> dict[str, Any]:
+        # Nobody else may step what is copied, once this has returned.
+        return {**self.__dict__, "_data": [copy(data) for data in self._data]}
+
+
+def _divide(control_timestep: float, physics_timestep: float) -> int:
+    substeps = round(control_timestep / physics_timestep)
+    if substeps < 1 or abs(substeps * physics_timestep - control_timestep) > 1e-9:
+        raise CadenzaError(
+            f"control_timestep {control_timestep} s is not a multiple of the physics step "
+            f"{physics_timestep} s"
+        )
+    return substeps

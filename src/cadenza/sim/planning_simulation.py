@@ -1,0 +1,113 @@
+"""Simulations in which a planner tries out what it might do."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.sim.lock import one_at_a_time
+from cadenza.sim.mujoco_simulation import PHYSICS_STATE, MujocoSimulation
+from cadenza.sim.protocol import Simulation, State
+
+Array = NDArray[np.float64]
+
+
+def as_mujoco(simulation: Simulation) -> MujocoSimulation:
+    """The same simulation, whose physical state a planner can take over.
+
+    Raises:
+        CadenzaError: it is one of another engine.
+    """
+    if not isinstance(simulation, MujocoSimulation):
+        kind = type(simulation).__name__
+        raise CadenzaError(f"this agent plans in MuJoCo and cannot start from a {kind}")
+    return simulation
+
+
+class PlanningSimulation(MujocoSimulation):
+    """N simulations that can be put into any state, and that look several steps ahead."""
+
+    @one_at_a_time
+    def rollout(self, ctrl: Array) -> State:
+        """Takes K control steps in every simulation and returns all states on the way.
+
+        The same as K times `step`, but no simulation waits for another in between.
+
+        Args:
+            ctrl: (N, K, A) in actuator units.
+
+        Returns:
+            A state whose arrays have leading dimensions (N, K) instead of (N,).
+        """
+        states = State.zeros(self.scene, *ctrl.shape[:2])
+
+        def advance(i: int) -> None:
+            for k in range(ctrl.shape[1]):
+                self._advance(i, ctrl[i, k])
+                self._read(i, states, (i, k))
+
+        self._threads.for_each(range(self.num_envs), advance)
+        self._follow(State._make(values[:, -1] for values in states))
+        return states
+
+    @one_at_a_time
+    def copy_from(self, other: MujocoSimulation, env_id: int) -> None:
+        """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
+        other.copy_to(self._data, env_id)
+        state = State.zeros(self.scene, self.num_envs)
+        for i in range(self.num_envs):
+            self._read(i, state, i)
+        self.state = state
+
+    @one_at_a_time
+    def place(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
+        """Puts the joints of every simulation of this batch here, with the keys at rest.
+
+        Args:
+            hand_qpos: (J,) [m, rad].
+            hand_qvel: (J,) [m/s, rad/s].
+            key_qpos: (88,) [rad].
+        """
+
+        def put(_: int, data: mujoco.MjData) -> None:
+            mujoco.mj_resetData(self.scene.model, data)
+            data.qpos[self.scene.hand_qpos] = hand_qpos
+            data.qvel[self.scene.hand_qvel] = hand_qvel
+            data.qpos[self.scene.key_qpos] = key_qpos
+
+        self._put(put)
+
+    @one_at_a_time
+    def displace(self, hand_qpos: Array, hand_qvel: Array) -> None:
+        """Moves the hands of each simulation and leaves the keys as they are.
+
+        Args:
+            hand_qpos: (N, J) to add to their positions [m, rad].
+            hand_qvel: (N, J) to add to their speeds [m/s, rad/s].
+        """
+
+        def put(row: int, data: mujoco.MjData) -> None:
+            data.qpos[self.scene.hand_qpos] += hand_qpos[row]
+            data.qvel[self.scene.hand_qvel] += hand_qvel[row]
+
+        self._put(put)
+
+    @one_at_a_time
+    def set_physics_state(self, state: Array) -> None:
+        """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
+
+        That state may be of another scene, which differs from this one in sleeping keys only.
+        """
+
+        def put(_: int, data: mujoco.MjData) -> None:
+            mujoco.mj_resetData(self.scene.model, data)
+            mujoco.mj_setState(self.scene.model, data, state, PHYSICS_STATE)
+
+        self._put(put)
+
+    @one_at_a_time
+    def coordinates(self) -> Array:
+        """(N, 2 V) positions and velocities of all V joints, keys and hands, in MuJoCo's order."""
+        return np.array([np.concatenate([data.qpos, data.qvel]) for data in self._data])

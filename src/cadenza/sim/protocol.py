@@ -1,0 +1,109 @@
+"""What a task needs of a simulation, whichever engine is behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.scene.piano import NUM_KEYS
+from cadenza.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """What the task may know about N simulations after a step.
+
+    Positions, velocities and contacts belong to the new state; actuator forces to the last physics
+    step that led there, as in the published system. J hand joints, A actuators.
+    """
+
+    key_qpos: Array
+    """(N, 88) joint angles of the keys [rad], softly limited to 0..travel."""
+    key_xpos: Array
+    """(N, 88, 3) centres of the keys' boxes in the world [m]."""
+    hand_qpos: Array
+    """(N, J) joint positions of the hands [m, rad]."""
+    hand_qvel: Array
+    """(N, J) their velocities [m/s, rad/s]."""
+    fingertip_xpos: Array
+    """(N, 10, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    actuator_force: Array
+    """(N, A) [N, N m]."""
+    actuator_velocity: Array
+    """(N, A) [m/s, rad/s]."""
+    forearm_contact: NDArray[np.bool_]
+    """(N,) whether the two forearms touch; always False unless it was asked for."""
+    unstable: NDArray[np.bool_]
+    """(N,) whether the simulation has diverged since its last reset and is of no more use."""
+
+    @classmethod
+    def zeros(cls, scene: Scene, *rows: int) -> State:
+        """Of the shapes of `scene`, with leading dimensions `rows`."""
+        joints, actuators = len(scene.hand_joint_names), len(scene.actuator_names)
+        return cls(
+            key_qpos=np.zeros((*rows, NUM_KEYS)),
+            key_xpos=np.zeros((*rows, NUM_KEYS, 3)),
+            hand_qpos=np.zeros((*rows, joints)),
+            hand_qvel=np.zeros((*rows, joints)),
+            fingertip_xpos=np.zeros((*rows, 10, 3)),
+            actuator_force=np.zeros((*rows, actuators)),
+            actuator_velocity=np.zeros((*rows, actuators)),
+            forearm_contact=np.zeros(rows, bool),
+            unstable=np.zeros(rows, bool),
+        )
+
+    def copy(self) -> State:
+        """The same in arrays of its own."""
+        return State._make(values.copy() for values in self)
+
+
+class Simulation(Protocol):
+    """N simulations of one scene. Nothing in one depends on the others."""
+
+    @property
+    def state(self) -> State:
+        """After the last step or reset, and from the beginning; nobody writes to its arrays."""
+
+    def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
+        """Puts some simulations back to the start: all at rest, the keys up.
+
+        Args:
+            env_ids: which.
+            hand_qpos: (len(env_ids), J) joint positions of the hands to start from [m, rad].
+        """
+
+    def step(self, ctrl: Array, env_ids: Sequence[int] | None) -> None:
+        """Takes one control step.
+
+        Args:
+            ctrl: (N, A) in actuator units, one row for every simulation, also for those not
+                stepped; held through the step.
+            env_ids: which simulations to step; all if None.
+        """
+
+    def close(self) -> None:
+        """Frees threads and the like. A step may follow."""
+
+
+class MakeSimulation(Protocol):
+    """Makes the simulation of a task; `MujocoSimulation` is one."""
+
+    def __call__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        control_timestep: float,
+        num_threads: int,
+        watch_forearms: bool,
+    ) -> Simulation:
+        """Args:
+        scene: what to simulate.
+        num_envs: N.
+        control_timestep: time that a step takes [s].
+        num_threads: how many threads may share the work.
+        watch_forearms: whether `State.forearm_contact` is wanted.
+        """

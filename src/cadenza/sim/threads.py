@@ -1,0 +1,55 @@
+"""Threads that share the work on a batch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from cadenza.configs import whole_number
+
+_MOST_THREADS = 1024
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Threads:
+    """Started when they are first needed. A copy, and a forked child, starts its own."""
+
+    def __init__(self, num_threads: int) -> None:
+        """Raises:
+        CadenzaError: the number is not positive.
+        """
+        self._num_threads = whole_number(num_threads, "num_threads", 1, _MOST_THREADS)
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_of = os.getpid()
+
+    def for_each(self, ids: Sequence[int], work: Callable[[int], None]) -> None:
+        """Calls `work` with each of `ids`; returns when all is done."""
+        workers = min(self._num_threads, len(ids))
+        if workers <= 1:
+            for i in ids:
+                work(i)
+            return
+        if self._pool is None or self._pool_of != os.getpid():
+            self._pool, self._pool_of = ThreadPoolExecutor(self._num_threads), os.getpid()
+        shared = iter(list(ids))  # each thread takes the next one that nobody has taken
+
+        def work_on() -> None:
+            for i in shared:
+                work(i)
+
+        for future in [self._pool.submit(work_on) for _ in range(workers)]:
+            future.result()
+
+    def close(self) -> None:
+        """Stops them."""
+        if self._pool is not None and self._pool_of == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
+
+    def __reduce__(self) -> tuple[type[Threads], tuple[int]]:
+        return Threads, (self._num_threads,)

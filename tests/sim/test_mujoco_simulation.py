@@ -1,0 +1,121 @@
+"""A batch of simulations: independent, repeatable, and robust against one that diverges."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import threading
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from random_controls import assert_same, controls
+
+from cadenza.errors import CadenzaError
+from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.protocol import State
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build_scene()
+
+
+def run(scene: Scene, num_envs: int, num_threads: int) -> State:
+    simulation = MujocoSimulation(scene, num_envs, num_threads=num_threads)
+    for ctrl in controls(scene, num_envs):
+        simulation.step(ctrl)
+    simulation.close()
+    return simulation.state
+
+
+@pytest.mark.parametrize("num_threads", [2, 3, 8])
+def test_same_bits_for_any_number_of_threads(scene: Scene, num_threads: int) -> None:
+    assert_same(run(scene, 5, 1), run(scene, 5, num_threads))
+
+
+def test_each_simulation_is_alone(scene: Scene) -> None:
+    """Row i of a batch moves as if it were the only one."""
+    batch = MujocoSimulation(scene, 3)
+    single = [MujocoSimulation(scene, 1) for _ in range(3)]
+    for ctrl in controls(scene, 3):
+        batch.step(ctrl)
+        for i, simulation in enumerate(single):
+            simulation.step(ctrl[i : i + 1])
+    for i, simulation in enumerate(single):
+        for ours, alone in zip(batch.state, simulation.state, strict=True):
+            assert_array_equal(ours[i], alone[0])
+
+
+def test_reset_leaves_no_trace(scene: Scene) -> None:
+    used, fresh = MujocoSimulation(scene, 1), MujocoSimulation(scene, 1)
+    for ctrl in controls(scene, 1, seed=1):
+        used.step(ctrl)
+    used.reset()
+    for ctrl in controls(scene, 1):
+        used.step(ctrl)
+        fresh.step(ctrl)
+    assert_same(used.state, fresh.state)
+
+
+def test_steps_only_those_asked_for(scene: Scene) -> None:
+    simulation = MujocoSimulation(scene, 2)
+    before = simulation.state
+    simulation.step(next(controls(scene, 2)), env_ids=[1])
+    assert_array_equal(simulation.state.hand_qpos[0], before.hand_qpos[0])
+    assert (simulation.state.hand_qpos[1] != before.hand_qpos[1]).any()
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_a_diverging_simulation_is_reported_once_and_harms_no_other(
+    scene: Scene, num_threads: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    healthy = run(scene, 3, 1)
+    simulation = MujocoSimulation(scene, 3, num_threads=num_threads)
+    with caplog.at_level(logging.WARNING):
+        for step, ctrl in enumerate(controls(scene, 3)):
+            if step == 5:
+                simulation._data[1].qvel[:] = 1e12
+            simulation.step(ctrl)
+    assert_array_equal(simulation.state.unstable, [False, True, False])
+    logged = [r.message for r in caplog.records if "became unstable" in r.message]
+    assert logged == ["simulation 1 became unstable"]
+    assert_same(simulation.state, healthy, slice(0, None, 2))
+    assert np.isfinite(simulation.state.hand_qpos).all()
+    simulation.reset([1])
+    assert not simulation.state.unstable.any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_envs": 0}, "num_envs 0: choose 1 to"),
+        ({"num_threads": 0}, "num_threads 0: choose 1 to"),
+        ({"control_timestep": 0.012}, "not a multiple"),
+        ({"control_timestep": 0.0}, "not a multiple"),
+    ],
+)
+def test_says_what_is_wrong(scene: Scene, options: dict, message: str) -> None:
+    with pytest.raises(CadenzaError, match=message):
+        MujocoSimulation(scene, **options)
+
+
+def test_a_copy_that_is_made_while_another_thread_steps(scene: Scene) -> None:
+    simulation, done = MujocoSimulation(scene, 2), threading.Event()
+    ctrl = np.zeros((2, len(scene.action_low) - 1))
+
+    def step() -> None:
+        while not done.is_set():
+            simulation.step(ctrl)
+
+    thread = threading.Thread(target=step)
+    thread.start()
+    try:
+        for _ in range(20):
+            deepcopy(simulation).step(ctrl)
+            pickle.loads(pickle.dumps(simulation)).step(ctrl)
+    finally:
+        done.set()
+        thread.join()
