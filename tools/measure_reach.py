@@ -1,7 +1,7 @@
 """Measures how far the fingers of the right Shadow Hand reach along the keyboard.
 
 Run `python tools/measure_reach.py` (two minutes) after changing the hand, and put what it prints
-into src/cadenza/fingering/search.py.
+into src/cadenza/fingering/reach.py.
 
 The forearm slides where it likes (tx, ty), the joints are those of the reduced action space, with
 J1 = J2 in the fingers whose tendon couples them. A fingertip presses a white key when its site is

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.fingering.search import LEAST, LETTING_GO, MOST, find_fingering, solve
+from cadenza.fingering.reach import LEAST, MOST
+from cadenza.fingering.search import find_fingering, solve
 from cadenza.music.keyboard import IS_BLACK, KEY_Y
 from cadenza.music.library import load_score, songs
-from cadenza.music.score import Note, Score
+from cadenza.music.score import LETTING_GO, Note, Score
 from cadenza.scene.piano import IS_BLACK as MODEL_IS_BLACK
 from cadenza.scene.piano import KEY_CENTRE
 from music_strategies import lengths, monophonic_per_key, scores, times

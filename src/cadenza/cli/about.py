@@ -115,12 +115,12 @@ def _table_of_tracks(tracks: Sequence[Track]) -> str:
 def _about_fingering(score: Score) -> str:
     from collections import Counter
 
-    from cadenza.fingering.search import find_fingering
+    from cadenza.fingering.playable import playable
+    from cadenza.fingering.reach import BOTH
 
     given = sum(note.finger >= 0 for note in score.notes)
-    fingered, dropped = find_fingering(score)
-    found = sum(note.finger >= 0 for note in fingered.notes) - given
-    reasons = Counter(reason for _, reason in dropped)
+    reasons = Counter(playable(score, BOTH).reasons.values())
+    found = len(score.notes) - given - reasons.total()
     parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
     parts += [f"found for {found}"] if found else []
     parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]

@@ -1,17 +1,13 @@
 """Finds which finger plays which note, where a score does not say.
 
-A dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once. Notes
-that sound together lie in the order of the ten fingers, so that what a hand does at a moment is
-the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the right
-hand the highest. A hand without notes stands somewhere along the keyboard. From these states and
-their transitions the cheapest sequence is found, exactly; time is linear in the song's length.
-
-Hard limits, of these hands on this keyboard:
-
-- five notes a hand, their distances within what the fingers reach (`LEAST`, `MOST`);
-- forearms that do not run into each other;
-- a finger stays on its key as long as the note sounds; notes with less than `LETTING_GO` left
-  when others begin count as over.
+What the hands cannot play is left out first, see `cadenza.fingering.playable`. The rest is found
+by a dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once.
+Notes that sound together lie in the order of the ten fingers, so that what a hand does at a moment
+is the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the
+right hand the highest. A hand without notes stands somewhere along the keyboard. From these states
+and their transitions the cheapest sequence is found, exactly. Time and memory grow in proportion
+to the number of moments: from 0.1 ms and 1 kB for each in two voices to 0.3 ms and 3 kB where many
+notes sound.
 
 Costs, about 1 for something worth avoiding once:
 
@@ -22,54 +18,38 @@ Costs, about 1 for something worth avoiding once:
 - another finger, or hand, on a key that is struck again;
 - thumb and little finger on black keys, the weaker fingers anywhere;
 - forearms close to each other.
-
-Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
-outer ones are taken first: the highest and the lowest, then the next from outside, and so on; of
-two equally far inside the louder, then the longer, then the higher. A note is dropped if it
-cannot be played along with those taken before it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from itertools import combinations
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.keyboard import IS_BLACK, KEY_Y
-from cadenza.music.score import LETTING_GO, NUM_KEYS, TOGETHER, UNKNOWN_FINGER, Note, Score
-
-Array = NDArray[np.float64]
-Side = Literal["right", "left"]
-
-# Printed by tools/measure_reach.py: the right hand's fingers, thumb to little, on white keys [m].
-REST = np.array([-0.0521, -0.0193, 0.0029, 0.0251, 0.0473])
-"""(5,) where the fingertips are when all five press, to the right of the forearm."""
-MOST = np.array(
-    [
-        [0.000, 0.085, 0.115, 0.147, 0.182],
-        [0.000, 0.000, 0.082, 0.109, 0.127],
-        [0.000, 0.000, 0.000, 0.085, 0.104],
-        [0.000, 0.000, 0.000, 0.000, 0.085],
-        [0.000, 0.000, 0.000, 0.000, 0.000],
-    ]
+from cadenza.fingering.playable import playable
+from cadenza.fingering.presses import Press
+from cadenza.fingering.reach import (
+    BOTH,
+    HOME,
+    LEAST,
+    MOST,
+    OUTWARD,
+    REST,
+    STANDS,
+    Array,
+    Side,
+    forearms_touch,
+    is_within,
 )
-"""(5, 5) the greatest distances of two fingers that press, the first nearer the thumb."""
-LEAST = 0.0115 * np.maximum(np.arange(5) - np.arange(5)[:, None], 0)
-"""(5, 5) the least: fingers side by side on neighbouring keys, which all pairs can reach."""
+from cadenza.music.keyboard import IS_BLACK, KEY_Y
+from cadenza.music.score import LETTING_GO, UNKNOWN_FINGER, Note, Score
 
-OUTWARD = np.array([0.092, 0.084, 0.060, 0.037, 0.018])
-"""(5,) how far to the right of a fingertip that presses the forearm can be."""
-
-_HOME = 0.15  # [m] from the keyboard's middle, where the forearms are mounted
-_APART = 0.149  # [m] forearms touch when they are nearer: twice their radius
 _AT_EASE = 0.18  # [m] from here on the forearms do not mind each other
-# Where a hand without notes can be [m]: there is always room for it beyond the other.
-_STANDS = tuple(np.linspace(-0.75, 0.75, 32).tolist())
 _ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
 _Place = tuple[float, ...]
 _NO_FINGER = 5  # in place of a finger: not played by this hand
@@ -84,8 +64,6 @@ _OTHER_FINGER = 1.0
 _ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2, 0.0])
 _WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1, 0.0])
 _CLOSE = 100.0  # [1 / m^2]
-
-BOTH: tuple[Side, ...] = ("right", "left")
 
 
 class Dropped(NamedTuple):
@@ -150,88 +128,27 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    right, left = (_STANDS if side in sides else _ELSEWHERE for side in BOTH)
-    places = right, left
-    moment = _beginning(places)
+    right, left = (STANDS if side in sides else _ELSEWHERE for side in BOTH)
+    moment = _beginning((right, left))
     choices: list[_Choice] = []
-    reasons: dict[int, str] = {}
-    fingers: dict[int, int] = {}
-    unheeded: list[int] = []
-    for time, begin in _onsets(score):
-        moment, left_out = _next_moment(moment, time, begin, places)
+    chosen = playable(score, sides)
+    for sounding in chosen.moments:
+        moment = _moment(moment, sounding.time, sounding.presses, (right, left))
         choices.append(moment.choice)
-        for press, reason in left_out:
-            if press.finger == UNKNOWN_FINGER:
-                reasons |= dict.fromkeys(press.notes, reason)
-            else:
-                fingers |= dict.fromkeys(press.notes, press.finger)
-                unheeded += press.notes
         if progress:
-            progress(begin[-1].notes[-1] + 1, len(score.notes))
-    fingers |= _cheapest(moment.cost, choices)
+            progress(sounding.begun, len(score.notes))
+    fingers = chosen.unheeded | _cheapest(moment.cost, choices)
     notes = tuple(
         replace(note, finger=fingers.get(i, UNKNOWN_FINGER))
         if note.finger == UNKNOWN_FINGER
         else note
         for i, note in enumerate(score.notes)
     )
-    whose = "both hands" if len(sides) == 2 else f"the {sides[0]} hand"
     return Solution(
         score=replace(score, notes=notes),
-        dropped=tuple(Dropped(notes[i], f"{reasons[i]} {whose}") for i in sorted(reasons)),
-        unheeded=tuple(notes[i] for i in sorted(unheeded)),
+        dropped=tuple(Dropped(notes[i], why) for i, why in sorted(chosen.reasons.items())),
+        unheeded=tuple(notes[i] for i in sorted(chosen.unheeded)),
         cost=float(moment.cost.min()),
-    )
-
-
-# What is pressed when
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Press:
-    """A key going down for one or, where a score has them double, several `notes` (indices)."""
-
-    key: int
-    start: float
-    end: float
-    velocity: int
-    finger: int
-    notes: tuple[int, ...]
-
-
-def _onsets(score: Score) -> Iterator[tuple[float, list[_Press]]]:
-    """The moments at which notes begin, with what is pressed then.
-
-    A note that is struck again while it sounds ends there.
-    """
-    moments: list[tuple[float, dict[int, list[int]]]] = []
-    for i, note in enumerate(score.notes):
-        if not moments or note.start > moments[-1][0] + TOGETHER:
-            moments.append((note.start, {}))
-        moments[-1][1].setdefault(note.key, []).append(i)
-    struck_again = [float("inf")] * NUM_KEYS
-    ends: dict[int, float] = {}
-    for time, keys in reversed(moments):
-        for key, indices in keys.items():
-            ends[indices[0]] = min(max(score.notes[i].end for i in indices), struck_again[key])
-            struck_again[key] = time
-    for time, keys in moments:
-        presses = []
-        for key, indices in keys.items():
-            notes = [score.notes[i] for i in indices]
-            finger = next((n.finger for n in notes if n.finger >= 0), UNKNOWN_FINGER)
-            loudest = max(note.velocity for note in notes)
-            presses.append(_Press(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
-        yield time, presses
-
-
-def _outer_first(begin: Sequence[_Press], held: Sequence[_Press]) -> list[_Press]:
-    """In the order in which notes are taken: given ones, then from outside to inside."""
-    keys = sorted({press.key for press in (*begin, *held)})
-    place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
-    return sorted(
-        begin,
-        key=lambda p: (p.finger < 0, place[p.key], -p.velocity, p.start - p.end, -p.key),
     )
 
 
@@ -360,8 +277,7 @@ def _states(side: int, asked: tuple[_Asked, ...], stands: _Place) -> _States:
     room = np.where(beyond > 0, shapes.longer, shapes.shorter)
     cost = shapes.one_hot @ wanted.ravel()
     cost += _STRETCH * (shapes.played * (beyond / room) ** 2).sum(axis=1)
-    out = (distance < shapes.least) | (distance > shapes.most)
-    able = ~out.any(axis=1) & (cost < _NEVER)
+    able = is_within(distance, shapes.least, shapes.most).all(axis=1) & (cost < _NEVER)
     able[-1] = False
     if stands == _ELSEWHERE:
         able[:] = False
@@ -400,13 +316,11 @@ class _Chord:
     hands           right, left: R and L states that go with some state of the other
     shared          where they play all notes between them, as blocks of (R, L)
     close (R, L)    what it costs that the forearms are near each other
-    within_reach    whether the hands could play all notes but for each other's forearms
     """
 
     hands: tuple[_States, _States]
     shared: tuple[tuple[slice, slice], ...]
     close: Array
-    within_reach: bool
 
 
 @lru_cache(maxsize=2048)  # chords come again
@@ -424,14 +338,13 @@ def _chord(asked: tuple[_Asked, ...], places: tuple[_Place, _Place]) -> _Chord:
             for count in sorted(set(right.count.tolist()))
         ),
         close=close[np.ix_(in_right, in_left)],
-        within_reach=bool(all_played.any()),
     )
 
 
 def _closeness(right: _States, left: _States) -> Array:
     """(R, L) what it costs that the forearms are near each other."""
     near = np.maximum(_AT_EASE - (right.centre[:, None] + left.centre), 0.0)
-    touch = right.outmost[:, None] + left.outmost < _APART
+    touch = forearms_touch(right.outmost[:, None], left.outmost)
     return _CLOSE * near**2 + _NEVER * touch
 
 
@@ -441,7 +354,7 @@ def _closeness(right: _States, left: _States) -> Array:
 class _Choice(NamedTuple):
     """What has to be remembered of a moment, to tell in the end what the hands do in it."""
 
-    presses: tuple[_Press, ...]
+    presses: tuple[Press, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
     left_before: NDArray[np.uint8]
     right_before: NDArray[np.uint8]
@@ -458,15 +371,11 @@ class _Moment:
     """
 
     time: float
-    presses: tuple[_Press, ...]
+    presses: tuple[Press, ...]
     chord: _Chord
     cost: Array
     left_before: NDArray[np.uint8]
     right_before: NDArray[np.uint8]
-
-    @property
-    def can_be_played(self) -> bool:
-        return bool(self.cost.min(initial=np.inf) < _NEVER)
 
     @property
     def choice(self) -> _Choice:
@@ -477,44 +386,14 @@ class _Moment:
 
 
 def _beginning(places: tuple[_Place, _Place]) -> _Moment:
-    right, left = ((_HOME,) if place == _STANDS else place for place in places)
+    right, left = ((HOME,) if place == STANDS else place for place in places)
     nothing = np.zeros((1, 1), np.uint8)
     return _Moment(-1.0, (), _chord((), (right, left)), np.zeros((1, 1)), nothing, nothing)
 
 
-def _next_moment(
-    before: _Moment, time: float, begin: Sequence[_Press], places: tuple[_Place, _Place]
-) -> tuple[_Moment, list[tuple[_Press, str]]]:
-    """The moment `time` with as many of the notes that `begin` as can be played."""
-    struck = {press.key for press in begin}
-    held = [p for p in before.presses if p.end > time + LETTING_GO and p.key not in struck]
-    most = 5 * sum(place == _STANDS for place in places)
-    if len(held) + len(begin) <= most:
-        whole = _moment(before, time, [*held, *begin], places)
-        if whole.can_be_played:
-            return whole, []
-    moment = None
-    left_out = []
-    for press in _outer_first(begin, held):
-        taken = held if moment is None else moment.presses
-        if len(taken) == most:
-            left_out.append((press, f"more than {most} notes at once for"))
-            continue
-        tried = _moment(before, time, [*taken, press], places)
-        if tried.can_be_played:
-            moment = tried
-        else:
-            reason = "too far from what is held by"
-            if not tried.chord.within_reach:
-                reason = "too far from the other notes for"
-            left_out.append((press, reason))
-    return moment or _moment(before, time, held, places), left_out
-
-
 def _moment(
-    before: _Moment, time: float, presses: Sequence[_Press], places: tuple[_Place, _Place]
+    before: _Moment, time: float, presses: tuple[Press, ...], places: tuple[_Place, _Place]
 ) -> _Moment:
-    presses = tuple(sorted(presses, key=lambda press: press.key))
     asked = tuple(
         _Asked(p.key, begins, p.finger if begins else UNKNOWN_FINGER)
         for p in presses
@@ -552,7 +431,7 @@ def _least(ways: Array, first: int, cost: Array, before: NDArray[np.uint8]) -> N
 def _transition(was: _States, will: _States, change: Array | None, seconds: float) -> Array:
     """(S, S') what it costs a hand to go from one state to another in `seconds`."""
     way = np.abs(will.centre[:, None] - was.centre)
-    free = (_STANDS[1] - _STANDS[0]) / 2  # a hand without notes may be between two stands
+    free = (STANDS[1] - STANDS[0]) / 2  # a hand without notes may be between two stands
     way[will.playing :] -= free
     way[: will.playing, was.playing :] -= free
     np.maximum(way, 0.0, out=way)
@@ -570,7 +449,7 @@ _UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
 
 
 def _changes(
-    earlier: Sequence[_Press], now: Sequence[_Press], time: float
+    earlier: Sequence[Press], now: Sequence[Press], time: float
 ) -> tuple[Array, Array] | tuple[None, None]:
     """As `_costs_of_changes`; None where nothing costs anything."""
     keys = {press.key for press in now}

@@ -1,0 +1,56 @@
+"""What is pressed when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from cadenza.music.score import NUM_KEYS, TOGETHER, UNKNOWN_FINGER, Score
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """A key going down for one or, where a score has them double, several `notes` (indices)."""
+
+    key: int
+    start: float
+    end: float
+    velocity: int
+    finger: int
+    notes: tuple[int, ...]
+
+
+def onsets(score: Score) -> Iterator[tuple[float, list[Press]]]:
+    """The moments at which notes begin, with what is pressed then.
+
+    A note that is struck again while it sounds ends there.
+    """
+    moments: list[tuple[float, dict[int, list[int]]]] = []
+    for i, note in enumerate(score.notes):
+        if not moments or note.start > moments[-1][0] + TOGETHER:
+            moments.append((note.start, {}))
+        moments[-1][1].setdefault(note.key, []).append(i)
+    struck_again = [float("inf")] * NUM_KEYS
+    ends: dict[int, float] = {}
+    for time, keys in reversed(moments):
+        for key, indices in keys.items():
+            ends[indices[0]] = min(max(score.notes[i].end for i in indices), struck_again[key])
+            struck_again[key] = time
+    for time, keys in moments:
+        presses = []
+        for key, indices in keys.items():
+            notes = [score.notes[i] for i in indices]
+            finger = next((n.finger for n in notes if n.finger >= 0), UNKNOWN_FINGER)
+            loudest = max(note.velocity for note in notes)
+            presses.append(Press(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
+        yield time, presses
+
+
+def outer_first(begin: Sequence[Press], held: Sequence[Press]) -> list[Press]:
+    """In the order in which notes are taken: given ones, then from outside to inside."""
+    keys = sorted({press.key for press in (*begin, *held)})
+    place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
+    return sorted(
+        begin,
+        key=lambda p: (p.finger < 0, place[p.key], -p.velocity, p.start - p.end, -p.key),
+    )
