@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
 
-.PHONY: play test check bench lock clean
+.PHONY: play test check docs bench lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -12,6 +12,7 @@ help:
 	@echo "make play    two robot hands play SONG=$(SONG), and leave a page to open"
 	@echo "make test    run the tests"
 	@echo "make check   lint, formatting, types"
+	@echo "make docs    the documentation as a site, with the reference"
 	@echo "make bench   measure speed, as ratios in one run"
 
 # The lock file pins every version; the stamp is renewed when it or the project changes.
@@ -32,6 +33,10 @@ check: $(VENV)/installed
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+docs: $(VENV)/installed
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
+	@echo "open build/docs/index.html"
 
 bench: $(VENV)/installed
 	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"

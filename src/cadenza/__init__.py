@@ -11,17 +11,20 @@ from cadenza.tasks.registration import register_envs
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
+    from cadenza.agents.planning.config import ScorePlannerConfig
     from cadenza.agents.registry import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
     from cadenza.music.arrangement import Arrangement
-    from cadenza.music.library import songs
+    from cadenza.music.library import Piece, songs
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
     from cadenza.scene.config import SceneConfig
     from cadenza.tasks.config import TaskConfig
+    from cadenza.tasks.env import PianoEnv, PianoVectorEnv
+    from cadenza.tasks.reward import Outcome
 
 __version__ = "0.2.0"
 
@@ -32,11 +35,16 @@ __all__ = [
     "CadenzaWarning",
     "Episode",
     "Note",
+    "Outcome",
     "PedalEvent",
     "Performance",
+    "PianoEnv",
+    "PianoVectorEnv",
+    "Piece",
     "Plan",
     "SceneConfig",
     "Score",
+    "ScorePlannerConfig",
     "TaskConfig",
     "load_episode",
     "load_song",
@@ -49,16 +57,19 @@ __all__ = [
 _MODULES = {
     "agents.agent": ("Agent",),
     "agents.registry": ("make_agent",),
+    "agents.planning.config": ("ScorePlannerConfig",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
-    "music.library": ("songs",),
+    "music.library": ("Piece", "songs"),
     "music.score": ("Note", "PedalEvent", "Score"),
     "performing.casting": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),
     "tasks.config": ("TaskConfig",),
+    "tasks.env": ("PianoEnv", "PianoVectorEnv"),
+    "tasks.reward": ("Outcome",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -98,35 +98,43 @@ _EXPECTED = {
 
 @dataclass(frozen=True)
 class Episode:
-    """T control steps of `dt` [s]; every row is what held *after* that step's action.
-
-    arrays: name -> array, among them
-        action (T, A)                 actuator units, the pedal last, 0..1
-        goal_keys (T, 88) bool        keys that should sound after the step
-        goal_fingers (T, 88) int8     which finger should press them, -1 none or unknown
-        goal_sustain (T,) bool        pedal that should be down
-        key_qpos (T, 88)              [rad], key_activation (T, 88) bool
-        sustain_activation (T,) bool
-        hand_qpos, hand_qvel (T, J)   [m, rad] and [m/s, rad/s]
-        fingertip_xpos (T, 10, 3)     [m]
-        body_xpos (T, B, 3), body_xquat (T, B, 4)   float32 poses of the hand bodies, w x y z
-        reward_total (T,), reward_<term> (T,)
-    scene: what is needed to draw it, see `cadenza.scene.drawing`.
-    """
+    """T control steps; every row of an array is what held *after* that step's action."""
 
     song: str
+    """Its title."""
     dt: float
+    """The time of a control step [s]."""
     arrays: Mapping[str, NDArray[Any]]
+    """Name -> array, among them:
+
+    - `action` (T, A), in actuator units, the pedal last, 0..1
+    - `goal_keys` (T, 88) bool, the keys that should sound after the step
+    - `goal_fingers` (T, 88) int8, which finger should press them, -1 for none or unknown
+    - `goal_sustain` (T,) bool, whether the pedal should be down
+    - `key_qpos` (T, 88) [rad]
+    - `key_activation` (T, 88) bool, the keys that sound
+    - `sustain_activation` (T,) bool, whether the pedal is down
+    - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
+    - `fingertip_xpos` (T, 10, 3) [m]
+    - `body_xpos` (T, B, 3) [m] and `body_xquat` (T, B, 4), w x y z, of the hands' bodies, float32
+    - `reward_total` and ``reward_<term>`` (T,)
+    """
     scene: Mapping[str, Any]
+    """What is needed to draw it, see `cadenza.scene.drawing`."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Raises: CadenzaError: there is no such array."""
+        """The array of this name.
+
+        Raises:
+            CadenzaError: there is no such array.
+        """
         if name not in self.arrays:
             raise CadenzaError(f"the episode of {self.song!r} holds no array named {name}")
         return self.arrays[name]
 
     @property
     def num_steps(self) -> int:
+        """T, the number of control steps."""
         return len(self.arrays["action"])
 
     def save(self, path: Path) -> None:

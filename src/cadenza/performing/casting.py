@@ -80,7 +80,7 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     Args:
         song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
             folder of a policy, which holds the song that it has learnt. A folder of the same name
-            as a bundled song wants a path with a separator, such as `./OdeToJoy`.
+            as a bundled song wants a path with a separator, such as ``./OdeToJoy``.
         arrangement: which notes of it; all by default.
 
     Raises:

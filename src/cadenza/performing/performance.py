@@ -155,7 +155,7 @@ def play(
     plan: str | Path | None = None,
     progress: Progress = silent,
 ) -> Performance:
-    """Has an agent play a song, as `cadenza play` does.
+    """Has an agent play a song, as `cadenza play` does::
 
         performance = cadenza.play("OdeToJoy")
         print(performance.metrics["f1"])

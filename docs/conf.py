@@ -1,0 +1,71 @@
+"""How `make docs` builds the site: the pages of this folder, and the reference from docstrings."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, GoogleDocstring
+
+import cadenza
+
+REPOSITORY = "https://github.com/cadenza-piano/cadenza"
+README = Path(__file__).parents[1] / "README.md"
+
+project = "Cadenza"
+author = "The Cadenza authors"
+project_copyright = "The Cadenza authors, Apache-2.0"
+version = release = cadenza.__version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.viewcode",
+]
+exclude_patterns = ["curves"]
+
+myst_heading_anchors = 3
+smartquotes_action = "De"  # dashes, but quotation marks as they are written
+default_role = "py:obj"  # a name in backticks leads to what is written about it
+autoclass_content = "both"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "Mask", "NDArray", "RewardTerm")}
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 80
+python_use_unqualified_type_names = True
+
+html_theme = "sphinx_book_theme"
+html_title = "Cadenza"
+html_theme_options = {
+    "repository_url": REPOSITORY,
+    "path_to_docs": "docs",
+    "use_download_button": False,
+    "use_fullscreen_button": False,
+    "show_toc_level": 2,
+    "navbar_persistent": [],
+}
+
+
+def read(_: Sphinx, page: str, source: list[str]) -> None:
+    """The front page is the README; links to files outside this folder lead to the repository."""
+    text, out = source[0], "../" * (page.count("/") + 1)
+    if page == "index":
+        text = re.sub(r"\]\((?!\w+:|#|docs/)", "](../", README.read_text("utf-8")) + text
+        text = text.replace("](docs/", "](")
+    text = text.replace(f"]({out}README.md)", "](/index.md)")
+    text = text.replace(f"]({out}", f"]({REPOSITORY}/blob/main/")
+    source[0] = re.sub(r"\]\((\w+/)\)", rf"]({REPOSITORY}/tree/main/docs/\1)", text)
+
+
+def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines: list[str]) -> None:
+    """Docstrings are in Google's style, but for those of fields, which have no sections."""
+    lines[:] = [re.sub(r"(?<!\S)--[a-z][a-z-]*", r"``\g<0>``", line) for line in lines]
+    if what not in ("attribute", "property"):
+        lines[:] = GoogleDocstring(lines, Config(), app, what, name, of, options).lines()
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("source-read", read)
+    app.connect("autodoc-process-docstring", parse)

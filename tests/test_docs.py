@@ -1,0 +1,87 @@
+"""The documentation: what it lists, and that the site is built and its links lead somewhere."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import cadenza
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+
+
+def test_every_page_is_in_the_contents() -> None:
+    listed = re.findall(r"^([\w/-]+)$", (DOCS / "index.md").read_text(), re.MULTILINE)
+    pages = [str(page.relative_to(DOCS).with_suffix("")) for page in PAGES]
+    assert sorted([*listed, "index"]) == pages
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_links_between_files_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        if not target.startswith("http"):
+            assert (page.parent / target).exists(), target
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    text = (DOCS / "reference.md").read_text()
+    assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)", text, re.MULTILINE)) == cadenza.__all__
+
+
+@pytest.mark.parametrize("name", cadenza.__all__)
+def test_every_public_name_says_what_it_is(name: str) -> None:
+    value = getattr(cadenza, name)
+    assert value.__doc__
+    assert not value.__doc__.startswith(f"{name}(")  # what dataclass would write
+    if inspect.isclass(value):
+        for member, of in vars(value).items():
+            if not member.startswith("_") and (inspect.isfunction(of) or isinstance(of, property)):
+                assert inspect.getdoc(getattr(value, member)), f"{name}.{member}"
+
+
+class Links(HTMLParser):
+    """The ids of a page, and where its links lead."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.ids: set[str] = set()
+        self.targets: set[str] = set()
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id":
+                self.ids.add(value or "")
+            elif name in ("href", "src"):
+                self.targets.add(value or "")
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_warnings_and_its_links_lead_somewhere(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--quiet", DOCS, tmp_path]
+    built = subprocess.run(command, capture_output=True, text=True)
+    assert (built.returncode, built.stderr) == (0, "")
+    found = (page for page in tmp_path.rglob("*.html") if "_static" not in page.parts)
+    pages = {page: Links(page) for page in found}
+    assert {tmp_path / page.relative_to(DOCS).with_suffix(".html") for page in PAGES} <= set(pages)
+    for page, links in pages.items():
+        for target in map(urlsplit, links.targets):
+            if target.scheme:
+                continue
+            path = (page.parent / unquote(target.path)).resolve() if target.path else page
+            assert path.exists(), (page, target)
+            if target.fragment and path in pages:
+                assert target.fragment in pages[path].ids, (page, target)
+    for name in cadenza.__all__:
+        assert f"cadenza.{name}" in pages[tmp_path / "reference.html"].ids
