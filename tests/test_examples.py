@@ -1,0 +1,65 @@
+"""The programs in examples/ run, and do what they say."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+UP = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 62)), title="Up")
+DOWN = Score((Note(0.0, 0.25, 62), Note(0.25, 0.6, 60)), title="Down")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Runs an example in a folder with two short songs; returns the lines that it printed."""
+    monkeypatch.chdir(tmp_path)
+    for score in (UP, DOWN):
+        write_midi(score, Path(f"{score.title}.mid"))
+
+    def run(name: str, *arguments: str) -> list[str]:
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+        return capsys.readouterr().out.splitlines()
+
+    return run
+
+
+def test_every_example_is_run() -> None:
+    tests = Path(__file__).read_text()
+    elsewhere = {"play_a_song", "train_with_stable_baselines3"}
+    for path in EXAMPLES.glob("*.py"):
+        assert f'run("{path.stem}"' in tests or path.stem in elsewhere
+
+
+def test_a_random_agent(run) -> None:
+    first, last = run("random_agent", "Up.mid")
+    assert first.startswith("Up: observations (1124,), actions (39,)")
+    assert float(last.split()[-1]) < 0.9
+
+
+def test_a_reward_of_ones_own(run) -> None:
+    rows = [line.rsplit("[", 1) for line in run("own_reward", "Up.mid")[1:]]
+    sums = {name.strip(): np.fromstring(row.rstrip("]"), sep=" ") for name, row in rows}
+    assert (sums["reward/wrong_keys"] <= 0).all()
+    assert sums["reward/wrong_keys"].any()
+    total = sums.pop("their sum")
+    np.testing.assert_allclose(sum(sums.values()), total, atol=0.21)  # all rounded to a tenth
+
+
+def test_a_dataset(run) -> None:
+    said = run("make_dataset", "songs.npz", "Up.mid", "Down.mid")
+    data = np.load("songs.npz")
+    steps = [int(line.split()[1]) for line in said[:2]]
+    assert np.bincount(data["episode"]).tolist() == steps
+    assert list(data["songs"]) == ["Up.mid", "Down.mid"]
+    first = data["goal_keys"][data["episode"] == 1].argmax(axis=1).nonzero()[0][0]
+    assert data["goal_keys"][steps[0] + first, 62 - 21]
+    assert all(len(data[name]) == sum(steps) for name in data.files if name != "songs")
