@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from itertools import groupby
 
@@ -9,25 +10,27 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import cadenza
 from cadenza.agents.planning import nominal, refinement
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.nominal import nominal_plans
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.sampling import UPDATES, Around
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.targets import targets_of
-from cadenza.agents.planning.tracking import track
+from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
 from cadenza.music.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
-from cadenza.scene.scene import build_scene
+from cadenza.scene.scene import build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -250,6 +253,34 @@ def test_a_long_song_is_planned_as_it_is_played() -> None:
     assert max(planned) < 60
     assert agent.plan.complete
     assert performance.metrics["f1"] > 0.9
+
+
+def test_memory_of_a_long_song_is_that_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    def still(_: object, reference: NDArray[np.float64], *__: object) -> Tracking:
+        steps, servos = len(reference) - 1, reference.shape[1]
+        shapes = (steps, servos), (steps, servos, 2), (steps + 1, servos, 2)
+        return Tracking(*map(np.zeros, shapes))
+
+    monkeypatch.setattr(nominal, "solve_postures", lambda *given: given[4])  # the first guess
+    monkeypatch.setattr(nominal, "track", still)
+    scene = build_scene()
+    servos = hand_alone(scene, "left").servos
+    followed = list[Tracking]()
+
+    def peak_and_plan(steps: int) -> tuple[int, int]:
+        keys, fingers = np.zeros((steps, 88), bool), np.full((steps, 88), -1, np.int8)
+        keys[10::4, 40], fingers[10::4, 40] = True, 2
+        start = np.zeros(len(scene.hand_joint_names))
+        tracemalloc.start()
+        for plan in nominal_plans(scene, keys, fingers, start, 0.05):
+            followed[:] = [plan.tracking.of(servos)]
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        arrays = plan.postures, plan.fingertips, *plan.tracking
+        return most, sum(values.nbytes for values in arrays)
+
+    (short, short_plan), (long, long_plan) = map(peak_and_plan, (1200, 6000))
+    assert long - short < 1.2 * (long_plan - short_plan)
 
 
 # Presses

@@ -89,18 +89,23 @@ class HandAlone(NamedTuple):
     """One hand of a scene, in a scene without the other."""
 
     scene: Scene
-    servos: Ids
+    servos: slice
     """Its actuators among those of both."""
-    joints: Ids
+    joints: slice
     """Its joints among those of both."""
 
 
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
     """Takes the hand on one side by itself."""
     alone = build_scene(replace(scene.config, hands=side))
-    servos = [scene.actuator_names.index(name) for name in alone.actuator_names]
-    joints = [scene.hand_joint_names.index(name) for name in alone.hand_joint_names]
-    return HandAlone(alone, np.array(servos, np.intp), np.array(joints, np.intp))
+    servos = _place(alone.actuator_names, scene.actuator_names)
+    return HandAlone(alone, servos, _place(alone.hand_joint_names, scene.hand_joint_names))
+
+
+def _place(names: tuple[str, ...], everyone: tuple[str, ...]) -> slice:
+    """Where `names` stand one after the other among `everyone`."""
+    first = everyone.index(names[0])
+    return slice(first, first + len(names))
 
 
 def _sides(config: SceneConfig) -> tuple[Side, ...]:

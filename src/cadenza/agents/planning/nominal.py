@@ -10,6 +10,7 @@ come to, and looks further ahead than it is kept.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -38,7 +39,10 @@ _SETTLED = 10  # steps before a window in which presses have ended that do not m
 
 
 class Nominal(NamedTuple):
-    """A plan for the first T steps of a song, of a scene with A servos and F fingers."""
+    """A plan for the first T steps of a song, of a scene with A servos and F fingers.
+
+    Its arrays are views of those of the whole song, which go on being written.
+    """
 
     presses: list[Press]
     """That begin in these steps, by time."""
@@ -52,6 +56,18 @@ class Nominal(NamedTuple):
     def num_steps(self) -> int:
         """T"""
         return len(self.postures) - 1
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """All of it but the presses."""
+        return self.postures, self.fingertips, *self.tracking
+
+    def part(self, first: int, last: int) -> Nominal:
+        """The steps from `first` up to, not including, `last`: views, and no presses."""
+        steps, states = slice(first, last), slice(first, last + 1)
+        ctrl, gain, expected = self.tracking
+        tracking = Tracking(ctrl[steps], gain[steps], expected[states])
+        return Nominal([], self.postures[states], self.fingertips[states], tracking)
 
 
 def nominal_plans(
@@ -77,11 +93,17 @@ def nominal_plans(
     """
     hands = _Hands(scene, dt)
     asked = np.where(keys & np.isin(fingers, scene.fingers), fingers, np.int8(-1))
-    plan = hands.at_rest(hand_qpos)
+    whole = hands.at_rest(hand_qpos, len(asked))
+    plan = whole.part(0, 0)
     while plan.num_steps < len(asked):
         # BLAS shares small products among threads, which takes longer, and other bits come out.
         with threadpool_limits(1):
-            plan = hands.go_on(plan, asked, progress)
+            window, kept = hands.window(plan, asked, progress)
+        last = plan.num_steps + kept
+        there, here = whole.part(plan.num_steps, last), window.part(0, kept)
+        for values, new in zip(there.arrays, here.arrays, strict=True):
+            values[:] = new
+        plan = whole.part(0, last)._replace(presses=_joined(plan, window, kept))
         yield plan
 
 
@@ -96,15 +118,23 @@ class _Hands:
         self._rest_y = np.zeros(10)
         self._rest_y[scene.fingers] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
 
-    def at_rest(self, hand_qpos: Array) -> Nominal:
-        """A plan of no steps, of hands that are still."""
-        posture = hand_qpos @ np.linalg.pinv(self._servos.joints)
-        still = np.stack([posture, np.zeros_like(posture)], axis=1)[None]
-        tracking = Tracking(ctrl=still[:0, :, 0], gain=still[:0], expected=still)
-        return Nominal([], posture[None], np.zeros((1, len(self._scene.fingers), 3)), tracking)
+    def at_rest(self, hand_qpos: Array, steps: int) -> Nominal:
+        """Room for a plan of `steps` steps, which begins with hands that are still."""
+        servos, fingers = len(self._servos.names), len(self._scene.fingers)
+        tracking = Tracking(
+            ctrl=np.zeros((steps, servos)),
+            gain=np.zeros((steps, servos, 2)),
+            expected=np.zeros((steps + 1, servos, 2)),
+        )
+        postures = np.zeros((steps + 1, servos))
+        postures[0] = hand_qpos @ np.linalg.pinv(self._servos.joints)
+        tracking.expected[0, :, 0] = postures[0]
+        return Nominal([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
 
-    def go_on(self, plan: Nominal, asked: NDArray[np.int8], progress: Progress) -> Nominal:
-        """`plan` and what is kept of another window.
+    def window(
+        self, plan: Nominal, asked: NDArray[np.int8], progress: Progress
+    ) -> tuple[Nominal, int]:
+        """A plan for the steps after `plan`, and how many of them to keep.
 
         Args:
             plan: of the first steps.
@@ -118,11 +148,11 @@ class _Hands:
         since = _begin_of_presses(asked, first)
         wanted = presses_of(asked[since:last] >= 0, asked[since:last])
         presses = let_go_in_time(wanted, self._rest_y, self._dt)
-        window = self._window(plan, presses, first - since, last - since, progress)
+        window = self._planned(plan, presses, first - since, last - since, progress)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
-        return _join(plan, window._replace(presses=presses), kept)
+        return window._replace(presses=presses), kept
 
-    def _window(
+    def _planned(
         self, plan: Nominal, presses: list[Press], first: int, last: int, progress: Progress
     ) -> Nominal:
         """A plan for the steps from `first` to `last`, as `presses` count them, after `plan`."""
@@ -183,35 +213,20 @@ def _begin_of_presses(asked: NDArray[np.int8], first: int) -> int:
     return max(min(begins, default=settled) - 1, 0)
 
 
-def _join(plan: Nominal, window: Nominal, steps: int) -> Nominal:
-    """`plan` and the first steps of the window that follows."""
+def _joined(plan: Nominal, window: Nominal, steps: int) -> list[Press]:
+    """The presses of `plan` and of the first steps of the window that follows."""
     first = plan.num_steps
-    known = {(press.first, press.key): press for press in plan.presses}
     later = [
         press for press in window.presses if press.first <= first + steps and press.last > first
     ]
+    since = min((press.first for press in later), default=first)
+    settled = bisect_left(plan.presses, since, key=lambda press: press.first)
+    known = {(press.first, press.key): press for press in plan.presses[settled:]}
     for press in later:
         begin = press.first, press.key
         # What comes before a press that had begun, the later window does not know.
         known[begin] = press._replace(flies_to=known.get(begin, press).flies_to)
-
-    def states(before: Array, after: Array) -> Array:
-        return np.concatenate([before[:-1], after[: steps + 1]])
-
-    def rows(before: Array, after: Array) -> Array:
-        return np.concatenate([before, after[:steps]])
-
-    was, then = plan.tracking, window.tracking
-    return Nominal(
-        [known[begin] for begin in sorted(known)],
-        states(plan.postures, window.postures),
-        states(plan.fingertips, window.fingertips),
-        Tracking(
-            rows(was.ctrl, then.ctrl),
-            rows(was.gain, then.gain),
-            states(was.expected, then.expected),
-        ),
-    )
+    return plan.presses[:settled] + [known[begin] for begin in sorted(known)]
 
 
 def _pressing(sinking: Array, targets: Targets, fingers: NDArray[np.intp]) -> Array:

@@ -23,9 +23,9 @@ class Tracking(NamedTuple):
     expected: Array
     """(T + 1, A, 2) position and speed of each servo."""
 
-    def of(self, servo_ids: NDArray[np.intp]) -> Tracking:
-        """That of some of the servos."""
-        return Tracking._make(values[:, servo_ids] for values in self)
+    def of(self, servos: slice) -> Tracking:
+        """That of some of the servos, as views."""
+        return Tracking._make(values[:, servos] for values in self)
 
     def feedback(self, step: int, here: Array) -> Array:
         """(A,) what positions and speeds `here` (A, 2) before a step take from its controls."""
