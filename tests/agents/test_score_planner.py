@@ -95,9 +95,9 @@ def test_same_seed_same_bits_for_any_number_of_threads(monkeypatch: pytest.Monke
 def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulations that it plans with are never put right while nothing is disturbed."""
     placed = []
-    place = refinement.Simulation.place
+    place = refinement.PlanningSimulation.place
     monkeypatch.setattr(
-        refinement.Simulation,
+        refinement.PlanningSimulation,
         "place",
         lambda self, *state: placed.append(1) or place(self, *state),
     )
@@ -159,13 +159,15 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated = []
-    step = refinement.Simulation.step
+    step = refinement.PlanningSimulation.step
 
-    def counted(self: refinement.Simulation, ctrl: np.ndarray, env_ids: list[int] | None = None):
+    def counted(
+        self: refinement.PlanningSimulation, ctrl: np.ndarray, env_ids: list[int] | None = None
+    ):
         simulated.append(len(env_ids or ()))
         step(self, ctrl, env_ids)
 
-    monkeypatch.setattr(refinement.Simulation, "step", counted)
+    monkeypatch.setattr(refinement.PlanningSimulation, "step", counted)
     leaps = melody(*[40, 90] * 10, length=0.1)
     config = ScorePlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]
