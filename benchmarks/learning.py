@@ -30,10 +30,10 @@ import numpy as np
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
 from cadenza.errors import CadenzaError
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
-from cadenza.learning.config import LearnerConfig, TrainingConfig
-from cadenza.learning.droq import Learner
-from cadenza.learning.networks import Dropout
+from cadenza.learning.config import TrainingConfig
 from cadenza.learning.observation import Floats, Inputs, Observer, Scores, inputs_of
 from cadenza.learning.replay_buffer import Batch, Replay
 from cadenza.learning.run_folder import RunFolder
@@ -142,15 +142,15 @@ def updates(update: Any, state: Any, sample: Sample, number: int) -> Contestant:
 
 def plain_updates(learner: PlainLearner, sample: Sample, number: int) -> Contestant:
     """The plain learner's."""
-    return updates(learner.update, learner.initial_state(0), sample, number)
+    return updates(learner.update, learner.init(0), sample, number)
 
 
 def our_updates(
-    inputs: Inputs, action_size: int, sample: Sample, number: int, config: LearnerConfig
+    inputs: Inputs, action_size: int, sample: Sample, number: int, config: DroQConfig
 ) -> Contestant:
     """Ours; what is sampled is (updates a call, B, ...)."""
-    learner = Learner(config, inputs, action_size)
-    return updates(learner.update, learner.initial_state(0), sample, number)
+    learner = config.make(inputs, action_size)
+    return updates(learner.update, learner.init(0), sample, number)
 
 
 def samples(sample: Sample, number: int) -> Contestant:
@@ -200,7 +200,7 @@ class PlainLoop:
         actions = self._task.action_size
         size = self._task.observation_size + actions + 1
         self._learner = PlainLearner(size, actions)
-        self._state = self._learner.initial_state(0)
+        self._state = self._learner.init(0)
         self._buffer = PlainBuffer(size, actions, TRANSITIONS)
         self._begin()
 
@@ -247,13 +247,13 @@ class PlainLoop:
 def whole_updates(had: Experience, number: int) -> dict[str, Contestant]:
     """An update and drawing its batch."""
     rng = np.random.default_rng(0)
-    relu, gelu = LearnerConfig(), LearnerConfig(activation="gelu")
+    relu, gelu = DroQConfig(), DroQConfig(activation="gelu")
 
     def plain(activation: Function) -> Contestant:
         learner = PlainLearner(had.inputs.total, had.action_size, activation)
         return plain_updates(learner, lambda: had.plain.sample(rng, BATCH), number)
 
-    def ours(short: bool, config: LearnerConfig, per_call: int, batch: int = BATCH) -> Contestant:
+    def ours(short: bool, config: DroQConfig, per_call: int, batch: int = BATCH) -> Contestant:
         replay, inputs = (had.short, had.short_inputs) if short else (had.complete, had.inputs)
         return our_updates(
             inputs, had.action_size, lambda: replay.sample(rng, (per_call, batch)), number, config
@@ -285,7 +285,7 @@ def ingredients(had: Experience, number: int) -> dict[str, Contestant]:
         return plain_updates(learner, lambda: one, number)
 
     def ours(inputs: Inputs, many: Batch) -> Contestant:
-        return our_updates(inputs, had.action_size, lambda: many, number, LearnerConfig())
+        return our_updates(inputs, had.action_size, lambda: many, number, DroQConfig())
 
     complete, fewer = partial(plain, had.inputs, batch), partial(plain, had.short_inputs, short)
     return {

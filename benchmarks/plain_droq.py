@@ -133,7 +133,7 @@ class PlainLearner:
         self._update_once = jax.jit(self._update)
         self._act_once = jax.jit(self._act)
 
-    def initial_state(self, seed: int) -> PlainState:
+    def init(self, seed: int) -> PlainState:
         key, actor_key, critic_key = jax.random.split(jax.random.key(seed), 3)
         observation, action = (jnp.zeros((1, size)) for size in self._sizes)
         actor = self._actor.init(actor_key, observation)["params"]

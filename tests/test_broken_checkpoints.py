@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 import mutations
-from cadenza.learning import training
-from cadenza.learning.config import LearnerConfig, TrainingConfig
+from cadenza.learning.algorithms import on_jax
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.observation import Inputs
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.music.score import Note, Score
@@ -24,7 +26,7 @@ from cadenza.tasks.config import TaskConfig
 
 SONG = Score((Note(0, 0.2, 60),))
 CONFIG = TrainingConfig(
-    learner=LearnerConfig(hidden_sizes=(16,), batch_size=8),
+    learner=DroQConfig(hidden_sizes=(16,), batch_size=8),
     task=TaskConfig(initial_buffer_time=0.1),
     scene=SceneConfig(hands="right", physics="fast"),
     num_steps=64,
@@ -39,7 +41,7 @@ CONFIG = TrainingConfig(
 @pytest.fixture(scope="module", autouse=True)
 def _compiled_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "Learner", functools.cache(training.Learner))
+        patch.setattr(DroQConfig, "make", functools.cache(DroQConfig.make))
         yield
 
 
@@ -124,9 +126,11 @@ def test_a_run_whose_learner_has_other_threads_says_so(
     copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its bits are not those of other runs with the same seed."""
+    make = DroQConfig.make.__wrapped__  # type: ignore[attr-defined]
     for threads, said in ((2, 0), (None, 0), (7, 1)):
-        monkeypatch.setattr(training, "num_threads", lambda threads=threads: threads)
-        go_on(copy, 1)
+        monkeypatch.setattr(on_jax, "_num_threads", lambda threads=threads: threads)
+        assert make(CONFIG.learner, Inputs((0, 1), 2), 1).num_threads == threads
         assert capsys.readouterr().err.count("JAX was started before this run with 7") == said
-        facts = json.loads((newest(copy) / "facts.json").read_text())
-        assert facts["threads"] == threads
+    monkeypatch.setattr(DroQConfig, "make", make)
+    go_on(copy, 1)
+    assert json.loads((newest(copy) / "facts.json").read_text())["threads"] == 7

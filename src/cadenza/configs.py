@@ -15,6 +15,7 @@ from cadenza.errors import CadenzaError
 T = TypeVar("T")
 
 MOST_SEED = 2**128  # numpy takes any
+MOST_COUNT = 2**53  # of what has no other limit: JSON of others knows no larger whole numbers
 
 _WORDS = {
     bool: "give True or False",
@@ -64,7 +65,8 @@ def check_ranges(config: object, ranges: Mapping[str, tuple[float, float]]) -> N
 
 def _check_range(value: float, name: str, least: float, most: float) -> None:
     if not least <= value <= most:
-        raise CadenzaError(f"{name} {value}: choose {least} to {most}")
+        wanted = f"{least} or more" if most >= MOST_COUNT > value else f"{least} to {most}"
+        raise CadenzaError(f"{name} {value}: choose {wanted}")
 
 
 def _as(value: Any, hint: Any, name: str) -> Any:

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 
 from benchmarks import plain_droq
 from benchmarks.plain_droq import PlainBuffer, PlainLearner, PlainState
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.droq import Learner, LearnerState
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.learner import DroQ, DroQState
 from cadenza.learning.observation import Inputs
 from cadenza.learning.replay_buffer import Batch
 
@@ -34,11 +34,11 @@ def transitions(number: int) -> Batch:
     )
 
 
-def shapes(learner: Learner | PlainLearner) -> Any:
-    return jax.eval_shape(partial(learner.initial_state, 0))
+def shapes(learner: DroQ | PlainLearner) -> Any:
+    return jax.eval_shape(partial(learner.init, 0))
 
 
-def drawn(learner: Learner) -> LearnerState:
+def drawn(learner: DroQ) -> DroQState:
     """A state that begins anywhere; drawing it here saves compiling how it is drawn."""
     rng, state = np.random.default_rng(2), shapes(learner)
     weights = {
@@ -52,7 +52,7 @@ def drawn(learner: Learner) -> LearnerState:
     return rest._replace(**weights)
 
 
-def named_plainly(state: LearnerState, stacked: bool) -> dict[str, Any]:
+def named_plainly(state: DroQState, stacked: bool) -> dict[str, Any]:
     """Our weights as the plain learner has them."""
 
     def critics(ours: tuple[Any, ...]) -> Any:
@@ -83,7 +83,7 @@ def moved(before: Any, after: Any) -> np.ndarray:
 
 
 def test_the_plain_learner_has_the_sizes_of_ours() -> None:
-    ours = shapes(Learner(LearnerConfig(), Inputs(tuple(range(1164)), 1164), 39))
+    ours = shapes(DroQ(DroQConfig(), Inputs(tuple(range(1164)), 1164), 39))
     plain = shapes(PlainLearner(1164, 39))
     for name in NETWORKS:
         number, number_plain = (
@@ -105,8 +105,8 @@ def test_the_plain_learner_does_what_ours_does(
     monkeypatch.setattr(jax.random, "normal", lambda *_: jnp.asarray(noise))
     monkeypatch.setattr(plain_droq, "HIDDEN_LAYERS", 2)  # as that compiles sooner
     monkeypatch.setattr(plain_droq, "WIDTH", 64)
-    config = LearnerConfig(hidden_sizes=(64, 64), dropout=0.0, activation=activation)
-    learner = Learner(config, Inputs(tuple(range(OBSERVATION)), OBSERVATION), ACTION)
+    config = DroQConfig(hidden_sizes=(64, 64), dropout=0.0, activation=activation)
+    learner = DroQ(config, Inputs(tuple(range(OBSERVATION)), OBSERVATION), ACTION)
     no_dropout = partial(nn.Dropout, 0.0, deterministic=False)
     plain = PlainLearner(OBSERVATION, ACTION, getattr(nn, activation), no_dropout, stacked)
     ours = drawn(learner)

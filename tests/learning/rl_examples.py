@@ -8,12 +8,12 @@ import flax.linen as nn
 import jax
 import numpy as np
 
-from cadenza.learning.config import LearnerConfig
+from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.replay_buffer import Batch
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.tasks.piano_task import PianoTask
 
-TINY = LearnerConfig(hidden_sizes=(16,), batch_size=8, dropout=0.1)
+TINY = DroQConfig(hidden_sizes=(16,), batch_size=8, dropout=0.1)
 
 
 def melody(*pitches: int, length: float = 0.2, pedal: bool = False) -> Score:

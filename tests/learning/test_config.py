@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from rl_examples import melody
 
 from cadenza.errors import CadenzaError
-from cadenza.files import checked
-from cadenza.learning.config import (
-    LearnerConfig,
-    TrainingConfig,
-    check,
-    preset,
-)
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.config import TrainingConfig, check, preset
+from cadenza.learning.run_folder import RunFolder
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
 
 def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
     """RoboPianist (Zakka et al., CoRL 2023), appendix: hyperparameters of DroQ."""
-    config = LearnerConfig()
+    config = DroQConfig()
     assert config.num_critics == 2
     assert config.hidden_sizes == (256, 256, 256)
     assert config.activation == "relu"
@@ -44,7 +41,7 @@ def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
 
 def test_the_defaults_of_training_are_the_table_of_the_paper() -> None:
     config = TrainingConfig()
-    assert config.learner == LearnerConfig()
+    assert config.learner == DroQConfig()
     assert config.seed_steps == 5_000
     assert config.num_steps == 5_000_000
     assert config.replay_capacity == 1_000_000
@@ -77,14 +74,16 @@ def test_the_fast_preset_observes_and_rewards_what_the_paper_does() -> None:
 
 
 @pytest.mark.parametrize("name", ["fast", "paper", "published"])
-def test_comes_back_from_json(name: str) -> None:
+def test_comes_back_from_the_folder_of_a_run(name: str, tmp_path: Path) -> None:
     config = replace(
         preset(name, residual=True),  # type: ignore[arg-type]
         scene=SceneConfig(forearm_dofs=("ty", "yaw")),
         task=TaskConfig(n_seconds_lookahead=1 / 3),
     )
     assert config.residual
-    assert checked(json.loads(json.dumps(asdict(config))), TrainingConfig, "here") == config
+    run = RunFolder(tmp_path)
+    run.begin(config, melody(60))
+    assert run.settings() == (config, melody(60))
 
 
 def test_naming_the_options_does_not_load_what_learning_needs() -> None:
@@ -126,4 +125,4 @@ def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int])
 def test_options_of_the_learner_too(options: dict[str, object]) -> None:
     (name,) = options
     with pytest.raises(CadenzaError, match=name):
-        check(TrainingConfig(learner=LearnerConfig(**options)))
+        check(TrainingConfig(learner=DroQConfig(**options)))

@@ -18,22 +18,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import random_batches
 from scipy.stats import norm
 
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.droq import (
-    Learner,
-    LearnerState,
-    falling,
-    from_arrays,
-    to_arrays,
-    weights_of,
-)
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, falling, weights_of
+from cadenza.learning.algorithms.on_jax import to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch
 
 INPUTS, ACTIONS, BATCH = 10, 3, 8
 ALL = Inputs(tuple(range(INPUTS)), INPUTS)
-CONFIG = LearnerConfig(
+CONFIG = DroQConfig(
     hidden_sizes=(16,),
     dropout=0.2,
     batch_size=BATCH,
@@ -47,16 +41,16 @@ CONFIG = LearnerConfig(
 
 
 @pytest.fixture(scope="module")
-def learner() -> Learner:
+def learner() -> DroQ:
     """With dropout and layer normalisation; it is compiled once."""
-    return Learner(CONFIG, ALL, ACTIONS)
+    return DroQ(CONFIG, ALL, ACTIONS)
 
 
 def batches(number: int, seed: int = 0) -> Batch:
     return random_batches(np.random.default_rng(seed), (number, BATCH), INPUTS, ACTIONS)
 
 
-def numbers(state: LearnerState) -> dict[str, np.ndarray]:
+def numbers(state: DroQState) -> dict[str, np.ndarray]:
     """A copy: an update uses its state up."""
     return {name: array.copy() for name, array in to_arrays(state).items()}
 
@@ -130,9 +124,9 @@ class Adam:
 
 
 class Reference:
-    """Begins where a `LearnerState` is."""
+    """Begins where a `DroQState` is."""
 
-    def __init__(self, state: LearnerState, config: LearnerConfig, noise: np.ndarray) -> None:
+    def __init__(self, state: DroQState, config: DroQConfig, noise: np.ndarray) -> None:
         self.config, self.noise, self.updates = config, noise, 0
         self.actor = Adam(state.actor, config.actor_learning_rate)
         self.critics = [Adam(critic, config.critic_learning_rate) for critic in state.critics]
@@ -190,8 +184,8 @@ def noise(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
 
 def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
     config = replace(CONFIG, dropout=0.0, layer_norm=False, initial_temperature=0.3, discount=0.9)
-    learner = Learner(config, ALL, ACTIONS)
-    state, batch = learner.initial_state(0), batches(4)
+    learner = DroQ(config, ALL, ACTIONS)
+    state, batch = learner.init(0), batches(4)
     reference = Reference(state, config, noise)
     state, figures = learner.update(state, batch)
     for i in range(4):
@@ -211,9 +205,9 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 # What holds for every learner
 
 
-def test_targets_begin_as_the_critics_and_follow_them(learner: Learner) -> None:
+def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
     """By a share `tau` at every update; and so does the averaged actor follow the actor."""
-    state, batch = learner.initial_state(0), batches(4)
+    state, batch = learner.init(0), batches(4)
     targets, averaged = flat(state.targets), flat(state.averaged_actor)
     assert_array_equal(targets, flat(state.critics))
     assert_array_equal(averaged, flat(state.actor))
@@ -227,9 +221,9 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: Learner) -> None:
         assert_allclose(flat(state.averaged_actor), averaged, atol=1e-6)
 
 
-def test_the_actor_and_the_temperature_rest_in_between(learner: Learner) -> None:
+def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
     """At an `actor_update_period` of 2."""
-    state, changed = learner.initial_state(0), []
+    state, changed = learner.init(0), []
     for i in range(4):
         before = numbers(state)
         state, _ = learner.update(state, part(batches(4), i))
@@ -243,10 +237,10 @@ def test_the_actor_and_the_temperature_rest_in_between(learner: Learner) -> None
     assert changed == [always | actor, always] * 2
 
 
-def test_many_updates_at_once_are_those_one_by_one(learner: Learner) -> None:
+def test_many_updates_at_once_are_those_one_by_one(learner: DroQ) -> None:
     batch = batches(6)
-    together, figures = learner.update(learner.initial_state(1), batch)
-    single, each = learner.initial_state(1), []
+    together, figures = learner.update(learner.init(1), batch)
+    single, each = learner.init(1), []
     for i in range(6):
         single, shown = learner.update(single, part(batch, i))
         each.append(shown)
@@ -259,10 +253,10 @@ def test_many_updates_at_once_are_those_one_by_one(learner: Learner) -> None:
         assert_allclose(values, expected, rtol=1e-4, atol=1e-5, err_msg=name)
 
 
-def test_the_same_seed_gives_the_same_bits(learner: Learner) -> None:
+def test_the_same_seed_gives_the_same_bits(learner: DroQ) -> None:
     ends = []
     for seed in (3, 3, 4):
-        state = learner.initial_state(seed)
+        state = learner.init(seed)
         for i in range(2):
             state, _ = learner.update(state, batches(6, seed=i))
         ends.append(numbers(state))
@@ -278,7 +272,7 @@ os.sched_setaffinity(0, set(map(int, sys.argv[1:])))
 import hashlib
 import numpy as np
 from cadenza.learning.config import preset
-from cadenza.learning.droq import Learner, to_arrays
+from cadenza.learning.algorithms.on_jax import to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.replay_buffer import Batch
 rng, size = np.random.default_rng(0), (3, 256)
@@ -286,8 +280,8 @@ def draw(*shape):
     return rng.standard_normal((*size, *shape), np.float32)
 observation, action, following = draw(284), np.tanh(draw(39)), draw(284)
 batches = Batch(observation, action, draw(), np.ones(size, np.float32), following)
-learner = Learner(preset("fast", residual=True).learner, Inputs(tuple(range(284)), 284), 39)
-state, _ = learner.update(learner.initial_state(0), batches)
+learner = preset("fast", residual=True).learner.make(Inputs(tuple(range(284)), 284), 39)
+state, _ = learner.update(learner.init(0), batches)
 for name, array in to_arrays(state).items():
     print(name, hashlib.sha256(array.tobytes()).hexdigest())
 """
@@ -309,22 +303,22 @@ def test_any_number_of_cores_gives_the_same_bits() -> None:
     assert len(printed[0].splitlines()) > 50
 
 
-def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: Learner) -> None:
-    state, _ = learner.update(learner.initial_state(0), batches(6))
+def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: DroQ) -> None:
+    state, _ = learner.update(learner.init(0), batches(6))
     file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **to_arrays(state))
+    np.savez(file, allow_pickle=False, **learner.to_arrays(state))
     state, _ = learner.update(state, batches(6, seed=1))
     file.seek(0)
     with np.load(file) as kept:
-        again = from_arrays(dict(kept), learner.initial_state(9))
+        again = learner.from_arrays(dict(kept))
     again, _ = learner.update(again, batches(6, seed=1))
     for name, array in numbers(state).items():
         assert_array_equal(array, numbers(again)[name])
 
 
-def test_a_policy_is_not_changed_by_the_updates_after_it(learner: Learner) -> None:
+def test_a_policy_is_not_changed_by_the_updates_after_it(learner: DroQ) -> None:
     """An update uses up the memory of the state before it, which a policy may still look at."""
-    state = learner.initial_state(0)
+    state = learner.init(0)
     weights = weights_of(state.actor)
     before = {name: array.copy() for name, array in weights.items()}
     for seed in range(3):
@@ -335,14 +329,14 @@ def test_a_policy_is_not_changed_by_the_updates_after_it(learner: Learner) -> No
 
 
 def test_target_entropy_is_minus_half_the_number_of_actions_by_default() -> None:
-    assert Learner(LearnerConfig(), ALL, 39).target_entropy == -19.5
-    assert Learner(LearnerConfig(target_entropy=-3.0), ALL, 39).target_entropy == -3.0
+    assert DroQ(DroQConfig(), ALL, 39).target_entropy == -19.5
+    assert DroQ(DroQConfig(target_entropy=-3.0), ALL, 39).target_entropy == -3.0
 
 
-def test_learns_to_do_what_is_rewarded(learner: Learner) -> None:
+def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
     """Episodes of one step; the reward falls with the square of the distance from a target."""
     rng = np.random.default_rng(0)
-    state = learner.initial_state(0)
+    state = learner.init(0)
     for _ in range(300):
         batch = random_batches(rng, (6, BATCH), INPUTS, ACTIONS)
         action = rng.uniform(-1, 1, (6, BATCH, ACTIONS)).astype(np.float32)
@@ -362,13 +356,13 @@ def test_learns_to_do_what_is_rewarded(learner: Learner) -> None:
 # Inputs that are always zero
 
 
-def test_inputs_that_are_always_zero_can_be_left_out(learner: Learner) -> None:
+def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
     """Nothing changes, with dropout either: its masks do not look at the inputs.
 
     The first layer of the critics has more inputs that count, the actions, after those.
     """
     kept = (0, 2, 3, 7)
-    some = Learner(CONFIG, Inputs(kept, INPUTS), ACTIONS)
+    some = DroQ(CONFIG, Inputs(kept, INPUTS), ACTIONS)
     batch = batches(6)
     zero = np.setdiff1d(np.arange(INPUTS), kept)
     for observation in (batch.observation, batch.next_observation):
@@ -376,7 +370,7 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: Learner) -> None:
     less = batch._replace(
         observation=batch.observation[..., kept], next_observation=batch.next_observation[..., kept]
     )
-    state, fewer = learner.initial_state(0), some.initial_state(0)
+    state, fewer = learner.init(0), some.init(0)
     unused = np.asarray(state.actor["HiddenLayers_0"]["hidden_0"]["kernel"])[zero].copy()
     for _ in range(3):
         state, figures = learner.update(state, batch)
@@ -440,11 +434,9 @@ os.environ["NPROC"] = "3"
 import jax
 if sys.argv[1] == "before":
     jax.devices()
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.droq import Learner, num_threads
+from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.observation import Inputs
-Learner(LearnerConfig(), Inputs((0, 1), 2), 1)
-print(num_threads())
+print(DroQConfig().make(Inputs((0, 1), 2), 1).num_threads)
 """
     for when, threads in (("before", "3"), ("not", "2")):
         done = subprocess.run(

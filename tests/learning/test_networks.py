@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import random_params
 from scipy.stats import binomtest
 
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.networks import Actor, Critic, Dropout, FirstLayer
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.networks import Actor, Critic, Dropout, FirstLayer
 from cadenza.learning.observation import Inputs
 
 ALL = Inputs(tuple(range(12)), 12)
@@ -122,7 +122,7 @@ def test_critic_is_a_perceptron_with_layer_normalisation(activation: Any) -> Non
     rng = np.random.default_rng(0)
     observation = rng.standard_normal((6, 12)).astype(np.float32)
     action = rng.standard_normal((6, 2)).astype(np.float32)
-    config = LearnerConfig(hidden_sizes=(9, 7), dropout=0.0, activation=activation)
+    config = DroQConfig(hidden_sizes=(9, 7), dropout=0.0, activation=activation)
     critic = Critic(config, Inputs(tuple(range(14)), 14))
     params = random_params(critic, rng, observation, action)
     x = np.concatenate([observation, action], axis=1).astype(np.float64)
@@ -144,7 +144,7 @@ def test_critic_is_a_perceptron_with_layer_normalisation(activation: Any) -> Non
 
 def test_critic_drops_before_it_normalises() -> None:
     """DroQ, section 4: dropout, layer normalisation, activation. So sums stay normalised."""
-    config = LearnerConfig(hidden_sizes=(64,), dropout=0.5)
+    config = DroQConfig(hidden_sizes=(64,), dropout=0.5)
     critic = Critic(config, Inputs(tuple(range(14)), 14))
     both = (np.ones((5, 12), np.float32), np.ones((5, 2), np.float32))
     params = random_params(critic, np.random.default_rng(0), *both)
@@ -162,7 +162,7 @@ def test_critic_drops_before_it_normalises() -> None:
 def test_actor_has_neither_dropout_nor_normalisation_and_limits_its_deviation() -> None:
     rng = np.random.default_rng(0)
     observation = 5 * rng.standard_normal((50, 12)).astype(np.float32)
-    config = LearnerConfig(hidden_sizes=(9, 7), dropout=0.5, log_std_min=-0.5, log_std_max=0.25)
+    config = DroQConfig(hidden_sizes=(9, 7), dropout=0.5, log_std_min=-0.5, log_std_max=0.25)
     actor = Actor(config, ALL, 3)
     params = random_params(actor, rng, observation)
     x = observation.astype(np.float64)

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import random_params
 from scipy.stats import kstest
 
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.droq import weights_of
-from cadenza.learning.networks import Actor
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.learner import weights_of
+from cadenza.learning.algorithms.droq.networks import Actor
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Policy
 
@@ -25,7 +25,7 @@ class Both:
 
     def __init__(self, activation: Any, **options: Any) -> None:
         self.rng = np.random.default_rng(0)
-        config = LearnerConfig(hidden_sizes=(32, 16, 24), activation=activation, **options)
+        config = DroQConfig(hidden_sizes=(32, 16, 24), activation=activation, **options)
         actor = Actor(config, Inputs(tuple(range(INPUTS)), INPUTS), ACTIONS)
         params = random_params(actor, self.rng, np.zeros((1, INPUTS)), size=0.15)
         apply = jax.jit(actor.apply)

@@ -16,6 +16,7 @@ from rl_examples import melody
 from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
 from cadenza.learning.observation import Scores, inputs_of
+from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.residual import plan_of
@@ -58,7 +59,8 @@ def some_policy(residual: bool = False, ranged: bool = False, **task: Any) -> Le
     weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
     plan = plan_of(shown) if residual else None
     ranges = ranges_of(shown) if ranged else None
-    return LearntPolicy(weights, "gelu", (-20.0, 2.0), inputs, plan, ranges, config, scene, SONG)
+    policy = Policy(weights, "gelu", (-20.0, 2.0))
+    return LearntPolicy(policy, inputs, plan, ranges, config, scene, SONG)
 
 
 def played(learnt: LearntPolicy) -> Performance:
@@ -70,7 +72,7 @@ def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> Non
     learnt = some_policy(kind == "residual", kind == "ranged")
     save_policy(tmp_path / "policy", learnt, {"step": 3})
     again = load_policy(tmp_path / "policy")
-    nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+    nothing: dict[str, Any] = {"policy": None, "plan": None, "ranges": None}
     assert replace(again, **nothing) == replace(learnt, **nothing)
     assert (again.plan is None) == (learnt.plan is None) == (kind != "residual")
     assert (again.ranges is None) == (learnt.ranges is None) == (kind != "ranged")
@@ -78,10 +80,10 @@ def test_comes_back_exactly_and_plays_the_same(tmp_path: Path, kind: str) -> Non
         for name, array in (theirs._asdict() if theirs else {}).items():
             assert_array_equal(getattr(ours, name), array)
     assert [note.start.hex() for note in again.score.notes] == [n.start.hex() for n in SONG.notes]
-    assert again.weights.keys() == learnt.weights.keys()
-    for name, array in learnt.weights.items():
-        assert again.weights[name].dtype == np.float32
-        assert_array_equal(again.weights[name], array)
+    assert again.policy.weights.keys() == learnt.policy.weights.keys()
+    for name, array in learnt.policy.weights.items():
+        assert again.policy.weights[name].dtype == np.float32
+        assert_array_equal(again.policy.weights[name], array)
     first, second = played(learnt), played(again)
     for name, array in first.episode.arrays.items():
         if name != "metrics":  # times
@@ -110,6 +112,7 @@ def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
     program = f"""
 import sys
 from pathlib import Path
+from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import load_policy
 from cadenza.agents.rollout import play
 from cadenza.tasks.piano_task import PianoTask
@@ -170,10 +173,12 @@ def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
     learnt = some_policy()
     for weights in (
-        {n: w for n, w in learnt.weights.items() if n != name},
-        learnt.weights | {name: learnt.weights[name][:-1]},
+        {n: w for n, w in learnt.policy.weights.items() if n != name},
+        learnt.policy.weights | {name: learnt.policy.weights[name][:-1]},
     ):
-        save_policy(tmp_path / "policy", replace(learnt, weights=weights), {})
+        save_policy(
+            tmp_path / "policy", replace(learnt, policy=Policy(weights, "gelu", (-20.0, 2.0))), {}
+        )
         assert_refused(
             tmp_path / "policy", "not a policy that this version can read|from another version"
         )
@@ -181,7 +186,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
 
 def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
     learnt = some_policy()
-    learnt.weights["mean/bias"][3] = np.nan
+    learnt.policy.weights["mean/bias"][3] = np.nan
     save_policy(tmp_path / "policy", learnt, {})
     assert_refused(tmp_path / "policy", "numbers that are not finite")
 

@@ -26,7 +26,7 @@ from rl_examples import TINY, melody
 
 from cadenza.agents.rollout import play
 from cadenza.errors import CadenzaError
-from cadenza.learning import training
+from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.run_folder import RunFolder
@@ -66,7 +66,7 @@ TIMES = {"seconds", "step", "eval/planning_seconds", "eval/playing_seconds"}
 def _compiled_once() -> Iterator[None]:
     """A learner keeps nothing of a run, and runs of this module may share it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "Learner", functools.cache(training.Learner))
+        patch.setattr(DroQConfig, "make", functools.cache(DroQConfig.make))
         yield
 
 
@@ -116,10 +116,10 @@ def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
         assert facts[name] == other_facts[name]
     for name in ("best", "last"):
         ours, theirs = (load_policy(r.path / name) for r in (run, other))
-        nothing: dict[str, Any] = {"weights": {}, "plan": None, "ranges": None}
+        nothing: dict[str, Any] = {"policy": None, "plan": None, "ranges": None}
         assert replace(ours, **nothing) == replace(theirs, **nothing)
-        for layer, array in ours.weights.items():
-            assert_array_equal(array, theirs.weights[layer], err_msg=f"{name}: {layer}")
+        for layer, array in ours.policy.weights.items():
+            assert_array_equal(array, theirs.policy.weights[layer], err_msg=f"{name}: {layer}")
     assert evaluations(run) == evaluations(other)
     assert figures(run) == figures(other)
 
@@ -169,8 +169,8 @@ def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder])
 def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
     run = undisturbed("in turn")
     with closing(Training(CONFIG, SONG, RunFolder(run.path / "unused"))) as fresh:
-        begun = fresh._learnt().weights
-    for name, array in load_policy(run.path / "last").weights.items():
+        begun = fresh._learnt().policy.weights
+    for name, array in load_policy(run.path / "last").policy.weights.items():
         assert (array != begun[name]).any(), name
 
 

@@ -87,7 +87,7 @@ def parse(
     """
     words = arguments[: arguments.index("--")] if "--" in arguments else arguments
     asked = {"-h", "--help", "--help-all"}.intersection(words)
-    with _plain_errors(kind, prog, words):
+    with _plain_errors(kind, default, prog, words):
         return tyro.cli(
             kind,
             prog=prog,
@@ -243,7 +243,7 @@ def _metavar(kind: Any) -> str | None:
 
 
 @contextmanager
-def _plain_errors(kind: type, prog: str, arguments: Sequence[str]) -> Iterator[None]:
+def _plain_errors(kind: type, default: Any, prog: str, arguments: Sequence[str]) -> Iterator[None]:
     """Raises what tyro finds wrong as a CadenzaError of a line; it prints a box if it cannot."""
 
     if errors is None:
@@ -251,7 +251,7 @@ def _plain_errors(kind: type, prog: str, arguments: Sequence[str]) -> Iterator[N
         return
 
     def raise_error(event: errors.ParseErrorEvent) -> None:
-        if (what := _what_is_wrong(event, kind, prog, arguments)) is not None:
+        if (what := _what_is_wrong(event, kind, default, prog, arguments)) is not None:
             raise CadenzaError(what)
 
     with errors.on_parse_error(raise_error):
@@ -259,10 +259,10 @@ def _plain_errors(kind: type, prog: str, arguments: Sequence[str]) -> Iterator[N
 
 
 def _what_is_wrong(
-    event: errors.ParseErrorEvent, kind: type, prog: str, arguments: Sequence[str]
+    event: errors.ParseErrorEvent, kind: type, default: Any, prog: str, arguments: Sequence[str]
 ) -> str | None:
     """In a line; None where tyro should say it."""
-    known = ["--help", "--help-all", *_options(kind)]
+    known = ["--help", "--help-all", *_options(kind, default=default)]
     names = [word.split("=")[0].replace("_", "-") for word in arguments]
     unknown = [name for name in names if name.startswith("--") and name not in known]
     match event:
@@ -290,14 +290,19 @@ def _name(argument: Any) -> str:
     return argument.lowered.metavar if argument.is_positional() else argument.display_name()
 
 
-def _options(kind: Any, prefix: str | None = "") -> Iterator[str]:
-    """The names of all options of a command; with the prefix None also those nested have none."""
+def _options(kind: Any, prefix: str | None = "", default: Any = None) -> Iterator[str]:
+    """The names of all options of a command; with the prefix None also those nested have none.
+
+    As for tyro, a `default` of a subclass brings the options of that.
+    """
+    kind = kind if default is None else type(default)
     for name, hint in get_type_hints(kind, include_extras=True).items():
         field, *marks = _parts(hint)
         option = name.replace("_", "-")
         if is_dataclass(field):
             bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
-            yield from _options(field, None if bare else f"{prefix}{option}.")
+            within = None if bare else f"{prefix}{option}."
+            yield from _options(field, within, getattr(default, name, None))
         elif tyro.conf.Positional not in marks:
             yield f"--{prefix or ''}{option}"
             if field is bool:

@@ -22,7 +22,8 @@ from cadenza.cli.results import check_name, check_writable
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
-from cadenza.learning.config import Preset, TrainingConfig, preset
+from cadenza.learning.config import TrainingConfig, preset
+from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ class Train:
     preset: Preset = "fast"
     """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
     the published run script."""
+    learner: Advanced[str] = DROQ
+    """The algorithm: droq, or one that another package adds. --help-all shows its options."""
     resume: Path | None = None
     """Continue the run in this folder, with its own options. --num-steps changes its end."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -77,7 +80,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
     """What the options of training change, and --help shows: a run's own, or those of a preset.
 
     Raises:
-        CadenzaError: there is no such run.
+        CadenzaError: there is no such run, or no such learner.
     """
     words = [word for argument in arguments for word in argument.split("=", 1)]
     following = dict(pairwise(words))
@@ -87,7 +90,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
         return RunFolder(Path(following["--resume"])).settings()[0]
     name = following.get("--preset", "fast")
     known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
-    return preset(known, "--residual" in arguments)
+    return preset(known, "--residual" in arguments, following.get("--learner", DROQ))
 
 
 def train(command: Train) -> None:
@@ -95,9 +98,11 @@ def train(command: Train) -> None:
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
-    if command.resume is not None and command.preset != Train.preset:
+    chosen = command.preset != Train.preset or command.learner != Train.learner
+    if command.resume is not None and chosen:
         raise CadenzaError(
-            f"{command.resume}: a resumed run keeps its own options; leave out --preset"
+            f"{command.resume}: a resumed run keeps its own options; leave out --preset and "
+            "--learner"
         )
     if command.resume is not None and command.arrangement.chosen:
         raise CadenzaError(
@@ -113,13 +118,8 @@ def train(command: Train) -> None:
 
 
 def _train(command: Train, folder: Path) -> None:
-    try:
-        from cadenza.learning.training import Training
-    except ImportError as error:
-        raise CadenzaError(
-            f"training needs more packages ({error}): pip install '.[train]'"
-        ) from error
     from cadenza.learning.run_folder import RunFolder
+    from cadenza.learning.training import Training
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import play
 
@@ -245,7 +245,8 @@ def _what_and_how(run: Path) -> list[str]:
     config, score = RunFolder(run).settings()
 
     def differences(name: Preset) -> list[str]:
-        usual = dict(flat(asdict(replace(preset(name, config.residual), seed=config.seed))))
+        usual_config = preset(name, config.residual, name_of(config.learner))
+        usual = dict(flat(asdict(replace(usual_config, seed=config.seed))))
         return [
             f"{setting.rpartition('.')[2].replace('_', ' ')} {value}"
             for setting, value in flat(asdict(config))

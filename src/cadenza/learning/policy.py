@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.learning.config import Activation
-from cadenza.learning.observation import Floats
+Floats = NDArray[np.float32]
+Activation = Literal["relu", "gelu"]
 
 _SQRT_2_OVER_PI = np.float32(np.sqrt(2 / np.pi))
 
@@ -39,9 +39,8 @@ class Policy:
         activation: after every hidden layer.
         log_std_range: what the logarithm of the deviation is limited to.
         """
-        self.weights = weights
+        self.weights, self.activation, self.log_std_range = weights, activation, log_std_range
         self._activate = _ACTIVATIONS[activation]
-        self._range = log_std_range
         depth = sum(name.endswith("/kernel") for name in weights) - 2
         self._hidden = [f"hidden_{i}" for i in range(depth)]
 
@@ -59,7 +58,7 @@ class Policy:
         features = self._features(observation)
         mean, log_std = self._layer("mean", features), self._layer("log_std", features)
         noise = rng.standard_normal(mean.shape, np.float32)
-        return np.tanh(mean + np.exp(np.clip(log_std, *self._range)) * noise)
+        return np.tanh(mean + np.exp(np.clip(log_std, *self.log_std_range)) * noise)
 
     def _features(self, observation: Floats) -> Floats:
         x = observation

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, checked
-from cadenza.learning.config import Activation
 from cadenza.learning.observation import Inputs, inputs_of
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Activation, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Plan
@@ -88,9 +87,7 @@ class _Facts:
 class LearntPolicy:
     """A policy and all that is needed to play with it."""
 
-    weights: dict[str, NDArray[Any]]
-    activation: Activation
-    log_std_range: tuple[float, float]
+    policy: Policy
     inputs: Inputs
     plan: Plan | None
     """What it corrects, if it does."""
@@ -100,11 +97,6 @@ class LearntPolicy:
     scene: SceneConfig
     score: Score
     """What it was trained to play."""
-
-    @property
-    def policy(self) -> Policy:
-        """For many environments at once."""
-        return Policy(self.weights, self.activation, self.log_std_range)
 
     @property
     def agent(self) -> PolicyAgent:
@@ -145,8 +137,8 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     facts = {
         "format": _FORMAT,
         "about": about,
-        "activation": learnt.activation,
-        "log_std_range": learnt.log_std_range,
+        "activation": learnt.policy.activation,
+        "log_std_range": learnt.policy.log_std_range,
         "inputs": asdict(learnt.inputs),
         "residual": learnt.plan is not None,
         "task": asdict(learnt.task),
@@ -155,7 +147,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     }
     try:
         parts = _named(_PLAN, learnt.plan) | _named(_RANGES, learnt.ranges)
-        write_sealed(folder, _KIND, facts, learnt.weights | parts)
+        write_sealed(folder, _KIND, facts, learnt.policy.weights | parts)
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -202,10 +194,9 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]], folder: Path) -> Lea
                 f"{folder}: not a policy that this version can read (arrays of its plan or its "
                 "ranges are missing, or too many); use another copy"
             )
+    weights = {n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))}
     return LearntPolicy(
-        weights={n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))},
-        activation=facts.activation,
-        log_std_range=facts.log_std_range,
+        policy=Policy(weights, facts.activation, facts.log_std_range),
         inputs=facts.inputs,
         plan=Plan(**plan) if facts.residual else None,
         ranges=Ranges(**ranges) if ranges else None,

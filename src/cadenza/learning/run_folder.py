@@ -20,7 +20,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from itertools import count, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -45,6 +45,8 @@ from cadenza.files import (
     write_atomically,
 )
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.learner import DROQ, learner_config, name_of
+from cadenza.learning.old_formats import renewed_checkpoint
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.score import Score
 
@@ -64,9 +66,12 @@ class _About:
     """What run.json holds."""
 
     config: TrainingConfig
+    """But for the options of the learner."""
     score: Score
     versions: dict[str, str]
     id: str = ""
+    learner: str = DROQ
+    """Its name."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,8 @@ class Facts:
     """From which step on it was to end at which."""
     threads: int | None = None
     """With how many the learner added numbers up, if that is known."""
+    updates: Count = 0
+    """Of the learner."""
     metrics_size: Count = 0
 
 
@@ -154,8 +161,8 @@ class RunFolder:
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
                 "choose another folder with --output"
             )
-        versions = {name: version(name) for name in _VERSIONS}
-        self._write(_About(config, score, versions, secrets.token_hex(8)))
+        about = _About(config, score, _versions(), secrets.token_hex(8), name_of(config.learner))
+        self._write(about)
 
     def set_end(self, config: TrainingConfig) -> None:
         """Has the run end as `config` says.
@@ -178,7 +185,12 @@ class RunFolder:
     def _read(self) -> _About:
         if not self._about.exists():
             raise CadenzaError(f"{self.path}: holds no run to resume")
-        return read_json(self._about, _About)
+        about = read_json(self._about, dict[str, Any])
+        config = about.get("config")
+        options = config.pop("learner", {}) if isinstance(config, dict) else {}
+        read = checked(about, _About, self._about)
+        learner = checked(options, learner_config(read.learner), self._about)
+        return replace(read, config=replace(read.config, learner=learner))
 
     def settings(self) -> tuple[TrainingConfig, Score]:
         """What was asked for.
@@ -338,9 +350,18 @@ class RunFolder:
             ) from error
 
 
+def _versions() -> dict[str, str]:
+    """Of the libraries that are there."""
+    versions = {}
+    for name in _VERSIONS:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
+
+
 def _facts(folder: Path, expected: Expected = MappingProxyType({})) -> tuple[Facts, Arrays]:
     plain, arrays = read_sealed(folder, _KIND, expected)
-    return checked(plain, Facts, folder / "facts.json"), arrays
+    return checked(renewed_checkpoint(plain, arrays), Facts, folder / "facts.json"), arrays
 
 
 def _lost(checkpoint: Checkpoint) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -21,16 +20,7 @@ from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.control import control_of
-from cadenza.learning.droq import (
-    NUM_THREADS,
-    Learner,
-    from_arrays,
-    num_threads,
-    to_arrays,
-    weights_of,
-)
 from cadenza.learning.observation import Observer, Scores, inputs_of
-from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import Replay
@@ -74,6 +64,7 @@ class Training:
         check(config)
         self.config, self._folder = config, folder
         self.step, self.best, self.rows = 0, Row(), deque[Row]()
+        self._updates = 0
         self._score = score.without_fingers() if config.residual else score
         self._task = self._new_task(config.num_envs)
         self._scores = Scores(self._task)
@@ -96,17 +87,9 @@ class Training:
         ends = tuple(
             (config.updates_by(since), config.updates_by(end)) for since, end in self._ends
         )
-        self._learner = Learner(config.learner, inputs, actions, ends)
-        self._threads = num_threads()
-        if self._threads not in (None, NUM_THREADS):
-            print(
-                f"JAX was started before this run with {self._threads} threads instead of "
-                f"{NUM_THREADS}: results differ in their last digits from other runs with "
-                "the same seed",
-                file=sys.stderr,
-            )
-        self._state = self._learner.initial_state(config.seed)
-        self._policy = self._latest_policy()
+        self._learner = config.learner.make(inputs, actions, ends)
+        self._state = self._learner.init(config.seed)
+        self._policy = self._learner.behavior_policy(self._state)
         self._background = ThreadPoolExecutor(1)
         self._learning = ThreadPoolExecutor(1)
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
@@ -172,11 +155,11 @@ class Training:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
             learning.result()
-            self._policy = self._latest_policy()
+            self._policy = self._learner.behavior_policy(self._state)
         else:
             self._collect(random=False)
             self._learn(self._batches())
-            self._policy = self._latest_policy()
+            self._policy = self._learner.behavior_policy(self._state)
 
     def _collect(self, random: bool) -> None:
         config = self.config
@@ -193,18 +176,12 @@ class Training:
     def _learn(self, batches: Any) -> None:
         self._state, figures = self._learner.update(self._state, batches)
         self._figures.append({name: np.asarray(values) for name, values in figures.items()})
-
-    def _latest_policy(self) -> Policy:
-        learner = self.config.learner
-        log_std_range = (learner.log_std_min, learner.log_std_max)
-        return Policy(weights_of(self._state.actor), learner.activation, log_std_range)
+        self._updates += self.config.updates_per_round
 
     def _learnt(self) -> LearntPolicy:
-        config, learner = self.config, self.config.learner
+        config = self.config
         return LearntPolicy(
-            weights=weights_of(self._state.averaged_actor),
-            activation=learner.activation,
-            log_std_range=(learner.log_std_min, learner.log_std_max),
+            policy=self._learner.policy(self._state),
             inputs=self._inputs,
             plan=self._plan,
             ranges=self._ranges,
@@ -224,7 +201,7 @@ class Training:
                 np.mean([episode.total_reward for episode in self._finished])
             )
         self._figures.clear()
-        self._add_row(row | {"updates": int(self._state.updates)})
+        self._add_row(row | {"updates": self._updates})
 
     def _add_row(self, row: Row) -> None:
         row = {"step": self.step, "seconds": round(self._seconds, 3)} | row
@@ -272,9 +249,10 @@ class Training:
             finished=tuple((finite(f1), finite(total)) for f1, total in self._finished),
             replay=tuple(self._chunks),
             ends=self._ends,
-            threads=self._threads,
+            threads=self._learner.num_threads,
+            updates=self._updates,
         )
-        parts = {"learner": to_arrays(self._state), "collector": arrays}
+        parts = {"learner": self._learner.to_arrays(self._state), "collector": arrays}
         parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
         self._folder.save(facts, _joined(parts))
         self._save_last()
@@ -288,8 +266,9 @@ class Training:
         self.best = {name: _number(value) for name, value in facts.best.items()}
         self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
         self._sample_rng.bit_generator.state = facts.sample_rng
-        self._state = from_arrays(parts["learner"], self._state)
-        self._policy = self._latest_policy()
+        self._updates = facts.updates
+        self._state = self._learner.from_arrays(parts["learner"])
+        self._policy = self._learner.behavior_policy(self._state)
         self._scores.restore(parts["scores"])
         self._figures = [parts["figures"]] if "figures" in parts else []
         self._restore_replay(checkpoint)

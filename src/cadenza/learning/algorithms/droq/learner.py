@@ -7,9 +7,7 @@ et al., RoboPianist, CoRL 2023.
 
 from __future__ import annotations
 
-import os
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -18,19 +16,18 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
-from cadenza.learning.config import LearnerConfig
-from cadenza.learning.networks import Actor, Critic
+from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.networks import Actor, Critic
+from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
+from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
+from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch
 
 Params = Any  # nested dictionaries of arrays
 
-NUM_THREADS = 2
-Ends = tuple[tuple[int, int], ...]
 
-
-class LearnerState(NamedTuple):
+class DroQState(NamedTuple):
     """All that learning changes."""
 
     key: jax.Array
@@ -44,36 +41,6 @@ class LearnerState(NamedTuple):
     actor_optimiser: Any
     critic_optimiser: Any
     temperature_optimiser: Any
-
-
-def _start_jax() -> None:
-    """With two threads, on one core and on many, unless something has started it before.
-
-    In which order XLA adds numbers up depends on how many threads it has, and so do the last digits
-    of all that is learnt. This variable is the only way to tell it, and it asks when it starts.
-    """
-    before = os.environ.get("NPROC")
-    os.environ["NPROC"] = str(NUM_THREADS)
-    jax.devices()
-    del os.environ["NPROC"]
-    if before is not None:
-        os.environ["NPROC"] = before
-
-
-def num_threads() -> int | None:
-    """With how many JAX adds numbers up, if it has been started and the system tells."""
-    threads = Path("/proc/self/task")
-    if not threads.exists():
-        return None
-    names = [_name(thread) for thread in threads.iterdir()]
-    return names.count("tf_XLAEigen") or None
-
-
-def _name(thread: Path) -> str:
-    try:
-        return (thread / "comm").read_text().strip()
-    except OSError:  # it has just ended
-        return ""
 
 
 def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
@@ -104,35 +71,15 @@ def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:
     }
 
 
-def to_arrays(state: LearnerState) -> dict[str, NDArray[Any]]:
-    """To keep; see `from_arrays`."""
-    leaves = jax.tree_util.tree_flatten_with_path(state)[0]
-    return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
+class DroQ:
+    """Improves a `DroQState` by batches of transitions; a `Learner`.
 
-
-def from_arrays(arrays: dict[str, NDArray[Any]], like: LearnerState) -> LearnerState:
-    """The state that was kept; `like` is one of the same shapes.
-
-    Raises:
-        CadenzaError: it is not that of such a learner.
+    Attributes:
+        num_threads: with how many JAX adds numbers up, if the system tells.
     """
-    leaves, structure = jax.tree_util.tree_flatten_with_path(like)
-    kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}
-    if kinds != {name: (array.shape, array.dtype) for name, array in arrays.items()}:
-        raise CadenzaError(
-            "this version of Cadenza cannot read the learner in the checkpoint; continue with the "
-            "version named in run.json"
-        )
-    return jax.tree.unflatten(
-        structure, [jnp.asarray(arrays[jax.tree_util.keystr(path)]) for path, _ in leaves]
-    )
-
-
-class Learner:
-    """Improves a `LearnerState` by batches of transitions."""
 
     def __init__(
-        self, config: LearnerConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
+        self, config: DroQConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Args:
         config: what can be chosen.
@@ -140,7 +87,7 @@ class Learner:
         action_size: A.
         ends: of the learning rates, see `falling`.
         """
-        _start_jax()
+        self.num_threads = start_jax()
         actions = tuple(range(inputs.total, inputs.total + action_size))
         self._config = config
         self._action_size, self._ends = action_size, ends
@@ -151,12 +98,12 @@ class Learner:
         self.target_entropy = half if config.target_entropy is None else config.target_entropy
         self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
-    def initial_state(self, seed: int) -> LearnerState:
+    def init(self, seed: int) -> DroQState:
         """Weights are drawn; targets and average begin equal to them."""
         return self._draw_state(jax.random.key(seed))
 
     @partial(jax.jit, static_argnums=0)  # one programme compiles sooner than many small ones
-    def _draw_state(self, key: jax.Array) -> LearnerState:
+    def _draw_state(self, key: jax.Array) -> DroQState:
         config = self._config
         key, actor_key, *critic_keys = jax.random.split(key, 2 + config.num_critics)
         observation = jnp.zeros((1, self._num_inputs))
@@ -167,7 +114,7 @@ class Learner:
             for key in critic_keys
         )
         log_temperature = jnp.log(jnp.float32(config.initial_temperature))
-        return LearnerState(
+        return DroQState(
             key=jax.random.key_data(key),
             updates=jnp.zeros((), jnp.int32),
             actor=actor,
@@ -182,7 +129,7 @@ class Learner:
             ),
         )
 
-    def update(self, state: LearnerState, batches: Batch) -> tuple[LearnerState, dict[str, Any]]:
+    def update(self, state: DroQState, batches: Batch) -> tuple[DroQState, dict[str, Any]]:
         """One update for each of the batches (U, B, ...); `state` is used up.
 
         Returns:
@@ -190,12 +137,37 @@ class Learner:
         """
         return self._update_all(state, batches)
 
+    def policy(self, state: DroQState) -> Policy:
+        """That of the averaged actor."""
+        return self._policy(state.averaged_actor)
+
+    def behavior_policy(self, state: DroQState) -> Policy:
+        """That of the latest actor."""
+        return self._policy(state.actor)
+
+    def _policy(self, actor: Params) -> Policy:
+        config = self._config
+        log_std_range = (config.log_std_min, config.log_std_max)
+        return Policy(weights_of(actor), config.activation, log_std_range)
+
+    def to_arrays(self, state: DroQState) -> dict[str, NDArray[Any]]:
+        """To keep; see `from_arrays`."""
+        return to_arrays(state)
+
+    def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> DroQState:
+        """The state that was kept.
+
+        Raises:
+            CadenzaError: it is not that of such a learner.
+        """
+        return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
+
     def _adam(self, learning_rate: float) -> optax.GradientTransformation:
         config = self._config
         rate = falling(learning_rate, config.final_learning_rates, self._ends)
         return optax.adam(rate, config.adam_beta1, config.adam_beta2)
 
-    def _update(self, state: LearnerState, batch: Batch) -> tuple[LearnerState, dict[str, Any]]:
+    def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, dict[str, Any]]:
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
         state, about_critics = self._update_critics(state, batch, critic_key)
         state, about_actor = jax.lax.cond(
@@ -209,8 +181,8 @@ class Learner:
         return state, about_critics | about_actor | temperature
 
     def _update_critics(
-        self, state: LearnerState, batch: Batch, key: jax.Array
-    ) -> tuple[LearnerState, dict[str, Any]]:
+        self, state: DroQState, batch: Batch, key: jax.Array
+    ) -> tuple[DroQState, dict[str, Any]]:
         config = self._config
         draw, drop_next, drop = jax.random.split(key, 3)
         next_action, log_prob = self._draw(state.actor, batch.next_observation, draw)
@@ -232,8 +204,8 @@ class Learner:
         return state, {"critic_loss": error, "value": value}
 
     def _update_actor(
-        self, state: LearnerState, batch: Batch, key: jax.Array
-    ) -> tuple[LearnerState, dict[str, Any]]:
+        self, state: DroQState, batch: Batch, key: jax.Array
+    ) -> tuple[DroQState, dict[str, Any]]:
         config = self._config
         draw, drop = jax.random.split(key)
         temperature = jnp.exp(state.log_temperature)
@@ -263,7 +235,7 @@ class Learner:
         )
         return state, {"actor_loss": error, "entropy": entropy}
 
-    def _keep_actor(self, state: LearnerState) -> tuple[LearnerState, dict[str, Any]]:
+    def _keep_actor(self, state: DroQState) -> tuple[DroQState, dict[str, Any]]:
         return state, {"actor_loss": jnp.float32(jnp.nan), "entropy": jnp.float32(jnp.nan)}
 
     def _draw(self, actor: Params, observation: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:

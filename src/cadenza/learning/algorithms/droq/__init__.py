@@ -1,0 +1,1 @@
+"""DroQ: soft actor-critic with dropout and layer normalisation in the critics."""

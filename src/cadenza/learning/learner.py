@@ -1,0 +1,137 @@
+"""What a learner is, and learners by name. Imports nothing heavy: the command line shows options.
+
+A learner is named by its configuration, a frozen dataclass that makes it. Another package adds one
+by an entry point of the group `cadenza.learners`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+
+from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.errors import CadenzaError
+from cadenza.registry import Entry, Registry
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cadenza.learning.observation import Inputs
+    from cadenza.learning.policy import Policy
+    from cadenza.learning.replay_buffer import Batch
+
+State = TypeVar("State")
+Preset = Literal["fast", "paper", "published"]
+Ends = tuple[tuple[int, int], ...]
+"""Since which update a run was to end at which one; the first since 0, then at each change."""
+
+DROQ = "droq"
+LEARNERS = Registry(
+    "learner",
+    "cadenza.learners",
+    {
+        DROQ: Entry(
+            "cadenza.learning.algorithms.droq.config:DroQConfig",
+            "soft actor-critic with dropout in the critics",
+        )
+    },
+    otherwise="the name of one that another package has registered",
+)
+
+
+class Learner(Protocol[State]):
+    """Improves a policy by batches of transitions.
+
+    All that learning changes is in a state, so that a run can be stopped and resumed.
+    """
+
+    num_threads: int | None
+    """With how many threads it adds numbers up, if its last digits depend on them."""
+
+    def init(self, seed: int) -> State:
+        """A state that begins."""
+
+    def update(self, state: State, batches: Batch) -> tuple[State, dict[str, NDArray[Any]]]:
+        """One update for each of the batches (U, B, ...); `state` may be used up.
+
+        Returns:
+            The new state, and by name metrics (U,) of each update, NaN where an update has none.
+        """
+
+    def policy(self, state: State) -> Policy:
+        """What is evaluated and kept."""
+
+    def behavior_policy(self, state: State) -> Policy:
+        """What gathers experience, by its samples."""
+
+    def to_arrays(self, state: State) -> dict[str, NDArray[Any]]:
+        """All of a state, to be kept; see `from_arrays`."""
+
+    def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> State:
+        """The state that was kept.
+
+        Raises:
+            CadenzaError: it is not that of such a learner.
+        """
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """What every learner's configuration has. That of a learner adds its own, and makes it."""
+
+    batch_size: int = 256
+    """Transitions per update."""
+
+    @classmethod
+    def preset(cls, name: Preset, residual: bool) -> Self:  # noqa: ARG003
+        """What a run begins with, its defaults unless it has others for a preset."""
+        return cls()
+
+    def check(self) -> None:
+        """Raises: CadenzaError: an option makes no sense."""
+        check_ranges(self, {"batch_size": (1, MOST_COUNT)})
+
+    def make(self, inputs: Inputs, action_size: int, ends: Ends) -> Learner[Any]:
+        """The learner.
+
+        Args:
+            inputs: what its policy observes.
+            action_size: A, of actions in [-1, 1].
+            ends: of the run, for what changes on its way.
+
+        Raises:
+            CadenzaError: a library that it needs is missing.
+        """
+        raise NotImplementedError(f"{type(self).__name__} makes no learner")
+
+
+def learner_config(name: str) -> type[LearnerConfig]:
+    """The configuration of the learner of this name.
+
+    Raises:
+        CadenzaError: there is none. A name may come from a file, and no other module is imported
+            than those that packages have registered.
+    """
+    if ":" in name:
+        raise CadenzaError(f"learner {name!r}: give {LEARNERS.otherwise}")
+    kind = LEARNERS.load(name, type)
+    if not issubclass(kind, LearnerConfig):
+        raise CadenzaError(f"learner {name}: {kind.__name__} is no LearnerConfig of cadenza")
+    return kind
+
+
+def name_of(config: LearnerConfig) -> str:
+    """By which `learner_config` finds the class of `config`.
+
+    Raises:
+        CadenzaError: it has no name.
+    """
+    kind = type(config)
+    place = f"{kind.__module__}:{kind.__qualname__}"
+    for name, entry in LEARNERS.entries().items():
+        if entry.place == place:
+            return name
+    raise CadenzaError(
+        f"the learner of {place} has no name by which its run could be resumed: register it as an "
+        f"entry point of {LEARNERS.group}"
+    )

@@ -1,0 +1,186 @@
+"""A learner of somebody else's: found by its name, trained, stopped, resumed and played."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from rl_examples import melody
+
+from cadenza.cli import main
+from cadenza.learning.config import TrainingConfig
+from cadenza.learning.learner import LearnerConfig
+from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.sealed_folder import read_sealed
+from cadenza.music.midi import write_midi
+
+# Linear regression on the actions, those that were rewarded most first; in numpy alone.
+PACKAGE = """
+from __future__ import annotations
+from dataclasses import dataclass
+import numpy as np
+from cadenza.learning.learner import LearnerConfig
+from cadenza.learning.policy import Policy
+
+@dataclass(frozen=True)
+class RegressionConfig(LearnerConfig):
+    step_size: float = 0.01
+    \"\"\"How far each update goes.\"\"\"
+
+    def make(self, inputs, action_size, ends):
+        return Regression(self, len(inputs.kept), action_size)
+
+class Regression:
+    num_threads = None
+
+    def __init__(self, config, inputs, actions):
+        self.config, self.shape = config, (inputs, actions)
+
+    def init(self, seed):
+        return {"mean": np.random.default_rng(seed).normal(0, 0.1, self.shape).astype("f")}
+
+    def update(self, state, batches):
+        mean, losses = state["mean"].copy(), []
+        for observation, action, reward, _, _ in zip(*batches):
+            error = (observation @ mean - action) * np.exp(reward - reward.max())[:, None]
+            mean -= np.float32(self.config.step_size / len(reward)) * (observation.T @ error)
+            losses.append((error ** 2).mean())
+        return {"mean": mean}, {"loss": np.array(losses)}
+
+    def policy(self, state):
+        bias = np.zeros(self.shape[1], "f")
+        weights = {"mean/kernel": state["mean"], "mean/bias": bias}
+        weights |= {"log_std/kernel": 0 * state["mean"], "log_std/bias": bias - 1}
+        return Policy(weights, "relu", (-5.0, 2.0))
+
+    behavior_policy = policy
+
+    def to_arrays(self, state):
+        return state
+
+    def from_arrays(self, arrays):
+        return arrays
+
+@dataclass(frozen=True)
+class NoLearner:
+    pass
+"""
+OPTIONS = ["--no-video", "--num-steps", "200", "--seed-steps", "64", "--eval-interval", "100"]
+OPTIONS += ["--log-interval", "50", "--steps-per-round", "8", "--batch-size", "16"]
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Installed, as far as Python can tell."""
+    site = tmp_path / "site"
+    about = site / "regression-1.0.dist-info"
+    about.mkdir(parents=True)
+    (site / "regression.py").write_text(PACKAGE)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: regression\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[cadenza.learners]\n"
+        "regression = regression:RegressionConfig\n"
+        "none = regression:NoLearner\n"
+    )
+    monkeypatch.syspath_prepend(site)
+    yield site
+    sys.modules.pop("regression", None)
+
+
+@pytest.fixture
+def tune(tmp_path: Path) -> Path:
+    path = tmp_path / "tune.mid"
+    write_midi(melody(60, 64, 67), path)
+    return path
+
+
+def newest(run: Path) -> dict[str, np.ndarray]:
+    return read_sealed(max((run / "checkpoints").iterdir()), "checkpoint")[1]
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert stop.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.usefixtures("package")
+def test_a_learner_of_another_package_trains_resumes_and_plays(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    train = ["train", str(tune), "--learner", "regression", "--step-size", "0.05", *OPTIONS]
+    main([*train, "-o", str(whole)])
+    rows = [json.loads(line) for line in (whole / "metrics.jsonl").read_text().splitlines()]
+    losses = [row["train/loss"] for row in rows if "train/loss" in row]
+    assert losses[-1] < losses[0]
+    best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
+    assert json.loads((whole / "best_played" / "metrics.json").read_text())["f1"] == best
+    config, _ = RunFolder(whole).settings()
+    assert (type(config.learner).__name__, config.learner.batch_size) == ("RegressionConfig", 16)
+    assert config.learner.step_size == 0.05  # type: ignore[attr-defined]
+
+    main([*train, "-o", str(stopped), "--num-steps", "104"])
+    main(["train", "--resume", str(stopped), "--num-steps", "200", "--no-video"])
+    for name, array in newest(whole).items():
+        assert_array_equal(array, newest(stopped)[name], err_msg=name)
+    assert_array_equal(
+        load_policy(stopped / "last").policy.weights["mean/kernel"], newest(whole)["learner:mean"]
+    )
+    assert "its own options" in refused(capsys, "train", "--resume", whole, "--step-size", 1)
+
+
+@pytest.mark.usefixtures("package")
+def test_help_lists_the_options_of_the_learner(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = {}
+    for name in ("regression", "droq"):
+        with pytest.raises(SystemExit):
+            main(["train", "--learner", name, "--help-all"])
+        shown[name] = " ".join(capsys.readouterr().out.split())
+    assert "--step-size FLOAT How far each update goes. (default: 0.01)" in shown["regression"]
+    assert "--discount" not in shown["regression"]
+    assert "--step-size" not in shown["droq"]
+    assert "there is no option --discount" in refused(
+        capsys, "train", "x", "--learner", "regression", "--discount", "1"
+    )
+    # An option that is there, but has no value.
+    said = refused(capsys, "train", "x", "--learner", "regression", "--step-size")
+    assert "--step-size needs a value" in said
+
+
+@pytest.mark.usefixtures("package")
+def test_who_is_no_learner_is_refused(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(name: str) -> str:
+        return refused(capsys, "train", tune, "--learner", name, "-o", tmp_path / "run")
+
+    assert "did you mean droq?" in said("drqo")
+    assert "NoLearner is no LearnerConfig of cadenza" in said("none")
+    assert "another package has registered" in said("regression:RegressionConfig")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_of_a_learner_that_is_not_installed_says_so(
+    package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = RunFolder(tmp_path / "run")
+    sys.path.insert(0, str(package))
+    from regression import RegressionConfig  # type: ignore[import-not-found]
+
+    run.begin(TrainingConfig(learner=RegressionConfig()), melody(60))
+    sys.path.remove(str(package))
+    (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
+    assert "no learner 'regression'" in refused(capsys, "train", "--resume", run.path)
+
+
+def test_the_options_of_every_learner_are_checked() -> None:
+    with pytest.raises(Exception, match="batch_size 0: choose 1 or more"):
+        LearnerConfig(batch_size=0).check()
