@@ -24,7 +24,7 @@ from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
 from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
 from cadenza.report.page import write_report
-from cadenza.report.sound import SAMPLE_RATE, encode_mp3, synthesize
+from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
@@ -100,7 +100,6 @@ class Performance:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
         progress("making the sound", 0, 2)
-        # One after the other: of a long song, each takes hundreds of megabytes until it is encoded.
         goal = encode_mp3(synthesize(self.goal), bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)
         audio = synthesize(played)
@@ -120,9 +119,7 @@ class Performance:
                 video=path.name if drawn else "",
             )
 
-    def _write_video(
-        self, path: Path, audio: NDArray[np.int16], progress: Progress, picture: Picture
-    ) -> bool:
+    def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
         """Whether this machine can draw it."""
         episode = self.episode
         goal = np.flatnonzero(episode["goal_keys"].any(axis=0))

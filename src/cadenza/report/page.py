@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
 from cadenza.report.recording import embedded
-from cadenza.report.sound import SAMPLE_RATE
+from cadenza.report.sound import SAMPLE_RATE, Samples
 
 _SCRIPTS = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "charts.js", "page.js")
 
@@ -44,7 +43,7 @@ def write_report(
     episode: Episode,
     metrics: Mapping[str, Any],
     settings: Mapping[str, Any],
-    audio: NDArray[np.int16],
+    audio: Samples,
     sample_rate: int = SAMPLE_RATE,
     misses: Sequence[Mapping[str, Any]] = (),
     goal_mp3: bytes = b"",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.music.score import NUM_KEYS
-from cadenza.report.sound import encode_mp3
+from cadenza.report.sound import Samples, encode_mp3
 
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
 _PIECE = 3 << 18  # bytes that are written at once; base64 wants a multiple of 3
@@ -25,7 +25,7 @@ _PIECE = 3 << 18  # bytes that are written at once; base64 wants a multiple of 3
 
 def embedded(
     episode: Episode,
-    audio: NDArray[np.int16],
+    audio: Samples,
     sample_rate: int,
     goal_mp3: bytes = b"",
 ) -> Iterator[str]:

@@ -6,19 +6,20 @@ of piano tones", JASA 34, 1962). Each partial is two strings that differ slightl
 decay, which gives the piano's fast first and slow second decay (Weinreich, "Coupled piano strings",
 JASA 62, 1977). The levels were set by ear and by common measurements of pianos.
 
-Sound is made, levelled and encoded block by block, so that the memory it takes grows by that of the
-16 bit samples alone, 10.6 MB a minute.
+Sound is made, levelled and encoded block by block, and lies in a file in between, so that the
+memory it takes does not grow with its length.
 """
 
 from __future__ import annotations
 
 import io
+import tempfile
 import wave
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import av
 import av.filter
@@ -47,31 +48,66 @@ _VELOCITY_BAND = 8  # velocities that share one timbre
 _TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
 _TAIL = 0.7  # [s] of room after the last note
 _ROOM = 0.05  # level of the room against the piano
+_IN_MEMORY = 32 << 20  # bytes of sound that need no file: three minutes
 
 
-def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> NDArray[np.int16]:
-    """The sound of `score`, (n, 2) left and right, 16 bit; (0, 2) without notes.
+class Sound:
+    """Samples (n, 2) left and right, 16 bit, to be read with `sound[first:last]`.
+
+    They lie in a file without a name; those of a short sound in memory.
+    """
+
+    ndim = 2
+
+    def __init__(self, length: int) -> None:
+        self.shape = (length, 2)
+        self._file: IO[bytes] = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
+
+    def __del__(self) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, part: slice) -> NDArray[np.int16]:
+        first, last, _ = part.indices(len(self))
+        self._file.seek(4 * first)
+        return np.frombuffer(self._file.read(4 * max(last - first, 0)), np.int16).reshape(-1, 2)
+
+    def write(self, first: int, samples: NDArray[np.int16]) -> None:
+        """Puts `samples` from `first` on."""
+        self._file.seek(4 * first)
+        self._file.write(samples.tobytes())
+
+
+Samples = NDArray[np.int16] | Sound
+"""(n,) or (n, 2), 16 bit."""
+
+
+def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
+    """The sound of `score`; of no samples without notes.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
     whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
     all recordings are equally loud.
 
-    Memory: the samples returned and about 150 MB, however many notes there are.
+    Memory: about 150 MB, however many notes there are.
     """
     if not score.notes:
-        return np.zeros((0, 2), np.int16)
+        return Sound(0)
     notes = list(zip(score.notes, _releases(score), strict=True))
     latest = max(release + _damping(note.pitch) for note, release in notes)
     # Half precision: an error 76 dB below the sound, whatever its level.
-    mix = np.empty((int((latest + _TAIL) * sample_rate) + 1, 2), np.float16)
+    sound = Sound(int((latest + _TAIL) * sample_rate) + 1)
     meter = _LoudnessMeter(sample_rate)
     first = 0
     with threadpool_limits(1):  # small matrices
-        for block in _in_room(_blocks(notes, len(mix), sample_rate), sample_rate):
-            mix[first : first + block.shape[1]] = block.T
+        for block in _in_room(_blocks(notes, len(sound), sample_rate), sample_rate):
+            sound.write(first, block.T.astype(np.float16).view(np.int16))
             meter.add(block)
             first += block.shape[1]
-    return _levelled(mix, 10 ** ((_LOUDNESS - meter.integrated) / 20), sample_rate)
+    _level(sound, 10 ** ((_LOUDNESS - meter.integrated) / 20), sample_rate)
+    return sound
 
 
 def write_wav(path: Path, audio: NDArray[np.int16], sample_rate: int = SAMPLE_RATE) -> None:
@@ -84,13 +120,13 @@ def write_wav(path: Path, audio: NDArray[np.int16], sample_rate: int = SAMPLE_RA
 
 
 def encode_mp3(
-    audio: NDArray[np.int16],
+    audio: Samples,
     sample_rate: int = SAMPLE_RATE,
     bit_rate: int = 96_000,
     mono: bool = False,
     seconds: float = 0.0,
 ) -> bytes:
-    """`audio`, (n,) or (n, 2), as an MP3 file: what every browser plays.
+    """`audio` as an MP3 file: what every browser plays.
 
     Args:
         bit_rate: of the file, bits a second.
@@ -102,17 +138,15 @@ def encode_mp3(
         layout = "mono" if mono or audio.ndim == 1 else "stereo"
         stream = container.add_stream("libmp3lame", rate=sample_rate, layout=layout)
         stream.bit_rate = bit_rate
-        for frame in audio_frames(audio, sample_rate, seconds):
+        length = max(len(audio), int(np.ceil(seconds * sample_rate)))
+        for frame in audio_frames(audio, sample_rate, length):
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return buffer.getvalue()
 
 
-def audio_frames(
-    audio: NDArray[np.int16], sample_rate: int, seconds: float = 0.0
-) -> Iterator[av.AudioFrame]:
-    """`audio`, (n,) or (n, 2), a second at a time, with silence after it up to `seconds`."""
-    length = max(len(audio), int(np.ceil(seconds * sample_rate)))
+def audio_frames(audio: Samples, sample_rate: int, length: int) -> Iterator[av.AudioFrame]:
+    """`length` samples of `audio`, with silence where it has no more, a second at a time."""
     for first in range(0, length, sample_rate):
         samples = np.zeros((min(sample_rate, length - first), *audio.shape[1:]), np.int16)
         part = audio[first : first + len(samples)]
@@ -341,21 +375,21 @@ def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArr
         yield block
 
 
-def _levelled(mix: NDArray[np.float16], gain: float, rate: int) -> NDArray[np.int16]:
-    """`mix` (n, 2) times `gain`, in its place, and where that exceeds the ceiling turned down.
+def _level(sound: Sound, gain: float, rate: int) -> None:
+    """Puts the samples of a mix, in half precision, times `gain` in its place.
 
-    Around peaks, so that the waveform is not bent.
+    Where that exceeds the ceiling, it is turned down around peaks, so that the waveform is not
+    bent.
     """
     window = int(0.01 * rate) | 1
-    samples = mix.view(np.int16)
     size = _BLOCK * rate
     before = np.zeros((2, 0), np.float32)  # what the block just written was like
-    for first in range(0, len(mix), size):
-        here = mix[first : first + size + window].T.astype(np.float32) * np.float32(gain)
+    for first in range(0, len(sound), size):
+        mix = sound[first : first + size + window].view(np.float16)
+        here = mix.T.astype(np.float32) * np.float32(gain)
         audio = np.hstack([before, here])
         peak = ndimage.maximum_filter1d(np.abs(audio).max(axis=0), window)
         down = ndimage.uniform_filter1d(np.minimum(1, _CEILING / np.maximum(peak, 1e-9)), window)
         block = (audio * down)[:, before.shape[1] :][:, :size]
-        samples[first : first + size] = np.rint(block * 32767).T
+        sound.write(first, np.rint(block * 32767).T.astype(np.int16))
         before = here[:, :size][:, -window:]
-    return samples

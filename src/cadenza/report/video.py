@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.report.sound import SAMPLE_RATE, audio_frames
+from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
 
 _SMALLEST = 16  # [px] that the encoder takes
 
@@ -22,7 +22,7 @@ def write_video(
     path: Path,
     frames: Iterable[NDArray[np.uint8]],
     fps: float,
-    audio: NDArray[np.int16],
+    audio: Samples,
     sample_rate: int = SAMPLE_RATE,
 ) -> None:
     """Writes an MP4 with H.264 pictures and AAC sound, which any player and browser plays.
@@ -31,7 +31,7 @@ def write_video(
         frames: pictures (H, W, 3), taken one at a time; of an odd height or width, the last row or
             column is left out, because the format cannot hold it.
         fps: pictures a second.
-        audio: (n,) or (n, 2), cut where it outlasts the pictures by over a second.
+        audio: cut where it outlasts the pictures by over a second.
 
     Raises:
         CadenzaError: there are no frames, or they differ in size.
@@ -64,7 +64,7 @@ def write_video(
             count += 1
         container.mux(video.encode(None))
 
-        longest = int((count / fps + 1) * sample_rate)
-        for frame in audio_frames(audio[:longest], sample_rate):
+        length = min(len(audio), int((count / fps + 1) * sample_rate))
+        for frame in audio_frames(audio, sample_rate, length):
             container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
