@@ -19,6 +19,36 @@ import pytest
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
+# Of each canvas, what has been written on it since it was cleared: text, left, top, right, bottom.
+_WRITTEN = """(() => {
+    const written = window.written = new Map(), drawing = CanvasRenderingContext2D.prototype;
+    const { fillText, clearRect } = drawing;
+    drawing.clearRect = function (...box) {
+        written.delete(this.canvas);
+        clearRect.apply(this, box);
+    };
+    drawing.fillText = function (text, x, y, ...width) {
+        const size = this.measureText(text), { a, d, e, f } = this.getTransform();
+        const box = [a * (x - size.actualBoundingBoxLeft) + e,
+            d * (y - size.actualBoundingBoxAscent) + f, a * (x + size.actualBoundingBoxRight) + e,
+            d * (y + size.actualBoundingBoxDescent) + f];
+        const texts = written.get(this.canvas) ?? [];
+        if (text !== "") written.set(this.canvas, [...texts, [String(text), ...box]]);
+        fillText.call(this, text, x, y, ...width);
+    };
+})()"""
+_COLLIDING = """(canvas) => {
+    const { width, height } = canvas, texts = written.get(canvas) ?? [];
+    const out = ([, left, top, right, bottom]) =>
+        left < -1 || top < -1 || right > width + 1 || bottom > height + 1;
+    const over = ([, left, top, right, bottom], [, left2, top2, right2, bottom2]) =>
+        left < right2 && left2 < right && top < bottom2 && top2 < bottom;
+    return [
+        ...texts.filter(out).map(([text]) => `${text} is cut off`),
+        ...texts.flatMap((a, i) => texts.slice(i + 1).filter((b) => over(a, b))
+            .map(([text]) => `${text} over ${a[0]}`)),
+    ];
+}"""
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium or Chrome on the PATH")
 
 
@@ -45,6 +75,7 @@ class Browser:
         ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=_WRITTEN)
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=1000,
@@ -114,6 +145,15 @@ class Browser:
         shot = self.call("Page.captureScreenshot", format="png", clip=box | {"scale": 1})["data"]
         with av.open(io.BytesIO(base64.b64decode(shot)), format="png_pipe") as file:
             return next(file.decode(video=0)).to_ndarray(format="rgb24")
+
+    def labels(self) -> list[list[str]]:
+        """The texts on each canvas of the page, in order."""
+        return self.evaluate("""[...document.querySelectorAll("canvas")]
+            .map(canvas => (written.get(canvas) ?? []).map(([text]) => text))""")
+
+    def colliding_labels(self, canvases: str = "canvas") -> list[str]:
+        """Texts on a canvas that lie over each other or are cut off by its edges."""
+        return self.evaluate(f"[...document.querySelectorAll('{canvases}')].flatMap({_COLLIDING})")
 
     def problems(self) -> list[str]:
         """Exceptions and errors on the console."""

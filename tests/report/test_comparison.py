@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -72,21 +73,22 @@ def test_bars_are_as_long_as_the_means(page: str) -> None:
     assert dots == ["left:90.0%", "left:80.0%"] * 4
 
 
-def area(path: str) -> float:
-    """What the blocks of an SVG path cover."""
-    blocks = re.findall(r"M(\d+) (-?\d+)H(\d+)V(-?\d+)H(\d+)z", path)
-    return sum((int(b) - int(a)) * abs(int(v) - int(u)) for a, u, b, v, _ in blocks)
+def strips(page: str) -> list[dict]:
+    found = re.findall(r'class="strip".*?json">(.*?)</script>', page, re.DOTALL)
+    return [json.loads(strip) for strip in found]
 
 
 def test_strips_show_how_many_keys_were_right_missing_and_wrong(page: str) -> None:
     episode = make_episode()
     goal, played = episode["goal_keys"], episode["key_activation"]
     expected = {"hit": goal & played, "missed": goal & ~played, "wrong": played & ~goal}
-    paths = [a for tag, a in Elements(page).found if tag == "path"]
-    for name, keys in expected.items():
-        areas = [area(str(a["d"])) for a in paths if a.get("class") == name]
-        assert len(areas) == len(RUNS)
-        assert set(np.array(areas) / 6) == {keys.sum()}
+    found = strips(page)
+    assert len(found) == len(RUNS)
+    for strip in found:
+        assert strip["dt"] == episode.dt
+        for name, keys in expected.items():
+            assert strip[name] == keys.sum(axis=1).tolist()
+    assert 'data-words="Key steps of &lt;zero&gt;, seed 0: 16 hit, 24 missed, 5 wrong"' in page
 
 
 def test_the_page_stands_alone(page: str) -> None:
@@ -96,14 +98,6 @@ def test_the_page_stands_alone(page: str) -> None:
             assert (attributes.get(name) or "data:").startswith("data:"), (tag, attributes)
     assert "default-src 'none'" in page
     assert "{{" not in page
-
-
-def test_an_episode_that_ended_early(tmp_path: Path) -> None:
-    short = replace(RUNS[2], episode=make_episode(steps=10))
-    write_comparison(tmp_path / "compare.html", [short, RUNS[0]])
-    found = Elements((tmp_path / "compare.html").read_text()).found
-    views = [str(a["viewbox"]) for tag, a in found if tag == "svg"]
-    assert {view.split()[2] for view in views} == {"40"}
 
 
 def opened(browser: Browser, path: Path) -> None:
@@ -158,7 +152,7 @@ def test_labels_do_not_overlap_on_any_screen(browser: Browser, tmp_path: Path) -
         opened(browser, tmp_path / "compare.html")
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
         overlaps = browser.evaluate("""(() => {
-            const labels = ".bars dt, .bars dd b, .whose, .strip, .seconds span, h2, .legend span";
+            const labels = ".bars dt, .bars dd b, .whose, .strip, h2, .legend span";
             const boxes = [...document.querySelectorAll(labels)]
               .filter((label) => getComputedStyle(label).visibility !== "hidden")
               .map((label) => [label.textContent, label.getBoundingClientRect()]);
@@ -168,4 +162,31 @@ def test_labels_do_not_overlap_on_any_screen(browser: Browser, tmp_path: Path) -
               .map(([other]) => `${text} | ${other}`));
         })()""")
         assert overlaps == []
+        assert browser.colliding_labels() == []
         assert browser.problems() == []
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_strips_share_a_time_axis_and_tell_their_counts(browser: Browser, tmp_path: Path) -> None:
+    """Also that of an episode which ended after a quarter of the time."""
+    short = replace(RUNS[2], episode=make_episode(steps=10))
+    write_comparison(tmp_path / "compare.html", [short, RUNS[0]])
+    screen = {"width": 1000, "height": 1200, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **screen)
+    opened(browser, tmp_path / "compare.html")
+    hit = (0x00, 0x9E, 0x73)
+    for strip, (first, end) in enumerate(((4, 10), (4, 20))):
+        picture = browser.picture(f'div.strip[data-run="{strip}"]').astype(int)
+        lit = np.flatnonzero((np.abs(picture - hit).max(axis=2) < 24).any(axis=0))
+        expected = np.array([first, end]) / 40 * picture.shape[1]
+        np.testing.assert_allclose([lit[0], lit[-1] + 1], expected, atol=2)
+
+    left, top, width = browser.evaluate(
+        "(({ left, top, width }) => [left, top, width])"
+        "(document.querySelector('div.strip[data-run=\"1\"]').getBoundingClientRect())"
+    )
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=left + 0.66 * width, y=top + 3)
+    values = "document.querySelector('.u-legend:not([hidden])').innerText.replace(/\\s+/g, ' ')"
+    assert browser.evaluate(values).strip() == "time 1.30 s hit 0 missed 1 wrong 1"
+    assert browser.problems() == []

@@ -385,6 +385,8 @@ def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(brow
     rows = browser.evaluate("[...document.querySelectorAll('.term')].map(row => row.textContent)")
     assert "energy mean 0.000at the cursor 0.000" in rows
     assert not any("-0.000" in row for row in rows)
+    assert browser.labels()[-3:] == [["0", "2"], ["−1", "1"], ["−1e−4", "0"]]
+    assert browser.colliding_labels("#rewards canvas") == []
     browser.evaluate("cadenza.seek(0)")
     hide = "document.querySelectorAll('.cursor').forEach(e => {{ e.style.visibility = '{}' }})"
     for part in (".term", "#roll"):

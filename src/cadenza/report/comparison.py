@@ -10,17 +10,14 @@ import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.episode import Episode
 from cadenza.music.keyboard import IS_BLACK, note_name
 from cadenza.music.performance import key_runs, performed_score
 from cadenza.report.page import asset, own_parts, pieces, shared_parts, write_page
-from cadenza.report.recording import embedded, in_json, verdict
+from cadenza.report.recording import VERDICTS, embedded, in_json, verdict
 from cadenza.report.sound import SAMPLE_RATE, synthesize
 
 COLUMNS = {
@@ -33,10 +30,10 @@ COLUMNS = {
     "planning": ("Planning time / music", 2),
 }
 """Figures of a run -> what they are called, and how many decimals are shown."""
+_STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css")
 _BARS = ("f1", "precision", "recall", "note_onset_f1")
 _MIDDLE_C = 39
 _ROW = 7  # [px] height of a key in the piano roll
-_STEP_HEIGHT = 6  # [px] of one key in the strips
 
 
 @dataclass(frozen=True)
@@ -88,16 +85,16 @@ def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = (
         "bars": "".join(_bars(name, runs) for name in _BARS),
         "roll": _roll(longest),
         "remarks": "".join(f"<p>{html.escape(remark)}</p>" for remark in remarks),
-        "strips": "".join(_strip(i, run, _duration(longest)) for i, run in enumerate(runs)),
-        "seconds": _seconds(_duration(longest)),
+        "strips": "".join(_strip(i, run) for i, run in enumerate(runs)),
         "choices": "".join(
             f'<option value="{i}">{html.escape(_name(run))}</option>' for i, run in enumerate(runs)
         ),
         "duration": f"{_duration(longest):g}",
         "runs": chain.from_iterable(map(_embedded, runs)),
         "shared": in_json(list(shared_parts().values())),
-        "js": asset("comparison.js"),
-        "css": asset("page.css") + asset("comparison.css"),
+        "uplot": asset("uplot.min.js"),
+        "js": asset("chart.js") + asset("comparison.js"),
+        "css": "".join(map(asset, _STYLES)),
     }
     write_page(path, "comparison.html", parts)
 
@@ -167,16 +164,6 @@ def _bars(name: str, runs: Sequence[Run]) -> str:
     return f"<section><h3>{COLUMNS[name][0]}</h3><dl>{''.join(lines)}</dl></section>"
 
 
-# Drawings over time: x in control steps, stretched to the width that there is
-
-
-def _svg(steps: int, top: int, height: int, words: str, content: str) -> str:
-    return (
-        f'<svg viewBox="0 {top} {steps} {height}" height="{height}" preserveAspectRatio="none" '
-        f'role="img" aria-label="{html.escape(words)}">{content}</svg>'
-    )
-
-
 def _roll(episode: Episode) -> str:
     """What the score asks for: names of the Cs, and the notes over rows of keys."""
     first, last, key = key_runs(episode["goal_keys"])
@@ -198,44 +185,24 @@ def _roll(episode: Episode) -> str:
         for k in range(low, high + 1)
         if note_name(k)[:-1] == "C"
     )
-    words = f"Piano roll of the {len(first)} notes to play"
     return (
-        f'<div class="names">{names}</div>'
-        f"<div>{_svg(episode.num_steps, 0, height, words, drawn)}</div>"
+        f'<div class="names">{names}</div><div>'
+        f'<svg viewBox="0 0 {episode.num_steps} {height}" height="{height}" role="img" '
+        f'preserveAspectRatio="none" aria-label="Piano roll of the {len(first)} notes to play">'
+        f"{drawn}</svg></div>"
     )
 
 
-def _strip(index: int, run: Run, duration: float) -> str:
-    """Of each step, keys that rightly sound and missing ones above the line, wrong ones below."""
-    steps = round(duration / run.episode.dt)
+def _strip(index: int, run: Run) -> str:
+    """How many keys rightly sound, are missing and sound wrongly in each step."""
     verdicts = verdict(run.episode["goal_keys"], run.episode["key_activation"])
-    hit, wrong, missed = (_STEP_HEIGHT * (verdicts == v).sum(axis=1) for v in (1, 2, 3))
-    up, down = int((hit + missed).max()), int(wrong.max())
-    layers = {"hit": (0 * hit, -hit), "missed": (-hit, -hit - missed), "wrong": (0 * wrong, wrong)}
-    drawn = "".join(
-        f'<path class="{name}" d="{"".join(_blocks(*edges))}"/>' for name, edges in layers.items()
-    )
-    drawn += f'<path class="line" d="M0 0H{steps}"/>'
-    shares = (np.count_nonzero(verdicts == v) for v in (1, 3, 2))
-    words = "{} key steps hit, {} missed, {} wrong".format(*shares)
+    counts = {name: (verdicts == i + 1).sum(axis=1).tolist() for i, name in enumerate(VERDICTS)}
+    shares = ", ".join(f"{sum(counts[name])} {name}" for name in ("hit", "missed", "wrong"))
+    words = html.escape(f"Key steps of {_name(run)}: {shares}")
     return (
         f'<button type="button" class="whose" data-run="{index}"><b>{html.escape(run.agent)}</b> '
         f"<small>seed {run.seed}</small></button>"
-        f'<div class="strip" data-run="{index}">'
-        f"{_svg(steps, -up - 1, up + down + 2, words, drawn)}</div>"
+        f'<div class="strip" data-run="{index}" data-words="{words}">'
+        f'<script type="application/json">{in_json({"dt": run.episode.dt, **counts})}</script>'
+        "</div>"
     )
-
-
-def _blocks(start: NDArray[np.intp], end: NDArray[np.intp]) -> Iterator[str]:
-    """SVG paths of what lies between two heights (T,), a block where they stay the same."""
-    changes = np.flatnonzero((np.diff(start) != 0) | (np.diff(end) != 0)) + 1
-    edges = [0, *changes.tolist(), len(start)]
-    for first, last in pairwise(edges):
-        if start[first] != end[first]:
-            yield f"M{first} {start[first]}H{last}V{end[first]}H{first}z"
-
-
-def _seconds(duration: float) -> str:
-    tick = next((t for t in (0.5, 1, 2, 5, 10, 20, 30, 60) if duration / t <= 12), 120)
-    times = np.arange(0, 0.95 * duration, tick)  # a label has to fit after the last
-    return "".join(f'<span style="left:{100 * t / duration:.2f}%">{t:g} s</span>' for t in times)

@@ -1,9 +1,10 @@
 """A performance as one HTML file: in three dimensions, with sound, piano roll and scores.
 
-The page needs neither a network nor a server. Its 3D drawing is three.js, of which a cut-down copy
-(MIT, 570 kB) lies in `assets`, because no Python package carries one that serves: trimesh has the
-release of 2022 inside the template of its own viewer, meshcat, viser, pythreejs and k3d bring a web
-server or Jupyter, and bare copies come with packages of another purpose.
+The page needs neither a network nor a server. Its 3D drawing is three.js (cut down to 570 kB), its
+charts are uPlot (50 kB). Copies of both (MIT) lie in `assets`, because no Python package carries
+ones that serve. Of three.js, trimesh has the release of 2022 inside the template of its own viewer,
+meshcat, viser, pythreejs and k3d bring a web server or Jupyter, and bare copies come with packages
+of another purpose. Libraries of charts for Python bring megabytes (plotly, bokeh, altair).
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ from cadenza.files import write_atomically
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE, Samples
 
-_SCRIPTS = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "charts.js", "page.js")
+_SCRIPTS = (
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
+    *("chart.js", "roll.js", "rewards.js", "page.js"),
+)
 
 Parts = Mapping[str, str | Iterable[str]]
 """By the names that they have in a template; a long one comes in pieces, and stands there once."""
@@ -99,8 +103,9 @@ def own_parts(
 def shared_parts() -> dict[str, str]:
     """Looks and scripts of the page of any episode."""
     return {
-        "css": asset("page.css"),
+        "css": "".join(map(asset, ("uplot.min.css", "page.css", "chart.css"))),
         "three": asset("three.min.js"),
+        "uplot": asset("uplot.min.js"),
         "js": "\n".join(map(asset, _SCRIPTS)),
     }
 

@@ -69,6 +69,10 @@ def _recording(episode: Episode) -> dict[str, Any]:
     }
 
 
+VERDICTS = ("hit", "wrong", "missed")
+"""Of a key that is not rightly silent; `verdict` counts them from 1."""
+
+
 def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """What became of each, of any shape: 0 rightly silent, 1 hit, 2 wrong, 3 missed."""
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)

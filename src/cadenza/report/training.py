@@ -1,4 +1,4 @@
-"""Learning curves of training runs as one HTML file, drawn in SVG: no network, no server."""
+"""Learning curves of training runs as one HTML file: no network, no server."""
 
 from __future__ import annotations
 
@@ -8,25 +8,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.report.line_chart import (
-    LARGEST,
-    Line,
-    Points,
-    count_axis,
-    in_short,
-    line_chart,
-    log_axis,
-    time_axis,
-    value_axis,
-)
+from cadenza.report.line_chart import LARGEST, Line, Points, in_short, line_chart
 from cadenza.report.page import asset, flat, write_page
 
-_STYLES = ("page.css", "comparison.css", "training.css")
+_STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
 _REWARDS = "eval/reward/"
 _TITLES = {
     "eval/note_onset_f1": "Note onset F1",
@@ -41,9 +31,13 @@ _TITLES = {
     "train/temperature": "Temperature",
 }
 """Columns -> titles of their charts; each term of the reward has one."""
-_LOGARITHMIC = ("train/critic_loss", "train/temperature")
-_SHARES = ("eval/note_onset_f1", "episodes/f1")
-"""Drawn from 0 to 1, however little of that they cover."""
+_KINDS: dict[str, Literal["number", "share", "log"]] = {
+    "eval/note_onset_f1": "share",
+    "episodes/f1": "share",
+    "train/critic_loss": "log",
+    "train/temperature": "log",
+}
+"""Columns -> what their axes measure, if not just numbers."""
 _COLOURS = 8  # that the style sheet has for runs
 _DRAWN = 1200  # points of all runs together in a chart, so that the page stays small
 _MOST_DRAWN = 200  # points of a line: more are not to be seen
@@ -96,8 +90,9 @@ def write_training(
         "others": _other_section(runs),
         "settings": _settings(settings),
         "renewed": " data-renewed" if going_on else "",
+        "uplot": asset("uplot.min.js"),
         "css": "".join(map(asset, _STYLES)),
-        "js": asset("training.js"),
+        "js": asset("chart.js") + asset("training.js"),
     }
     write_page(path, "training.html", parts)
 
@@ -119,6 +114,10 @@ def _points(run: Curve, column: str, above: float = -LARGEST) -> Points:
         if row.get(column) is not None
     ]
     x, y = np.array(found, float).reshape(-1, 2).T
+    return _drawable(x, y, above)
+
+
+def _drawable(x: NDArray[np.float64], y: NDArray[np.float64], above: float = -LARGEST) -> Points:
     drawable = (y > above) & (y < LARGEST) & (x < LARGEST)
     return Points(x[drawable], y[drawable])
 
@@ -133,7 +132,7 @@ def _seconds(run: Curve, steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _timed(run: Curve, points: Points) -> Points:
-    return Points(_seconds(run, points.x), points.y)
+    return _drawable(_seconds(run, points.x), points.y)
 
 
 def _mean(each: Sequence[Points]) -> Points:
@@ -317,14 +316,23 @@ def _f1_section(runs: Sequence[Curve]) -> str:
     if not any(len(points.x) for points in columns["f1"]):
         return _section("How well it plays", "<p>No evaluation yet.</p>")
     timed = {name: list(map(_timed, runs, each)) for name, each in columns.items()}
-    y = value_axis(np.array([0.0, 1.0]))
-    charts = (
-        line_chart(f"F1 by {along}", along, x, y, _f1_lines(runs, drawn))
-        for along, x, drawn in (
-            ("control steps", count_axis(_end(runs, "step")), columns),
-            ("wall time", time_axis(_end(runs, "seconds")), timed),
-        )
-    )
+    charts = [
+        line_chart(
+            "F1 by control steps",
+            "control steps",
+            _end(runs, "step"),
+            _f1_lines(runs, columns),
+            y="share",
+        ),
+        line_chart(
+            "F1 by wall time",
+            "wall time",
+            _end(runs, "seconds"),
+            _f1_lines(runs, timed),
+            "seconds",
+            "share",
+        ),
+    ]
     of_all = "mean " if len(runs) > 1 else ""
     more = [("precision", f"{of_all}precision"), ("recall", f"{of_all}recall"), ("best", "best")]
     legend = _legend([*_marks(runs), *(more if len(_tasks(runs)) == 1 else ())])
@@ -345,19 +353,13 @@ def _f1_lines(runs: Sequence[Curve], columns: Mapping[str, Sequence[Points]]) ->
 
 def _other_section(runs: Sequence[Curve]) -> str:
     """A small chart of each other column that has values, against control steps."""
-    x = count_axis(_end(runs, "step"))
     charts = ""
     for column, title in _titles(runs):
-        log = column in _LOGARITHMIC
-        lines = _lines(
-            runs, [_points(run, column, 1 / LARGEST if log else -LARGEST) for run in runs]
-        )
-        values = np.concatenate([y for line in lines for y in (line.points.y, *(line.band or ()))])
-        if len(values):
-            if column in _SHARES:
-                values = np.append(values, [0.0, 1.0])
-            y = log_axis(values) if log else value_axis(values)
-            charts += line_chart(title, "control steps", x, y, lines)
+        kind = _KINDS.get(column, "number")
+        above = 1 / LARGEST if kind == "log" else -LARGEST
+        lines = _lines(runs, [_points(run, column, above) for run in runs])
+        if any(len(line.points.x) for line in lines):
+            charts += line_chart(title, "control steps", _end(runs, "step"), lines, y=kind)
     legend = _legend(_marks(runs)) if len(runs) > 1 else ""
     content = f'{legend}<div class="small">{charts}</div>'
     return _section("What it earns and learns", content) if charts else ""

@@ -7,6 +7,49 @@ const shared = read($("shared")), runs = document.querySelectorAll(".run");
 const comparison = window.comparison = { ready: false };
 let turns = 0;
 
+// What was right when: keys that rightly sound and missing ones above the line, wrong ones below.
+const KEY = 6; // [px]
+const duration = Number(strips.dataset.duration);
+const time = { time: false, range: [0, duration] }; // of what `scales.x` is
+
+function drawStrip(element) {
+  const { dt, hit, missed, wrong } = read(element.querySelector("script"));
+  const up = hit.map((count, i) => count + missed[i]), down = wrong.map((count) => -count);
+  const [low, high] = [down.reduce((a, b) => Math.min(a, b), 0), up.reduce((a, b) => Math.max(a, b), 0)];
+  element.style.height = `${KEY * (high - low) + 2}px`;
+  const layer = (label, counts, fill) => ({
+    label,
+    class: label,
+    fill,
+    width: 0,
+    points: { show: false },
+    paths: uPlot.paths.stepped({ align: 1 }),
+    value: (chart, _, i, index) => (index === null ? "" : String(counts[Math.min(index, counts.length - 1)])),
+  });
+  const colour = (name) => () => css(`--${name}`);
+  createChart(element, {
+    ...EXPLAINED,
+    padding: [1, 0, 1, 0],
+    scales: { x: time, y: { range: [low, high] } },
+    axes: [{ show: false }, { size: 0, splits: [0], values: () => [], ticks: { show: false }, grid: { stroke: colour("soft"), width: 1 } }],
+    series: [
+      { label: "time", value: (chart, value) => (value === null ? "" : `${value.toFixed(2)} s`) },
+      layer("hit", hit, colour("hit")), layer("missed", missed), layer("wrong", wrong, colour("wrong")),
+    ],
+    bands: [{ series: [2, 1], fill: colour("missed") }],
+  }, [[...hit, 0].map((_, step) => step * dt), ...[hit, up, down].map((counts) => [...counts, counts.at(-1)])]); // the last lasts a step too
+}
+document.querySelectorAll("div.strip").forEach(drawStrip);
+createChart(document.querySelector(".seconds"), {
+  padding: [0, 0, 0, 0],
+  legend: { show: false },
+  cursor: { show: false },
+  scales: { x: time },
+  // A label has to fit after the last tick.
+  axes: [axis("seconds", { align: 1, size: 22, gap: 4, space: 60, filter: (chart, ticks) => ticks.map((tick) => (tick < 0.95 * duration ? tick : null)) }), { show: false }],
+  series: [{}],
+}, [[0, duration]]);
+
 /** The player of the run in sight, if it is ready. */
 const player = () => (comparison.ready ? frame.contentWindow.cadenza : null);
 
@@ -33,7 +76,7 @@ choice.addEventListener("change", () => show(choice.value));
 for (const chosen of document.querySelectorAll("[data-run]")) {
   chosen.addEventListener("click", (event) => {
     const box = chosen.getBoundingClientRect(), isStrip = chosen.matches(".strip");
-    const time = isStrip ? ((event.clientX - box.left) / box.width) * Number(strips.dataset.duration) : undefined;
+    const time = isStrip ? ((event.clientX - box.left) / box.width) * duration : undefined;
     if (chosen.dataset.run !== choice.value) show(chosen.dataset.run, time);
     else if (isStrip) player()?.seek(time);
     if (!isStrip) $("run").scrollIntoView({ block: "nearest" });
@@ -43,10 +86,10 @@ for (const chosen of document.querySelectorAll("[data-run]")) {
 const cursor = document.createElement("div");
 cursor.className = "cursor";
 (function follow() {
-  const strip = document.querySelector(`.strip[data-run="${choice.value}"]`);
+  const strip = document.querySelector(`.strip[data-run="${choice.value}"] .u-over`);
   if (cursor.parentElement !== strip) strip.append(cursor);
   cursor.hidden = !player();
-  if (player()) cursor.style.left = `${(100 * player().time) / Number(strips.dataset.duration)}%`;
+  if (player()) cursor.style.left = `${(100 * player().time) / duration}%`;
   requestAnimationFrame(follow);
 })();
 show(0);

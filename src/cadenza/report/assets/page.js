@@ -196,7 +196,6 @@ document.addEventListener("keydown", (event) => {
 
 function redraw() {
   roll.draw();
-  rewards.draw();
   show(now());
 }
 new ResizeObserver(redraw).observe($("roll"));

@@ -1,9 +1,6 @@
-// The piano roll and the reward curves: drawn once, with a cursor that moves over them.
+// The piano roll: drawn once, with a cursor that moves over it.
 
 const GUTTER = 44; // [px] left of both charts, so that their cursors stand in line
-/** Three decimals, and no minus before a zero. */
-const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** A canvas ready to draw on in CSS pixels. */
 function prepare(canvas, height) {
@@ -159,56 +156,6 @@ function createRoll(element, data, seek) {
       const away = now < start || now > start + length;
       if (away && (jumped || performance.now() - shiftedAt > LOOKING_AROUND)) show(now - 0.08 * length);
       else point(now);
-    },
-  };
-}
-
-function createRewards(element, { rewards, dt, steps }, seek) {
-  const terms = Object.entries(rewards).map(([name, values]) => {
-    const title = document.createElement("div"), here = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
-    const known = values.filter((v) => !Number.isNaN(v));
-    const mean = known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1);
-    title.className = "term";
-    const label = document.createElement("b");
-    label.textContent = name.replaceAll("_", " ");
-    const text = document.createElement("span");
-    text.append(label, ` mean ${decimals(mean)}`);
-    here.append("at the cursor ", output);
-    title.append(text, here);
-    canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Reward ${label.textContent} over time, mean ${decimals(mean)}`);
-    element.append(title, canvas);
-    return { values, output, canvas, low: Math.min(0, ...known.length ? [known.reduce((a, b) => Math.min(a, b))] : []), high: Math.max(0, ...known.length ? [known.reduce((a, b) => Math.max(a, b))] : []) };
-  });
-  const point = timeline(element, () => [0, steps * dt], seek);
-  let shownRow = -1;
-
-  function draw() {
-    for (const { values, canvas, low, high } of terms) {
-      const { context, width, height } = prepare(canvas, 46);
-      const scale = (height - 8) / (high - low || 1);
-      const x = (step) => GUTTER + (step / steps) * (width - GUTTER), y = (v) => height - 4 - (v - low) * scale;
-      context.fillStyle = css("--row");
-      context.fillRect(GUTTER, 0, width - GUTTER, height);
-      context.fillStyle = css("--soft");
-      context.textAlign = "right";
-      for (const v of high - low > 1e-9 ? [low, high] : [0]) context.fillText(Number(v.toPrecision(2)), GUTTER - 7, Math.min(Math.max(y(v), 6), height - 6), GUTTER - 7);
-      const line = new Path2D();
-      values.forEach((v, step) => { if (!Number.isNaN(v)) { line.lineTo(x(step), y(v)); line.lineTo(x(step + 1), y(v)); } });
-      context.strokeStyle = css("--accent");
-      context.lineWidth = 1.5;
-      context.lineJoin = "round";
-      context.stroke(line);
-    }
-  }
-
-  return {
-    draw,
-    move(time) {
-      const { row } = rowAt(time, dt, steps);
-      if (row !== shownRow) for (const { values, output } of terms) output.textContent = Number.isNaN(values[row]) ? "–" : decimals(values[row]);
-      shownRow = row;
-      point(time);
     },
   };
 }

@@ -1,0 +1,55 @@
+// The reward of each step, term by term.
+
+/** Three decimals, and no minus before a zero. */
+const decimals = (number) => number.toFixed(3).replace(/^-(?=0\.0+$)/, "");
+
+function createRewards(element, { rewards, dt, steps }, seek) {
+  const terms = Object.entries(rewards).map(([name, values]) => {
+    const title = document.createElement("div"), here = document.createElement("span"), output = document.createElement("output"), drawing = document.createElement("div");
+    const known = values.filter((v) => !Number.isNaN(v));
+    const mean = known.reduce((sum, v) => sum + v, 0) / Math.max(known.length, 1);
+    title.className = "term";
+    const label = document.createElement("b");
+    label.textContent = name.replaceAll("_", " ");
+    const text = document.createElement("span");
+    text.append(label, ` mean ${decimals(mean)}`);
+    here.append("at the cursor ", output);
+    title.append(text, here);
+    drawing.className = "drawing";
+    drawing.setAttribute("role", "img");
+    drawing.setAttribute("aria-label", `Reward ${label.textContent} over time, mean ${decimals(mean)}`);
+    element.append(title, drawing);
+    drawReward(drawing, values);
+    return { values, output };
+  });
+  const point = timeline(element, () => [0, steps * dt], seek);
+  let shownRow = -1;
+
+  return {
+    move(time) {
+      const { row } = rowAt(time, dt, steps);
+      if (row !== shownRow) for (const { values, output } of terms) output.textContent = Number.isNaN(values[row]) ? "–" : decimals(values[row]);
+      shownRow = row;
+      point(time);
+    },
+  };
+}
+
+function drawReward(element, values) {
+  const y = [...values, values.at(-1)].map((v) => (Number.isNaN(v) ? null : v)); // the last lasts a step too
+  const low = y.reduce((a, b) => Math.min(a, b), 0), high = y.reduce((a, b) => Math.max(a, b), 0), margin = 0.18 * (high - low) || 1; // for the labels
+  createChart(element, {
+    padding: [0, 0, 0, 0],
+    legend: { show: false },
+    cursor: { show: false },
+    scales: { x: { time: false, range: [0, values.length] }, y: { range: [low - margin, high + margin] } },
+    axes: [{ show: false }, axis("number", {
+      font: "11px system-ui, sans-serif",
+      size: GUTTER,
+      grid: { show: false },
+      splits: high - low > 1e-9 ? [low, high] : [0],
+      values: (chart, ends) => ends.map((v) => inWords(Number(v.toPrecision(Math.abs(v) < 1e-3 ? 1 : 2)))),
+    })],
+    series: [{}, { stroke: () => css("--accent"), width: 1.5, points: { show: false }, paths: uPlot.paths.stepped({ align: 1 }) }],
+  }, [y.map((_, step) => step), y]);
+}
