@@ -20,13 +20,13 @@ from cadenza.agents.playback import options_of
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
 from cadenza.episode import load_episode
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.fingering_file import read_fingering
 from cadenza.music.goals import score_to_goals
 from cadenza.music.library import songs
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.piano import KEY_TRAVEL, NUM_KEYS
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 
@@ -253,7 +253,7 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
 def perfect_plan(score: Score, path: Path) -> Path:
     """For the piano that plays itself: every key and the pedal as the score wants them."""
     goals = score_to_goals(score, 0.05)
-    np.savez(path, action=np.column_stack([goals.keys * KEY_TRAVEL, goals.sustain]))
+    np.savez(path, action=np.column_stack([goals.keys * PIANO.travel, goals.sustain]))
     return path
 
 
@@ -688,7 +688,7 @@ def test_a_plan_for_something_else(
 ) -> None:
     plan = perfect_plan(TUNE, tmp_path / "plan.npz")
     arguments = ("play", tune, "--agent", "replay", "--plan", plan, "-o", tmp_path)
-    assert f"{NUM_KEYS + 1} actions per step, but this task has 39" in refused_in_a_line(
+    assert f"{PIANO.num_keys + 1} actions per step, but this task has 39" in refused_in_a_line(
         capsys, *arguments
     )
     longer = (*arguments, "--hands", "none", "--initial-buffer-time", "0.1")

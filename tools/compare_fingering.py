@@ -24,8 +24,9 @@ from pathlib import Path
 import mido
 
 from cadenza.fingering.search import solve
+from cadenza.fingers import UNKNOWN_FINGER
 from cadenza.music.library import load_score, songs
-from cadenza.music.score import UNKNOWN_FINGER, Note, Score
+from cadenza.music.score import Note, Score
 
 
 def main() -> None:

@@ -1,112 +1,125 @@
-"""Measures how far the fingers of the right Shadow Hand reach along the keyboard.
+"""Measures how far the fingers of a right hand reach along the keyboard.
 
-Run `python tools/measure_reach.py` (two minutes) after changing the hand, and put what it prints
-into src/cadenza/fingering/reach.py.
+Run `python tools/measure_reach.py HAND` (a few minutes) after changing a hand, and put what it
+prints into its `Reach`. HAND is the name of one that comes with Cadenza, or `module:NAME`.
 
-The forearm slides where it likes (tx, ty), the joints are those of the reduced action space, with
-J1 = J2 in the fingers whose tendon couples them. A fingertip presses a white key when its site is
-within 3 mm of the point 4 cm towards the player from the key's centre, at the height of a pressed
-key; a finger that does not press stays above the keys. Postures come from
-scipy.optimize.least_squares, from several starts.
+The forearm slides where it likes (tx, ty); the joints are those of the reduced action space. A
+fingertip presses a white key when it is within 3 mm of the point where the finger presses white
+keys, at the height of a pressed key; a finger that does not press stays above the keys. Postures
+come from scipy.optimize.least_squares, from several starts. Fingers may pass through each other:
+that neighbours have room on neighbouring keys is `least`'s to say.
 """
 
 from __future__ import annotations
 
+import sys
 from itertools import combinations
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.piano import WHITE
+from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import build_scene
-from cadenza.scene.shadow_hand import COUPLED_FINGERS
+from cadenza.scene.servos import servos_of
 
 Array = NDArray[np.float64]
 
-PRESS_X = 0.04  # [m] from the key's centre towards the player
-FINGERTIP_RADIUS = 0.0067  # [m]
-PRESSED_Z = (
-    2 * WHITE.half_size[2] - (WHITE.half_size[0] + PRESS_X) * np.tan(WHITE.travel)
-) + FINGERTIP_RADIUS
-CLEAR_Z = 2 * WHITE.half_size[2] + FINGERTIP_RADIUS + 0.003
+ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
 TOLERANCE = 0.003  # [m]
 STEP = 0.0025  # [m] between the distances that are tried
 STARTS = 6
-ALL = range(5)
 
 
 class Hand:
-    """The right hand as a function from free joints to fingertips."""
+    """The right hand as a function from its servos to its fingertips."""
 
-    def __init__(self) -> None:
-        scene = build_scene(SceneConfig(hands="right"))
-        self._model, self._sites = scene.model, scene.fingertip_sites
-        self._data = mujoco.MjData(self._model)
-        names = [name.removeprefix("rh_") for name in scene.hand_joint_names]
-        followers = [f"{finger}J1" for finger in COUPLED_FINGERS]
-        self.free = [name for name in names if name not in followers]
-        columns = [self.free.index(n.replace("J1", "J2") if n in followers else n) for n in names]
-        self._spread = np.array(columns)
-        self._qpos = scene.hand_qpos
-        joints = [self._model.joint(f"rh_{name}") for name in self.free]
-        self.low, self.high = np.array([joint.range for joint in joints]).T
-        self._forearm = self._model.body("rh_forearm").id
+    def __init__(self, name: str) -> None:
+        scene = build_scene(SceneConfig(hand=name, hands="right"))
+        self._servos = servos_of(scene)
+        self._kinematics = Kinematics(scene, self._servos)
+        self.slide = self._servos.names.index(ALONG_KEYBOARD)
+        self._mount = scene.config.hand_spacing / 2
+        self.low, self.high = self._servos.low, self._servos.high
+        uses = [scene.hand.servo(name) for name in self._servos.names]
+        self.rest = np.clip([use.rest for use in uses], self.low, self.high)
+        self.ease = np.array([use.ease for use in uses])
+        fingers, white = scene.hand.fingers, scene.keyboard.white
+        self.fingers = range(len(fingers))
+        self.press_x = np.array([finger.on_white for finger in fingers])
+        radius = np.array([finger.tip_radius for finger in fingers])
+        fall = (white.half_size[0] + self.press_x) * np.tan(white.travel)
+        self.press_z = white.top - fall + radius
+        self.clear_z = white.top + radius + ABOVE
 
-    def tips(self, q: Array) -> Array:
-        """(5, 3) fingertips in the world [m]."""
-        self._data.qpos[self._qpos] = q[self._spread]
-        mujoco.mj_kinematics(self._model, self._data)
-        return self._data.site_xpos[self._sites].copy()
+    def tips(self, q: Array) -> tuple[Array, Array]:
+        """(F, 3) fingertips in the world [m], and their Jacobian (F, 3, A)."""
+        points, jacobian = self._kinematics.fingers(q[None])
+        return points[0, :, TIP], jacobian[0, :, TIP]
 
-    def forearm_y(self) -> float:
-        """Where the forearm was when `tips` was called last [m]."""
-        return float(self._data.xpos[self._forearm, 1])
+    def forearm_y(self, q: Array) -> float:
+        """Where the forearm is along the keyboard [m]."""
+        return self._mount + float(q[self.slide])
 
 
-def distance(hand: Hand, pressing: Array) -> float:
-    """Between the first and the last of the pressing fingertips; of one, from the forearm [m]."""
-    first = pressing[0, 1] if len(pressing) > 1 else hand.forearm_y()
-    return float(pressing[-1, 1] - first)
+def distance(hand: Hand, q: Array, fingers: tuple[int, ...]) -> float:
+    """Between the first and the last of the fingertips; of one, from the forearm [m]."""
+    y = hand.tips(q)[0][list(fingers), 1]
+    return float(y[-1] - (y[0] if len(fingers) > 1 else hand.forearm_y(q)))
 
 
 def posture(hand: Hand, fingers: tuple[int, ...], apart: float | None, start: Array) -> Array:
-    """Joints with which `fingers` press at a `distance` if given, in a light posture."""
-    rest = (hand.low + hand.high) / 2
-    rest[hand.free.index("WRJ2")] = rest[hand.free.index("WRJ1")] = 0.0
-    for i, name in enumerate(hand.free):
-        if name.endswith("J4") and name != "THJ4":
-            rest[i] = 0.0
-    scale = hand.high - hand.low
-    light = 3e-4 if apart is not None else 3e-3
-    slide = hand.free.index("forearm_tx")
-    others = [f for f in ALL if f not in fingers]
+    """Servos with which `fingers` press at a distance if given, in a light posture."""
+    pressing = list(fingers)
+    others = [f for f in hand.fingers if f not in fingers]
+    light = (3e-4 if apart is not None else 3e-3) / hand.ease
+    light[hand.slide] = 0.0
 
     def residual(q: Array) -> Array:
-        tips = hand.tips(q)
-        pressing = tips[list(fingers)]
+        tips, _ = hand.tips(q)
         parts = [
-            pressing[:, 0] - PRESS_X,
-            pressing[:, 2] - PRESSED_Z,
-            np.minimum(tips[others, 2] - CLEAR_Z, 0),
-            light * np.delete((q - rest) / scale, slide),
+            tips[pressing, 0] - hand.press_x[pressing],
+            tips[pressing, 2] - hand.press_z[pressing],
+            np.minimum(tips[others, 2] - hand.clear_z[others], 0),
+            light * (q - hand.rest),
         ]
         if apart is not None:
-            parts.append([distance(hand, pressing) - apart])
+            parts.append([distance(hand, q, fingers) - apart])
         return np.concatenate(parts)
 
-    solution = least_squares(residual, start, bounds=(hand.low - 1e-9, hand.high + 1e-9))
-    return solution.x
+    def slope(q: Array) -> Array:
+        tips, jacobian = hand.tips(q)
+        below = tips[others, 2] < hand.clear_z[others]
+        parts = [
+            jacobian[pressing, 0],
+            jacobian[pressing, 2],
+            jacobian[others, 2] * below[:, None],
+            np.diag(light),
+        ]
+        if apart is not None:
+            row = jacobian[pressing[-1], 1].copy()
+            if len(pressing) > 1:
+                row -= jacobian[pressing[0], 1]
+            else:
+                row[hand.slide] -= 1.0
+            parts.append(row[None])
+        return np.concatenate(parts)
+
+    bounds = (hand.low - 1e-9, hand.high + 1e-9)
+    return least_squares(residual, start, slope, bounds=bounds).x
 
 
 def presses(hand: Hand, q: Array, fingers: tuple[int, ...], apart: float | None) -> bool:
-    tips = hand.tips(q)
-    pressing = tips[list(fingers)]
-    errors = np.stack([pressing[:, 0] - PRESS_X, pressing[:, 2] - PRESSED_Z])
-    off = 0.0 if apart is None else abs(distance(hand, pressing) - apart)
-    clear = all(tips[f, 2] > CLEAR_Z - TOLERANCE for f in ALL if f not in fingers)
+    tips, pressing = hand.tips(q)[0], list(fingers)
+    errors = [
+        tips[pressing, 0] - hand.press_x[pressing],
+        tips[pressing, 2] - hand.press_z[pressing],
+    ]
+    off = 0.0 if apart is None else abs(distance(hand, q, fingers) - apart)
+    others = [f for f in hand.fingers if f not in fingers]
+    clear = bool((tips[others, 2] > hand.clear_z[others] - TOLERANCE).all())
     return bool(np.abs(errors).max() < TOLERANCE and off < TOLERANCE and clear)
 
 
@@ -125,17 +138,18 @@ def extreme(hand: Hand, fingers: tuple[int, ...], q: Array, apart: float, step: 
 
 
 def main() -> None:
-    hand = Hand()
-    middle = (hand.low + hand.high) / 2
-    q = posture(hand, tuple(ALL), None, middle)
-    assert presses(hand, q, tuple(ALL), None)
-    tips = hand.tips(q)
-    offsets = tips[:, 1] - hand.forearm_y()
-    print("all five press in a light posture, from the forearm:", offsets.round(4).tolist())
+    hand = Hand(sys.argv[1])
+    everyone = tuple(hand.fingers)
+    q = posture(hand, everyone, None, hand.rest)
+    assert presses(hand, q, everyone, None), "the fingers cannot all press at once"
+    print("posture in which all fingers press:")
+    for name, value in zip(hand._servos.names, q, strict=True):
+        print(f"    {name} {value:.2f}")
+    offsets = hand.tips(q)[0][:, 1] - hand.forearm_y(q)
+    print("fingertips when all press, from the forearm [m]:", offsets.round(4).tolist())
     print("distances of two fingers, or of one from the forearm [m]:")
-    for fingers in [*combinations(ALL, 1), *combinations(ALL, 2)]:
-        hand.tips(q)
-        apart = distance(hand, tips[list(fingers)])
+    for fingers in [*combinations(hand.fingers, 1), *combinations(hand.fingers, 2)]:
+        apart = distance(hand, q, fingers)
         start = posture(hand, fingers, apart, q)
         least, most = (extreme(hand, fingers, start, apart, step) for step in (-STEP, STEP))
         print(fingers, f"least {least:.3f}  at rest {apart:.3f}  most {most:.3f}", flush=True)

@@ -15,8 +15,10 @@ from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.fingering.search import Dropped
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
-from cadenza.scene.piano import KEY_CENTRE, KEY_TRAVEL
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
 
 STEPS, DT = 40, 0.05
 C4, D4, C5 = 39, 41, 51
@@ -25,6 +27,7 @@ INDEX = 1
 NOTES = ((C4, 10, 20), (C5, 25, 35))
 SCORE = Score((Note(0.0, 0.5, 60, finger=INDEX), Note(0.75, 1.25, 72, finger=INDEX)))
 FOREARMS = {"bodies": ["rh_forearm", "lh_forearm"]}
+SCENE = build_scene(SceneConfig(hands="none"))
 
 
 class Concert:
@@ -41,7 +44,7 @@ class Concert:
         self.planned = np.zeros((STEPS + 1, 10, 3))  # fingers 4 cm apart, at C4 and then at C5
         for state in range(STEPS + 1):
             key = C4 if state < 22 else C5
-            place = KEY_CENTRE[key, 1] + 0.04 * (np.arange(10) - INDEX)
+            place = PIANO.centre[key, 1] + 0.04 * (np.arange(10) - INDEX)
             place[5:] -= 0.6  # the left hand, far away
             self.planned[state, :, 1] = place
         self.tips = self.planned[1:].copy()
@@ -59,14 +62,14 @@ class Concert:
             "action": np.zeros((STEPS, 1)),
             "goal_keys": self.goal,
             "key_activation": self.played,
-            "key_qpos": np.where(self.played, KEY_TRAVEL, 0.6 * KEY_TRAVEL),
+            "key_qpos": np.where(self.played, PIANO.travel, 0.6 * PIANO.travel),
             "fingertip_xpos": self.tips,
             "body_xpos": xpos,
         }
         self.episode = Episode("A concert", DT, arrays, FOREARMS)
         nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
         goals: Any = None  # the episode has them
-        return misses_of(self.episode, SongPlan(SCORE, self.dropped, goals, nominal))
+        return misses_of(self.episode, SongPlan(SCENE, SCORE, self.dropped, goals, nominal))
 
     def cut(self, last: int, then: Press | None = None) -> None:
         self.presses[0] = self.presses[0]._replace(last=last)
@@ -134,7 +137,7 @@ def next_note(concert: Concert) -> None:
 def neighbour(concert: Concert) -> None:
     silent(concert)
     concert.sounds(D4, 11, 15)
-    concert.tips[10:12, INDEX, 1] = KEY_CENTRE[D4, 1]
+    concert.tips[10:12, INDEX, 1] = PIANO.centre[D4, 1]
 
 
 def beside(concert: Concert, steps: slice = slice(5, 25), by: float = -0.04) -> None:

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from cadenza.fingering.reach import LEAST, MOST
 from cadenza.fingering.search import find_fingering, solve
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.keyboard import IS_BLACK, KEY_Y
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import LETTING_GO, Note, Score
-from cadenza.scene.piano import IS_BLACK as MODEL_IS_BLACK
-from cadenza.scene.piano import KEY_CENTRE
 from music_strategies import lengths, monophonic_per_key, scores, times
 
 
@@ -43,8 +42,8 @@ unfingered = scores().map(monophonic_per_key).map(bare)
 
 
 def test_keys_lie_where_the_model_has_them() -> None:
-    np.testing.assert_array_equal(IS_BLACK, MODEL_IS_BLACK)
-    np.testing.assert_allclose(KEY_Y, KEY_CENTRE[:, 1], atol=6e-4)
+    np.testing.assert_array_equal(IS_BLACK, PIANO.is_black)
+    np.testing.assert_allclose(KEY_Y, PIANO.centre[:, 1], atol=6e-4)
 
 
 # What hands can do

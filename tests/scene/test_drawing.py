@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
-from cadenza.scene.piano import NUM_KEYS
 from cadenza.scene.scene import Scene, build_scene
 
 EPISODE = Path(__file__).parents[1] / "data/episode_d.npz"
@@ -54,7 +54,7 @@ def test_each_finger_has_a_tip(scene: Scene) -> None:
 
 def test_keys_lie_where_the_simulation_has_them(scene: Scene) -> None:
     keys, model = drawing(scene)["keys"], scene.model
-    assert len(keys) == NUM_KEYS
+    assert len(keys) == PIANO.num_keys
     assert sum(key["black"] for key in keys) == 36
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.library import load_score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.piano import KEY_TRAVEL, NUM_KEYS
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.piano_task import PianoTask
@@ -233,21 +233,21 @@ class TestPianoThatPlaysItself:
 
     def test_actions(self, scene: Scene) -> None:
         figures = PUBLISHED["self_actuated_piano"]
-        assert scene.model.nu == figures["actuators"] == NUM_KEYS
+        assert scene.model.nu == figures["actuators"] == PIANO.num_keys
         assert len(scene.action_low) == figures["action_size"]
         assert (scene.action_low == figures["action_min"]).all()
         assert_allclose(
             scene.action_high[:2], [figures["white_ctrlrange"][1], figures["black_ctrlrange"][1]]
         )
         assert scene.action_high[-1] == figures["pedal_max"]
-        assert_allclose(scene.action_high[:-1], KEY_TRAVEL)
+        assert_allclose(scene.action_high[:-1], PIANO.travel)
 
     @pytest.mark.parametrize("key", [0, 1, 43, 46, 87])
     def test_a_key_sounds_while_it_is_held_and_no_other(self, scene: Scene, key: int) -> None:
         simulation = MujocoSimulation(scene)
-        ctrl = np.zeros((1, NUM_KEYS))
+        ctrl = np.zeros((1, PIANO.num_keys))
         for _ in range(2):
-            ctrl[0, key] = KEY_TRAVEL[key]
+            ctrl[0, key] = PIANO.travel[key]
             for _ in range(3):
                 simulation.step(ctrl)
                 assert np.flatnonzero(key_activation(simulation.state.key_qpos)[0]).tolist() == [
@@ -257,13 +257,13 @@ class TestPianoThatPlaysItself:
             for _ in range(3):
                 simulation.step(ctrl)
                 assert not key_activation(simulation.state.key_qpos).any()
-        assert abs(simulation.state.key_qpos).max() < 0.1 * KEY_TRAVEL[0]
+        assert abs(simulation.state.key_qpos).max() < 0.1 * PIANO.travel[0]
 
     def test_all_keys_follow_at_once(self, scene: Scene) -> None:
-        simulation, key = MujocoSimulation(scene), np.arange(NUM_KEYS)
+        simulation, key = MujocoSimulation(scene), np.arange(PIANO.num_keys)
         for step in range(12):
             down = (key + step) % 3 == 0
-            simulation.step(np.where(down, KEY_TRAVEL, 0.0)[None])
+            simulation.step(np.where(down, PIANO.travel, 0.0)[None])
             assert_array_equal(key_activation(simulation.state.key_qpos)[0], down)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.piano import PIANO
 from cadenza.scene.cameras import player_camera
-from cadenza.scene.piano import KEY_CENTRE, KEY_HALF_SIZE
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.render import Picture, Renderer
 
@@ -41,7 +41,7 @@ def test_the_player_sees_all_keys_of_the_song(
     drawn = mujoco.MjvScene(scene.model, maxgeom=1000)
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
-    camera = player_camera(keys, aspect)
+    camera = player_camera(scene.keyboard, keys, aspect)
     mujoco.mjv_updateScene(
         scene.model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, drawn
     )
@@ -49,7 +49,7 @@ def test_the_player_sees_all_keys_of_the_song(
     mujoco.mjv_cameraInModel(eye, forward, up, drawn)
     slope = np.tan(np.deg2rad(scene.model.vis.global_.fovy) / 2)
     for key in keys:
-        corners = KEY_CENTRE[key] + KEY_HALF_SIZE[key] * np.array([[1, 1, 1], [-1, -1, -1]])
+        corners = PIANO.centre[key] + PIANO.half_size[key] * np.array([[1, 1, 1], [-1, -1, -1]])
         depth = (corners - eye) @ forward
         assert (np.abs((corners - eye) @ up) <= depth * slope).all()
         assert (np.abs((corners - eye) @ np.cross(forward, up)) <= depth * slope * aspect).all()
@@ -57,7 +57,7 @@ def test_the_player_sees_all_keys_of_the_song(
 
 
 def test_the_player_sees_a_key_through_the_palm(scene: Scene) -> None:
-    under_the_right_palm = int(np.abs(KEY_CENTRE[:, 1] - 0.15).argmin())
+    under_the_right_palm = int(np.abs(PIANO.centre[:, 1] - 0.15).argmin())
     picture = Picture(320, 180, "player")
     lit, unlit = (drawn(scene, picture, (30, 60), key) for key in (under_the_right_palm, 3))
     changed = np.argwhere(np.abs(lit - unlit).max(axis=2) > 25)

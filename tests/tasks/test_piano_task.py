@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.goals import score_to_goals
 from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.piano import KEY_TRAVEL
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
@@ -192,7 +192,9 @@ def test_parts_of_the_observation(scenes: dict[str, Scene]) -> None:
         fingers.append(np.flatnonzero(player.seen("fingering")[0]).tolist())
         state = player.task.state
         assert_array_equal(player.seen("joints"), state.hand_qpos.astype(np.float32))
-        assert_allclose(player.seen("key_state"), np.clip(state.key_qpos / KEY_TRAVEL, 0, 1), 1e-6)
+        assert_allclose(
+            player.seen("key_state"), np.clip(state.key_qpos / PIANO.travel, 0, 1), 1e-6
+        )
         assert player.seen("pedal") == np.float32(ctrl[-1])
     assert fingers == [[0], [0], [2], [2], [2, 5], [2, 5], [5], [5], [5], []]
 
@@ -323,7 +325,7 @@ def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:
 
 def press(player: Player, *keys: int) -> Transition:
     ctrl = np.zeros((1, NUM_KEYS + 1))
-    ctrl[0, list(keys)] = KEY_TRAVEL[list(keys)]
+    ctrl[0, list(keys)] = PIANO.travel[list(keys)]
     return player.task.step(ctrl)
 
 

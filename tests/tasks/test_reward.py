@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.scene.piano import IS_BLACK, KEY_CENTRE, KEY_HALF_SIZE, KEY_TRAVEL, NUM_KEYS
+from cadenza.keyboards.piano import PIANO
 from cadenza.tasks import reward
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
@@ -27,7 +27,7 @@ def arrays(shape: Any, low: float, high: float) -> st.SearchStrategy[np.ndarray]
 
 def key_angles(n: int) -> st.SearchStrategy[np.ndarray]:
     """At rest, pressed, and anything between and a little beyond."""
-    return arrays((n, NUM_KEYS), -0.01, 0.1)
+    return arrays((n, PIANO.num_keys), -0.01, 0.1)
 
 
 def masks(n: int, *more: int) -> st.SearchStrategy[np.ndarray]:
@@ -61,7 +61,7 @@ def test_tolerance_is_a_tenth_at_the_margin() -> None:
 def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
     state, sounds = reward.key_state(key_qpos), reward.key_activation(key_qpos)
     for index, angle in np.ndenumerate(key_qpos):
-        most = KEY_TRAVEL[index[1]]
+        most = PIANO.travel[index[1]]
         clipped = min(max(angle, 0.0), most)
         assert_allclose(state[index], clipped / most, **CLOSE)
         assert sounds[index] == (abs(clipped - most) <= 0.00872665)
@@ -70,20 +70,20 @@ def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
 @few
 @given(st.data(), sizes)
 def test_key_press(data: st.DataObject, n: int) -> None:
-    key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, NUM_KEYS))
-    sounds = data.draw(masks(n, NUM_KEYS))
+    key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, PIANO.num_keys))
+    sounds = data.draw(masks(n, PIANO.num_keys))
     state = reward.key_state(key_qpos)
     ours = reward.key_press(state, sounds, goal)
     for env in range(n):
         near = [
             gaussian(1 - s, 0, 0.05, 0.5) for s, g in zip(state[env], goal[env], strict=True) if g
         ]
-        silent = not any(sounds[env, key] and not goal[env, key] for key in range(NUM_KEYS))
+        silent = not any(sounds[env, key] and not goal[env, key] for key in range(PIANO.num_keys))
         assert_allclose(ours[env], 0.5 * (sum(near) / max(len(near), 1)) + 0.5 * silent, **CLOSE)
 
 
 def test_key_press_with_nothing_to_press() -> None:
-    nothing = np.zeros((2, NUM_KEYS), bool)
+    nothing = np.zeros((2, PIANO.num_keys), bool)
     wrong = nothing.copy()
     wrong[1, 40] = True
     assert_array_equal(reward.key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
@@ -91,13 +91,13 @@ def test_key_press_with_nothing_to_press() -> None:
 
 def point(key: int, centre: np.ndarray) -> np.ndarray:
     """Where a finger is wanted on a key whose box has this centre."""
-    half_length, _, half_height = KEY_HALF_SIZE[key]
+    half_length, _, half_height = PIANO.half_size[key]
     return centre + np.array([0.35 * half_length, 0.0, 0.5 * half_height])
 
 
 def key_centres(n: int) -> st.SearchStrategy[np.ndarray]:
     """Keys a little below where they rest."""
-    return arrays((n, NUM_KEYS, 3), -0.01, 0.0).map(lambda offset: KEY_CENTRE + offset)
+    return arrays((n, PIANO.num_keys, 3), -0.01, 0.0).map(lambda offset: PIANO.centre + offset)
 
 
 def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
@@ -118,13 +118,13 @@ def fingers_at_their_keys(
 def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
     tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
     some = st.sampled_from([-1] * 9 + list(range(10)))
-    fingers = data.draw(npst.arrays(np.int8, (n, NUM_KEYS), elements=some, fill=st.just(-1)))
+    fingers = data.draw(npst.arrays(np.int8, (n, PIANO.num_keys), elements=some, fill=st.just(-1)))
     row, offset = fingers_at_their_keys(tips, centres, fingers)
     ours = reward.nearness(row, offset, n, otherwise=0.0)
     for env in range(n):
         distances = [
             math.dist(tips[env, fingers[env, k]], point(k, centres[env, k]))
-            for k in range(NUM_KEYS)
+            for k in range(PIANO.num_keys)
             if fingers[env, k] >= 0
         ]
         near = [gaussian(distance, 0, 0.01, 0.1) for distance in distances]
@@ -134,11 +134,11 @@ def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
 
 @pytest.mark.parametrize("key", [0, 1, 39, 87])
 def test_a_finger_at_its_key_gets_all(key: int) -> None:
-    assert bool(IS_BLACK[key]) == (key == 1)
-    tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, NUM_KEYS), -1, np.int8)
+    assert bool(PIANO.is_black[key]) == (key == 1)
+    tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, PIANO.num_keys), -1, np.int8)
     fingers[0, key] = 7
-    tips[0, 7] = point(key, KEY_CENTRE[key])
-    centres = KEY_CENTRE[None]
+    tips[0, 7] = point(key, PIANO.centre[key])
+    centres = PIANO.centre[None]
     row_and_offset = fingers_at_their_keys(tips, centres, fingers)
     assert_allclose(reward.nearness(*row_and_offset, 1, otherwise=0.0), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
@@ -151,7 +151,7 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
 def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int]) -> None:
     """No assignment of fingers to keys, or of keys to fingers where they are more, is shorter."""
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
-    goal = np.zeros((1, NUM_KEYS), bool)
+    goal = np.zeros((1, PIANO.num_keys), bool)
     goal[0, keys] = True
     pairs = reward.transport_pairs(tips, centres, goal, np.arange(num_fingers))
     assert pairs.row.tolist() == [0] * min(num_fingers, len(keys))
@@ -173,10 +173,10 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
 
 def test_optimal_transport_row_by_row() -> None:
     """Rows without a key to press have no pairs, and are worth what was said."""
-    tips, centres = np.zeros((3, 10, 3)), np.tile(KEY_CENTRE, (3, 1, 1))
-    goal = np.zeros((3, NUM_KEYS), bool)
+    tips, centres = np.zeros((3, 10, 3)), np.tile(PIANO.centre, (3, 1, 1))
+    goal = np.zeros((3, PIANO.num_keys), bool)
     goal[1, [3, 50]] = True
-    tips[1, 2], tips[1, 8] = point(50, KEY_CENTRE[50]), point(3, KEY_CENTRE[3])
+    tips[1, 2], tips[1, 8] = point(50, PIANO.centre[50]), point(3, PIANO.centre[3])
     pairs = reward.transport_pairs(tips, centres, goal, np.array([2, 5, 8]))
     assert [values.tolist() for values in pairs] == [[1, 1], [2, 8], [50, 3]]
     offset = reward.press_offsets(tips, centres, pairs)
@@ -187,7 +187,11 @@ def test_optimal_transport_row_by_row() -> None:
 
 
 def test_optimal_transport_of_nothing() -> None:
-    tips, centres, goal = np.zeros((2, 5, 3)), np.zeros((2, NUM_KEYS, 3)), np.zeros((2, NUM_KEYS))
+    tips, centres, goal = (
+        np.zeros((2, 5, 3)),
+        np.zeros((2, PIANO.num_keys, 3)),
+        np.zeros((2, PIANO.num_keys)),
+    )
     nothing = reward.transport_pairs(tips, centres, goal > 0, np.arange(5))
     assert [len(part) for part in nothing] == [0, 0, 0]
     assert reward.press_offsets(tips, centres, nothing).shape == (0, 3)

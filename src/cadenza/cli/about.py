@@ -116,10 +116,10 @@ def _about_fingering(score: Score) -> str:
     from collections import Counter
 
     from cadenza.fingering.playable import playable
-    from cadenza.fingering.reach import BOTH
+    from cadenza.fingers import SIDES
 
     given = sum(note.finger >= 0 for note in score.notes)
-    reasons = Counter(playable(score, BOTH).reasons.values())
+    reasons = Counter(playable(score, SIDES).reasons.values())
     found = len(score.notes) - given - reasons.total()
     parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
     parts += [f"found for {found}"] if found else []

@@ -37,9 +37,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingering.presses import Press, onsets, outer_first
-from cadenza.fingering.reach import BOTH, LEAST, MOST, OUTWARD, Side, forearms_touch, is_within
+from cadenza.fingering.reach import LEAST, MOST, OUTWARD, forearms_touch, is_within
+from cadenza.fingers import SIDES, UNKNOWN_FINGER, Side
 from cadenza.music.keyboard import KEY_Y
-from cadenza.music.score import LETTING_GO, NUM_KEYS, UNKNOWN_FINGER, Score
+from cadenza.music.score import LETTING_GO, NUM_KEYS, Score
 
 _ORDER = (9, 8, 7, 6, 5, 0, 1, 2, 3, 4)  # the fingers from left to right
 
@@ -79,7 +80,7 @@ def playable(score: Score, sides: Sequence[Side]) -> Playable:
     moments = []
     reasons: dict[int, str] = {}
     unheeded: dict[int, int] = {}
-    sounding = _Sounding([place for place, f in enumerate(_ORDER) if BOTH[f // 5] in sides])
+    sounding = _Sounding([place for place, f in enumerate(_ORDER) if SIDES[f // 5] in sides])
     for time, begin in onsets(score):
         struck = {press.key for press in begin}
         for press in list(sounding.presses):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from cadenza.music.score import NUM_KEYS, TOGETHER, UNKNOWN_FINGER, Score
+from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.music.score import NUM_KEYS, TOGETHER, Score
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,14 +6,10 @@ Tables printed by tools/measure_reach.py: the right hand's fingers, thumb to lit
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Side = Literal["right", "left"]
-BOTH: tuple[Side, ...] = ("right", "left")
 
 REST = np.array([-0.0521, -0.0193, 0.0029, 0.0251, 0.0473])
 """(5,) where the fingertips are when all five press, to the right of the forearm."""

@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 from cadenza.fingering.playable import playable
 from cadenza.fingering.presses import Press
 from cadenza.fingering.reach import (
-    BOTH,
     HOME,
     LEAST,
     MOST,
@@ -42,12 +41,12 @@ from cadenza.fingering.reach import (
     REST,
     STANDS,
     Array,
-    Side,
     forearms_touch,
     is_within,
 )
+from cadenza.fingers import SIDES, UNKNOWN_FINGER, Side
 from cadenza.music.keyboard import IS_BLACK, KEY_Y
-from cadenza.music.score import LETTING_GO, UNKNOWN_FINGER, Note, Score
+from cadenza.music.score import LETTING_GO, Note, Score
 
 _AT_EASE = 0.18  # [m] from here on the forearms do not mind each other
 _ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
@@ -92,7 +91,7 @@ class Solution:
 
 def find_fingering(
     score: Score,
-    sides: Sequence[Side] = BOTH,
+    sides: Sequence[Side] = SIDES,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Score, tuple[Dropped, ...]]:
     """`score` with a finger on every note that the hands can play, -1 on those dropped.
@@ -124,11 +123,11 @@ _last_found: dict[tuple[Score, tuple[Side, ...]], tuple[Score, tuple[Dropped, ..
 
 def solve(
     score: Score,
-    sides: Sequence[Side] = BOTH,
+    sides: Sequence[Side] = SIDES,
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    right, left = (STANDS if side in sides else _ELSEWHERE for side in BOTH)
+    right, left = (STANDS if side in sides else _ELSEWHERE for side in SIDES)
     moment = _beginning((right, left))
     choices: list[_Choice] = []
     chosen = playable(score, sides)

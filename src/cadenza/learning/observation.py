@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import INTEGERS, ArrayOf, check_arrays
+from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
 from cadenza.learning.ranges import Ranges
-from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER
+from cadenza.music.score import NUM_KEYS
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 

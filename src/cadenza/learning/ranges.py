@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.score import NUM_KEYS
 from cadenza.scene.kinematics import TIP, Kinematics
-from cadenza.scene.piano import KEY_CENTRE
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask, to_range
@@ -50,7 +48,7 @@ def ranges_of(task: PianoTask) -> Ranges:
     for servo in servos.along_keyboard:
         along = jacobian[0, :, TIP, _ALONG_KEYBOARD, servo]  # (F,) 0 for the other hand's fingers
         finger, key = np.nonzero(keys & (along != 0)[:, None])
-        wanted = (KEY_CENTRE[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
+        wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
         wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
         ends = np.array([wanted.min() - _SPARE, wanted.max() + _SPARE])
         actions[:, servo] = np.clip(ends, *actions[:, servo])
@@ -59,9 +57,9 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
-    """(F, 88) whether any score wants a key of a finger, or of whichever."""
+    """(F, K) whether any score wants a key of a finger, or of whichever."""
     shifted = task.config.random_pitch_shift or task.config.random_octave_shift
-    keys = np.full((len(task.scene.fingers), NUM_KEYS), bool(shifted))
+    keys = np.full((len(task.scene.fingers), task.scene.keyboard.num_keys), bool(shifted))
     for score in task.scores:
         goals = goals_of(score, task.config)
         anyone = goals.keys & ~np.isin(goals.fingers, task.scene.fingers)

@@ -20,7 +20,8 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError
 from cadenza.files import opened, write_atomically
-from cadenza.music.score import NUM_FINGERS, UNKNOWN_FINGER, Score
+from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
+from cadenza.music.score import Score
 
 SUFFIX = ".fingering"
 TOLERANCE = 0.05  # [s] between a line's time and the start of its note

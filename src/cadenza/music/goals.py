@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.music.score import NUM_KEYS, UNKNOWN_FINGER, Score
+from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.music.score import NUM_KEYS, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
 SUSTAIN_ON = 64  # pedal values from here on hold the strings

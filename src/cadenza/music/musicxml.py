@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cadenza.errors import CadenzaError
+from cadenza.fingers import PER_HAND, finger_number
 from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -278,10 +279,10 @@ def _part(part: Any, symbols: Any) -> _Part:
 
 
 def _finger(note: Any, symbols: Any) -> int:
-    """0..4 on the upper staff, 5..9 on the lower."""
+    """The number of a right finger on the upper staff, of a left one on the lower."""
     for sign in note.technical or ():
-        if isinstance(sign, symbols.Fingering) and sign.fingering in range(1, 6):
-            return sign.fingering - 1 + 5 * (note.staff - 1)
+        if isinstance(sign, symbols.Fingering) and sign.fingering in range(1, PER_HAND + 1):
+            return finger_number(note.staff - 1, sign.fingering - 1)
     return UNKNOWN_FINGER
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from cadenza.music.score import UNKNOWN_FINGER
+from cadenza.fingers import UNKNOWN_FINGER
 
 
 @dataclass(slots=True)

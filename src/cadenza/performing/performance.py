@@ -28,7 +28,7 @@ from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
-from cadenza.sim.render import ALL_KEYS, VIDEO, Picture, Renderer
+from cadenza.sim.render import VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 
 Loudness = Literal["struck", "score"]
@@ -123,7 +123,7 @@ class Performance:
         """Whether this machine can draw it."""
         episode = self.episode
         goal = np.flatnonzero(episode["goal_keys"].any(axis=0))
-        keys = (int(goal[0]), int(goal[-1])) if len(goal) else ALL_KEYS
+        keys = (int(goal[0]), int(goal[-1])) if len(goal) else None
         try:
             renderer = closing(Renderer(self.scene, picture, keys))
         except CadenzaError as error:

@@ -23,6 +23,7 @@ import numpy as np
 
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
+from cadenza.fingers import finger_name
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE, Samples
 
@@ -236,8 +237,7 @@ def _miss(miss: Mapping[str, Any]) -> str:
 
 
 def _finger(finger: int) -> str:
-    names = ("thumb", "index", "middle", "ring", "little")
-    return f"{('right', 'left')[finger // 5]} {names[finger % 5]}" if finger >= 0 else "–"
+    return finger_name(finger) if finger >= 0 else "–"
 
 
 def _breakable(text: str) -> str:

@@ -11,7 +11,7 @@ import itertools
 import mujoco
 import numpy as np
 
-from cadenza.scene.piano import BLACK, KEY_CENTRE, WHITE
+from cadenza.keyboards.keyboard import Keyboard
 
 # name: position [m], orientation (w, x, y, z), vertical field of view [degree]
 CAMERAS = {
@@ -31,19 +31,19 @@ _BESIDE_KEYS = 0.06  # [m] in sight on either side of a song's keys
 _FROM_X, _TO_X = -0.14, 0.2  # [m] from the back of the keys to the wrists
 
 
-def player_camera(keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
+def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
     """Over the player's head, as near as keeps a song's keys and the hands at them in sight.
 
     Args:
-        keys: the lowest and the highest, 0..87.
+        keyboard: that is played.
+        keys: the lowest and the highest.
         aspect: width of the picture over its height.
     """
-    left, right = KEY_CENTRE[list(keys), 1] + np.array([-_BESIDE_KEYS, _BESIDE_KEYS])
-    top = BLACK.centre_z + BLACK.half_size[2]
-    centre = np.array([(_FROM_X + _TO_X) / 2, (left + right) / 2, WHITE.centre_z])
+    left, right = keyboard.centre[list(keys), 1] + np.array([-_BESIDE_KEYS, _BESIDE_KEYS])
+    centre = np.array([(_FROM_X + _TO_X) / 2, (left + right) / 2, keyboard.white.centre_z])
     towards = np.array([np.cos(_ELEVATION), 0.0, np.sin(_ELEVATION)])
     up = np.array([-np.sin(_ELEVATION), 0.0, np.cos(_ELEVATION)])
-    sides = ((_FROM_X, _TO_X), (left, right), (0.0, top))
+    sides = ((_FROM_X, _TO_X), (left, right), (0.0, keyboard.black.top))
     corners = np.array(list(itertools.product(*sides)))
     across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (corners - centre).T
     camera = mujoco.MjvCamera()

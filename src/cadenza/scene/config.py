@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Side = Literal["right", "left"]
 ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
 Hands = Literal["both", "right", "left", "none"]
 Physics = Literal["published", "fast"]
@@ -15,6 +14,10 @@ Physics = Literal["published", "fast"]
 class SceneConfig:
     """The scene: the piano, the hands and the physics."""
 
+    keyboard: str = "piano"
+    """The keyboard."""
+    hand: str = "shadow"
+    """The kind of hand."""
     hands: Hands = "both"
     """Which hands play. With none, the piano plays itself."""
     reduced_action_space: bool = True

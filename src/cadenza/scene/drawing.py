@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.scene.hand import COLLIDING_GROUP, PALM_LINKS
-from cadenza.scene.piano import IS_BLACK, KEY_CENTRE, KEY_HALF_SIZE, KEY_TRAVEL, NUM_KEYS
+from cadenza.hands.body import COLLIDING_GROUP
+from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 
 _NAMES = {
@@ -29,9 +29,9 @@ def drawing(scene: Scene) -> dict[str, Any]:
         (w x y z) in the parent's frame while all joints are at 0, and its joints, one after the
         other: type (slide or hinge), axis in the body's frame, index among the J joints.
     geoms: body (index, or -1 where it stands still), type, size (MuJoCo's half sizes [m]), pos
-        [m] and quat (w x y z) in the body's frame, rgba, finger (0..9 for a fingertip, or None),
+        [m] and quat (w x y z) in the body's frame, rgba, finger (number of a fingertip, or None),
         and whether it is part of a palm, which hides keys.
-    keys: for each of the 88 its box at rest, pos and half size [m], a point on the hinge, the
+    keys: for each its box at rest, pos and half size [m], a point on the hinge, the
         hinge's axis, travel [rad], and whether it is black.
     """
     model = scene.model
@@ -44,14 +44,14 @@ def drawing(scene: Scene) -> dict[str, Any]:
         body = int(model.geom_bodyid[g])
         if model.geom_group[g] == COLLIDING_GROUP or _is_key(model, body):
             continue
-        palm = model.body(body).name.endswith(PALM_LINKS)
+        palm = body in scene.palm_bodies
         geom = {"body": index.get(body, -1), "finger": fingertip.get(body), "palm": palm}
         geoms.append(geom | _shape(model, g, fixed=body not in index))
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],
         "skeleton": [_jointed(scene, int(b), index) for b in scene.hand_bodies],
         "geoms": geoms,
-        "keys": [_key(k) for k in range(NUM_KEYS)],
+        "keys": [_key(scene.keyboard, k) for k in range(scene.keyboard.num_keys)],
     }
 
 
@@ -109,14 +109,15 @@ def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
     }
 
 
-def _key(k: int) -> dict[str, Any]:
+def _key(keyboard: Keyboard, k: int) -> dict[str, Any]:
+    centre, half_size = keyboard.centre[k], keyboard.half_size[k]
     return {
-        "pos": _plain(KEY_CENTRE[k]),
-        "size": _plain(KEY_HALF_SIZE[k]),
-        "hinge": _plain(KEY_CENTRE[k] - [KEY_HALF_SIZE[k, 0], 0.0, 0.0]),
+        "pos": _plain(centre),
+        "size": _plain(half_size),
+        "hinge": _plain(centre - [half_size[0], 0.0, 0.0]),
         "axis": [0.0, 1.0, 0.0],
-        "travel": round(float(KEY_TRAVEL[k]), 6),
-        "black": bool(IS_BLACK[k]),
+        "travel": round(float(keyboard.travel[k]), 6),
+        "black": bool(keyboard.is_black[k]),
     }
 
 

@@ -8,18 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.hands.body import prefix
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 
-# Three links of each finger; their origins and the fingertip are a chain of four points.
-_LINKS = {"th": ("thproximal", "thmiddle", "thdistal")} | {
-    finger: (f"{finger}proximal", f"{finger}middle", f"{finger}distal")
-    for finger in ("ff", "mf", "rf", "lf")
-}
-NUM_POINTS = 4
-TIP = 3  # the last of the four points
+TIP = -1  # the last of a finger's points
 
 
 class _Joint(NamedTuple):
@@ -34,6 +29,7 @@ class Kinematics:
     """Forward kinematics of the F fingers of a scene, written over arrays of postures.
 
     The same as MuJoCo's, which takes one posture at a time. Joints without a servo stay at zero.
+    The P points of a finger are the origins of its links, and its tip.
     """
 
     def __init__(self, scene: Scene, servos: Servos) -> None:
@@ -46,12 +42,12 @@ class Kinematics:
         self._rot = np.array([_matrix(quat) for quat in model.body_quat[bodies]])
         self._joints = [_joints_of(scene, servos, body) for body in bodies]
         point_body, self._point_pos = [], []
-        for site in scene.fingertip_sites:
-            body = int(model.site_bodyid[site])
-            name = model.body(body).name  # "rh_ffdistal"
-            origins = [index[model.body(name[:3] + link).id] for link in _LINKS[name[3:5]]]
-            point_body += [*origins, index[body]]
+        chains = [(prefix(side), f.links) for side in scene.sides for f in scene.hand.fingers]
+        for (hand, links), site in zip(chains, scene.fingertip_sites, strict=True):
+            origins = [index[model.body(hand + link).id] for link in links]
+            point_body += [*origins, origins[-1]]
             self._point_pos += [np.zeros(3)] * len(origins) + [model.site_pos[site].copy()]
+        self._num_points = len(scene.hand.fingers[0].links) + 1
         self._point_body = point_body
         self._moved = [self._points_below(i) for i in range(len(bodies))]
 
@@ -66,7 +62,7 @@ class Kinematics:
         return slice(below[0], below[-1] + 1) if below else slice(0, 0)
 
     def fingers(self, postures: Array) -> tuple[Array, Array]:
-        """Points (S, F, 4, 3) [m] of postures (S, A), and their Jacobian (S, F, 4, 3, A)."""
+        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A)."""
         count = len(postures)
         poses: list[tuple[Array, Array]] = []
         motions = []
@@ -101,7 +97,7 @@ class Kinematics:
             column = jacobian[joint.servo, :, moved]
             along = joint.share * axis[:, None]
             column += _cross(along, points[:, moved] - centre[:, None]) if joint.hinge else along
-        shape = (count, len(self._point_body) // NUM_POINTS, NUM_POINTS, 3)
+        shape = (count, len(self._point_body) // self._num_points, self._num_points, 3)
         return points.reshape(shape), np.moveaxis(jacobian, 0, -1).reshape(*shape, -1)
 
 

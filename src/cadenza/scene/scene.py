@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
+from cadenza.fingers import SIDES, Side, finger_number
+from cadenza.hands import forearm
+from cadenza.hands.body import Options, prefix
+from cadenza.hands.hand import Hand
+from cadenza.hands.named import HANDS
+from cadenza.keyboards.keyboard import Keyboard
+from cadenza.keyboards.named import KEYBOARDS
 from cadenza.scene.cameras import add_cameras
-from cadenza.scene.config import SceneConfig, Side
-from cadenza.scene.hand import add_hand, prefix
-from cadenza.scene.piano import NUM_KEYS, add_piano, key_name
-from cadenza.scene.shadow_hand import FINGERS, FOREARM_DOFS
+from cadenza.scene.config import SceneConfig
 
 Ids = NDArray[np.intp]
 
@@ -30,16 +34,19 @@ class Scene:
     """A compiled scene. Names are resolved to ids here, once.
 
     J hand joints (right hand's, left hand's), A actuators in the order of actions (right hand's,
-    left hand's; with no hands the 88 keys').
+    left hand's; with no hands the keys'). K keys.
     """
 
     config: SceneConfig
+    keyboard: Keyboard
+    hand: Hand
+    """What both hands are, but for their side."""
     model: mujoco.MjModel
     sides: tuple[Side, ...]
     key_qpos: slice
-    """Where the 88 keys' joints are in qpos."""
+    """Where the keys' joints are in qpos."""
     key_geoms: slice
-    """Where the 88 keys' boxes are among the geoms."""
+    """Where the keys' boxes are among the geoms."""
     hand_qpos: slice
     """Where the J joints of the hands are in qpos."""
     hand_qvel: slice
@@ -47,12 +54,16 @@ class Scene:
     hand_joint_names: tuple[str, ...]
     actuator_names: tuple[str, ...]
     fingertip_sites: Ids
-    """(5 for each hand,) fingers thumb to little, right hand first."""
+    """(F,) of the fingers of each hand from the thumb on, right hand first."""
     fingers: Ids
-    """The same fingers by number, 0..4 right, 5..9 left."""
+    """(F,) the same fingers by number, see `cadenza.fingers`."""
     forearm_geoms: dict[Side, Ids]
     hand_bodies: Ids
     """(B,) the bodies that move with the hands."""
+    palm_bodies: Ids
+    """Those of them that hide keys from above."""
+    slide_joints: Ids
+    """Of the J joints those that slide the hands along the keyboard."""
 
     @property
     def action_low(self) -> NDArray[np.float64]:
@@ -76,13 +87,13 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     spec = mujoco.MjSpec()
     _set_options(spec, config)
     add_cameras(spec)
-    sides = _sides(config)
-    add_piano(spec, actuated=not sides)
-    for side in sides:
-        add_hand(spec, side, config)
+    keyboard, hand, sides = KEYBOARDS[config.keyboard], HANDS[config.hand], _sides(config)
+    keyboard.add_to(spec, actuated=not sides)
+    options = _options(config, keyboard)
+    sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     model = spec.compile()
     _damp_forearms_critically(model, sides, config)
-    return _resolve(config, model, sides)
+    return _resolve(config, keyboard, hand, model, sides, sites)
 
 
 class HandAlone(NamedTuple):
@@ -110,15 +121,29 @@ def _place(names: tuple[str, ...], everyone: tuple[str, ...]) -> slice:
 
 def _sides(config: SceneConfig) -> tuple[Side, ...]:
     if config.hands == "both":
-        return ("right", "left")
+        return SIDES
     return () if config.hands == "none" else (config.hands,)
+
+
+def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
+    return Options(
+        reduced_action_space=config.reduced_action_space,
+        forearm_dofs=config.forearm_dofs,
+        hand_spacing=config.hand_spacing,
+        attachment_yaw=config.attachment_yaw,
+        gravity_compensation=config.gravity_compensation,
+        primitive_fingertips=config.primitive_fingertips,
+        hand_collisions=config.hand_collisions,
+        dry_friction=config.physics != "fast",
+        keyboard_half_length=keyboard.half_length,
+    )
 
 
 def _check(config: SceneConfig) -> None:
     if len(set(config.forearm_dofs)) < len(config.forearm_dofs):
         raise CadenzaError(
             f"forearm_dofs {config.forearm_dofs}: choose each at most once from "
-            f"{', '.join(FOREARM_DOFS)}"
+            f"{', '.join(forearm.JOINTS)}"
         )
     if not 0 <= config.hand_spacing <= 1.2:
         raise CadenzaError(f"hand_spacing {config.hand_spacing} m: choose 0 to 1.2 m")
@@ -144,33 +169,50 @@ def _damp_forearms_critically(
     """Damping 2 sqrt(k m) of a servo of stiffness k that moves the mass m of a whole hand."""
     for side in sides:
         for name in config.forearm_dofs:
-            dof = model.joint(f"{prefix(side)}forearm_{name}").dofadr[0]
-            kp = FOREARM_DOFS[name].kp
+            dof = model.joint(f"{prefix(side)}{forearm.FOREARM}_{name}").dofadr[0]
+            kp = forearm.JOINTS[name].kp
             model.dof_damping[dof] = 2.0 * np.sqrt(kp * model.dof_M0[dof])
 
 
-def _resolve(config: SceneConfig, model: mujoco.MjModel, sides: tuple[Side, ...]) -> Scene:
+def _resolve(
+    config: SceneConfig,
+    keyboard: Keyboard,
+    hand: Hand,
+    model: mujoco.MjModel,
+    sides: tuple[Side, ...],
+    fingertip_sites: Sequence[str],
+) -> Scene:
     prefixes = tuple(prefix(side) for side in sides)
     joints = [j for p in prefixes for j in _ids_with_prefix(model.njnt, model.joint, p)]
     bodies = [b for p in prefixes for b in _ids_with_prefix(model.nbody, model.body, p)]
-    hinge = [model.joint(key_name(key)).qposadr[0] for key in range(NUM_KEYS)]
+    slides = [p + forearm.ALONG_KEYBOARD for p in prefixes]
+    keys = [keyboard.key_name(key) for key in range(keyboard.num_keys)]
+    hinge = [model.joint(key).qposadr[0] for key in keys]
     return Scene(
         config=config,
+        keyboard=keyboard,
+        hand=hand,
         model=model,
         sides=sides,
         key_qpos=_as_slice(hinge),
-        key_geoms=_as_slice([model.geom(key_name(key)).id for key in range(NUM_KEYS)]),
+        key_geoms=_as_slice([model.geom(key).id for key in keys]),
         hand_qpos=_as_slice(model.jnt_qposadr[joints]),
         hand_qvel=_as_slice(model.jnt_dofadr[joints]),
         hand_joint_names=tuple(model.joint(j).name for j in joints),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
-        fingertip_sites=_array(model.site(f"{p}{f}tip").id for p in prefixes for f in FINGERS),
-        fingers=_array(5 * (side == "left") + f for side in sides for f in range(5)),
+        fingertip_sites=_array(model.site(name).id for name in fingertip_sites),
+        fingers=_array(
+            finger_number(SIDES.index(side), place)
+            for side in sides
+            for place in range(len(hand.fingers))
+        ),
         forearm_geoms={
-            side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + "forearm").id)
+            side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + forearm.FOREARM).id)
             for side in sides
         },
         hand_bodies=_array(bodies),
+        palm_bodies=_array(model.body(p + name).id for p in prefixes for name in hand.palm_links),
+        slide_joints=_array(row for row, j in enumerate(joints) if model.joint(j).name in slides),
     )
 
 

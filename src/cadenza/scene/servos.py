@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Servos:
     @property
     def along_keyboard(self) -> list[int]:
         """Those that slide the forearms, the right one first."""
-        return [a for a, name in enumerate(self.names) if name == "forearm_tx"]
+        return [a for a, name in enumerate(self.names) if name == ALONG_KEYBOARD]
 
 
 def servos_of(scene: Scene) -> Servos:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.scene.piano import NUM_KEYS
+from cadenza.fingers import NUM_FINGERS
 from cadenza.scene.scene import Scene
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 
@@ -95,13 +95,14 @@ class Lineariser:
 
     def _blank(self) -> Linearisation:
         model, shape = self.scene.model, self._shape
+        keys = self.scene.keyboard.num_keys
         return Linearisation(
             jacobian=np.empty(0),
-            key_qpos=np.empty((*shape, NUM_KEYS)),
-            key_xpos=np.empty((*shape, NUM_KEYS, 3)),
-            key_jacobian=np.empty((*shape, NUM_KEYS, 3)),
-            fingertip_xpos=np.zeros((*shape, 10, 3)),
-            fingertip_jacobian=np.zeros((*shape, 10, 3, model.nv)),
+            key_qpos=np.empty((*shape, keys)),
+            key_xpos=np.empty((*shape, keys, 3)),
+            key_jacobian=np.empty((*shape, keys, 3)),
+            fingertip_xpos=np.zeros((*shape, NUM_FINGERS, 3)),
+            fingertip_jacobian=np.zeros((*shape, NUM_FINGERS, 3, model.nv)),
         )
 
     def _roll_out(self, state: Array, ctrl: Array) -> Linearisation:

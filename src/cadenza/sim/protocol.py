@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.scene.piano import NUM_KEYS
+from cadenza.fingers import NUM_FINGERS
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -18,13 +18,13 @@ class State(NamedTuple):
     """What the task may know about N simulations after a step.
 
     Positions, velocities and contacts belong to the new state; actuator forces to the last physics
-    step that led there, as in the published system. J hand joints, A actuators.
+    step that led there, as in the published system. K keys, J hand joints, A actuators.
     """
 
     key_qpos: Array
-    """(N, 88) joint angles of the keys [rad], softly limited to 0..travel."""
+    """(N, K) joint angles of the keys [rad], softly limited to 0..travel."""
     key_xpos: Array
-    """(N, 88, 3) centres of the keys' boxes in the world [m]."""
+    """(N, K, 3) centres of the keys' boxes in the world [m]."""
     hand_qpos: Array
     """(N, J) joint positions of the hands [m, rad]."""
     hand_qvel: Array
@@ -44,12 +44,13 @@ class State(NamedTuple):
     def zeros(cls, scene: Scene, *rows: int) -> State:
         """Of the shapes of `scene`, with leading dimensions `rows`."""
         joints, actuators = len(scene.hand_joint_names), len(scene.actuator_names)
+        keys = scene.keyboard.num_keys
         return cls(
-            key_qpos=np.zeros((*rows, NUM_KEYS)),
-            key_xpos=np.zeros((*rows, NUM_KEYS, 3)),
+            key_qpos=np.zeros((*rows, keys)),
+            key_xpos=np.zeros((*rows, keys, 3)),
             hand_qpos=np.zeros((*rows, joints)),
             hand_qvel=np.zeros((*rows, joints)),
-            fingertip_xpos=np.zeros((*rows, 10, 3)),
+            fingertip_xpos=np.zeros((*rows, NUM_FINGERS, 3)),
             actuator_force=np.zeros((*rows, actuators)),
             actuator_velocity=np.zeros((*rows, actuators)),
             forearm_contact=np.zeros(rows, bool),

@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.scene.cameras import CAMERAS, MAX_HEIGHT, MAX_WIDTH, PLAYER, player_camera
-from cadenza.scene.hand import PALM_LINKS
-from cadenza.scene.piano import NUM_KEYS, key_name
 from cadenza.scene.scene import Scene
 
 HIT_RGBA = (0.20, 0.72, 0.36, 1.0)
 WRONG_RGBA = (0.88, 0.27, 0.22, 1.0)
-ALL_KEYS = (0, NUM_KEYS - 1)
 _GLOW = 0.35  # of keys that sound, so that their colour is the same in shadow
 _SEE_THROUGH = 0.14  # opacity of palms, which hide keys from the player
 _SAMPLES = 4  # of each pixel in small pictures; drawing takes two and a half times as long
@@ -61,9 +58,9 @@ class Renderer:
         self,
         scene: Scene,
         picture: Picture | None = None,
-        keys: tuple[int, int] = ALL_KEYS,
+        keys: tuple[int, int] | None = None,
     ) -> None:
-        """Takes the lowest and the highest key that the player's camera is to frame.
+        """Takes the lowest and the highest key that the player's camera is to frame, or all.
 
         Raises:
             CadenzaError: this machine cannot draw.
@@ -72,7 +69,8 @@ class Renderer:
         self._scene = scene
         from_player = picture.camera == PLAYER
         if from_player:
-            self._camera = player_camera(keys, picture.width / picture.height)
+            keys = keys or (0, scene.keyboard.num_keys - 1)
+            self._camera = player_camera(scene.keyboard, keys, picture.width / picture.height)
         else:
             self._camera = _fixed_camera(scene.model, picture.camera)
         scene.model.vis.quality.offsamples = 0 if from_player else _SAMPLES
@@ -83,8 +81,9 @@ class Renderer:
         self._drawn = mujoco.MjvScene(scene.model, maxgeom=1000)
         self._options = mujoco.MjvOption()
         self._data = mujoco.MjData(scene.model)
-        self._key_of_geom = {scene.model.geom(key_name(k)).id: k for k in range(NUM_KEYS)}
-        self._palms = frozenset(_palm_geoms(scene.model) if from_player else ())
+        geoms = range(scene.key_geoms.start, scene.key_geoms.stop)
+        self._key_of_geom = {geom: key for key, geom in enumerate(geoms)}
+        self._palms = frozenset(_palm_geoms(scene) if from_player else ())
         # The hands' shadows would lie on the very keys to look at, and take most of the time.
         self._drawn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not from_player
 
@@ -99,9 +98,9 @@ class Renderer:
 
         Args:
             hand_qpos: (J,) [m, rad].
-            key_qpos: (88,) [rad].
-            sounding: (88,) keys that sound; lit green where they should, red where not.
-            goal: (88,) keys that should sound.
+            key_qpos: (K,) [rad].
+            sounding: (K,) keys that sound; lit green where they should, red where not.
+            goal: (K,) keys that should sound.
         """
         model, data = self._scene.model, self._data
         data.qpos[self._scene.hand_qpos] = hand_qpos
@@ -188,9 +187,8 @@ def _fixed_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
     return camera
 
 
-def _palm_geoms(model: mujoco.MjModel) -> list[int]:
-    bodies = (model.body(body).name for body in model.geom_bodyid)
-    return [g for g, name in enumerate(bodies) if name.endswith(PALM_LINKS)]
+def _palm_geoms(scene: Scene) -> list[int]:
+    return np.flatnonzero(np.isin(scene.model.geom_bodyid, scene.palm_bodies)).tolist()
 
 
 _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from

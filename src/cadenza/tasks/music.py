@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.fingering.search import find_fingering
+from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER, Side
 from cadenza.music.goals import Goals, check_steps, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
-    NUM_FINGERS,
     NUM_KEYS,
-    UNKNOWN_FINGER,
     Score,
     check_length,
 )
-from cadenza.scene.config import Side
 from cadenza.tasks.config import TaskConfig
 
 _OCTAVE = 12

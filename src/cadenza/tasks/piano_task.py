@@ -159,8 +159,8 @@ class PianoTask:
 
     def _find_offset_joints(self) -> NDArray[np.intp]:
         names, most = self.scene.hand_joint_names, self.config.random_hand_position
-        slides = [j for j, name in enumerate(names) if name.endswith("forearm_tx")]
-        if most and not slides:
+        slides = self.scene.slide_joints
+        if most and not len(slides):
             raise CadenzaError(
                 "random_hand_position needs the forearm's tx joint: add tx to forearm_dofs"
             )
@@ -170,7 +170,7 @@ class PianoTask:
                 f"random_hand_position {most} m: the hands reach the keyboard's end after "
                 f"{reach:.2f} m; choose less"
             )
-        return np.array(slides, np.intp)
+        return slides
 
     # Episodes
 

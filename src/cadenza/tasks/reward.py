@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.scene.piano import KEY_HALF_SIZE, KEY_TRAVEL, SOUND_TOLERANCE
+from cadenza.keyboards.piano import PIANO
 from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
@@ -23,9 +23,8 @@ Ids = NDArray[np.intp]
 _LOG_VALUE_AT_MARGIN = np.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
 _FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
-_SOUNDS_FROM = KEY_TRAVEL - SOUND_TOLERANCE  # [rad]
 PRESS_OFFSET = np.stack(
-    [0.35 * KEY_HALF_SIZE[:, 0], np.zeros(len(KEY_HALF_SIZE)), 0.5 * KEY_HALF_SIZE[:, 2]], axis=1
+    [0.35 * PIANO.half_size[:, 0], np.zeros(PIANO.num_keys), 0.5 * PIANO.half_size[:, 2]], axis=1
 )
 """(88, 3) where on a key a finger is wanted, from the centre of its box [m]."""
 
@@ -63,12 +62,12 @@ def tolerance(x: Array, bound: float, margin: float) -> Array:
 
 def key_state(key_qpos: Array) -> Array:
     """How far the keys are down, 0..1, of the same shape `(..., 88)` as their angles [rad]."""
-    return np.minimum(np.maximum(key_qpos / KEY_TRAVEL, 0.0), 1.0)
+    return np.minimum(np.maximum(key_qpos / PIANO.travel, 0.0), 1.0)
 
 
 def key_activation(key_qpos: Array) -> Mask:
     """Which keys sound, `(..., 88)`: those within half a degree of their stop."""
-    return key_qpos >= _SOUNDS_FROM
+    return key_qpos >= PIANO.sounds_from
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:

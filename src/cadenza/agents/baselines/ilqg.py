@@ -24,7 +24,6 @@ from cadenza.agents.planning.config import ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.score import NUM_KEYS
-from cadenza.scene.piano import KEY_TRAVEL
 from cadenza.scene.scene import build_scene
 from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
@@ -236,7 +235,7 @@ class _Cost:
         of_centres = _flat(seen.key_jacobian)[moment, key]
         by_offset = of_tips @ jacobian[moment, : of_tips.shape[-1]]
         by_offset -= of_centres[:, :, None] * of_keys[moment, key][:, None]
-        return of_keys / KEY_TRAVEL[:, None], by_offset
+        return of_keys / self._task.scene.keyboard.travel[:, None], by_offset
 
     def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
         wanted = self._wanted[steps]

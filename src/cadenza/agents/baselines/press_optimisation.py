@@ -21,7 +21,6 @@ from cadenza.agents.baselines.box_ddp import Model, backward_pass
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.scene.piano import KEY_TRAVEL
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
@@ -104,7 +103,7 @@ class PressOptimisation:
         """
         self._part, self._tracking, self._config = part, tracking, config
         self._starts = _starts(onsets)
-        self._servos = servos_of(scene)
+        self._servos, self._travel = servos_of(scene), scene.keyboard.travel
         self._to_posture = np.linalg.pinv(self._servos.joints)
         joint_unit = _units(scene.hand_joint_names)
         self._state_unit = np.concatenate([joint_unit, _PER_SECOND * joint_unit])
@@ -251,7 +250,7 @@ class PressOptimisation:
         state = State._make(values[k : k + 1] for values in seen.states)
         keys, tips = self._misses(state, step)
         there = np.flatnonzero(keys[0])
-        by_keys = np.sqrt(_ALMOST) * seen.keys[k, there] / KEY_TRAVEL[there, None]
+        by_keys = np.sqrt(_ALMOST) * seen.keys[k, there] / self._travel[there, None]
         by_tips = self._tip_weight(step)[..., None] * seen.fingertips[k, self._part.fingers]
         residual = np.concatenate([keys[0, there], tips[0].ravel()])
         return residual, np.concatenate([by_keys, by_tips.reshape(-1, by_tips.shape[-1])])

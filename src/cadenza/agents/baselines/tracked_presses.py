@@ -16,7 +16,7 @@ from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.errors import CadenzaError
-from cadenza.scene.config import Side
+from cadenza.fingers import Side
 from cadenza.scene.scene import HandAlone, hand_alone
 from cadenza.sim.threads import available_cores
 from cadenza.tasks.piano_task import PianoTask

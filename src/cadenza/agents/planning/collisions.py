@@ -2,48 +2,58 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
+
+from cadenza.fingers import SIDES
+from cadenza.hands.hand import Hand
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-# Radii of the capsules that collide, proximal to distal link [m]; see `scene.shadow_hand`.
-_FINGER_RADII = (0.009, 0.009, 0.0067)
-_THUMB_RADII = (0.0105, 0.009, 0.0082)
 _CLEARANCE = 0.0015  # [m]
 
 
 class LinkCollisions:
-    """Pairs of links, of the F fingers of one hand or two, that could meet.
+    """C pairs of links, of the F fingers of one hand or two alike, that could meet.
 
     Neighbouring fingers, the thumb and the two fingers next to it, and thumbs and forefingers of
-    both hands; not the proximal links of neighbours, which are mounted far enough apart.
+    both hands; not the first links of neighbours, which are mounted far enough apart.
     """
 
-    def __init__(self, num_fingers: int) -> None:
+    def __init__(self, hand: Hand, num_hands: int) -> None:
+        count, links = len(hand.fingers), range(len(hand.fingers[0].links))
+        beside = [*pairwise(range(1, count)), *((0, other) for other in range(1, min(count, 3)))]
         pairs = [
             ((base + a, i), (base + b, j))
-            for base in range(0, num_fingers, 5)
-            for a, b in ((1, 2), (2, 3), (3, 4), (0, 1), (0, 2))
-            for i in range(3)
-            for j in range(3)
+            for base in range(0, num_hands * count, count)
+            for a, b in beside
+            for i in links
+            for j in links
             if (i or j if a else i)
         ]
-        if num_fingers == 10:
+        if num_hands == len(SIDES):
+            inner = range(min(count, 2))
             pairs += [
-                ((a, i), (b, j)) for a in (0, 1) for b in (5, 6) for i in (1, 2) for j in (1, 2)
+                ((a, i), (count + b, j))
+                for a in inner
+                for b in inner
+                for i in links[1:]
+                for j in links[1:]
             ]
-        table = np.array(pairs)  # (C, 2, 2)
+        table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
-        self._least = _radius(*self._a) + _radius(*self._b) + _CLEARANCE
+        radii = np.tile([finger.radii for finger in hand.fingers], (num_hands, 1))  # (F, links)
+        self._least = radii[self._a] + radii[self._b] + _CLEARANCE
 
     def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, Array]:
         """How much nearer than allowed links are, as negative lengths, and zero where they are not.
 
         Args:
-            points: (S, F, 4, 3) of the fingers [m].
-            jacobian: (S, F, 4, 3, A).
+            points: (S, F, P, 3) of the fingers [m], see `Kinematics`.
+            jacobian: (S, F, P, 3, A).
 
         Returns:
             (S, C) [m] and their Jacobian (S, C, A).
@@ -66,11 +76,6 @@ class LinkCollisions:
         normal = gap[row, pair] / distance[row, pair, None]
         slope[row, pair] = np.einsum("nk,nka->na", normal, approach)
         return overlap, slope
-
-
-def _radius(finger: Ids, link: Ids) -> Array:
-    thumb = finger % 5 == 0
-    return np.where(thumb, np.array(_THUMB_RADII)[link], np.array(_FINGER_RADII)[link])
 
 
 def _ends(points: Array, links: tuple[Ids, Ids]) -> tuple[Array, Array]:

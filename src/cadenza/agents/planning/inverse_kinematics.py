@@ -18,50 +18,18 @@ from scipy.linalg import solveh_banded
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.targets import Targets
+from cadenza.hands.forearm import WIDTH
+from cadenza.hands.hand import Hand
 from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 
 
-class Comfort(NamedTuple):
-    """How a servo is at ease: where it rests, and what counts as one away from that [m, rad].
-
-    `change` is that of the second difference from step to step, `stride` the most that an
-    iteration moves it.
-    """
-
-    rest: float = 0.0
-    sigma: float = 0.5
-    change: float = 0.4
-    stride: float = 0.4
-
-
-_STIFF = Comfort(sigma=0.05, change=0.05, stride=0.05)  # whatever the paper's action space lacks
-_COMFORT = {
-    "forearm_tx": Comfort(0.0, 1000.0, 0.005, 0.05),
-    "forearm_ty": Comfort(0.01, 0.05, 0.02, 0.05),
-    "WRJ2": Comfort(0.0, 0.3, 0.1),
-    "WRJ1": Comfort(-0.05, 0.3, 0.1),
-    "THJ4": Comfort(0.72),
-    "THJ3": Comfort(0.15),
-    "THJ2": Comfort(0.38),
-    "FFJ4": Comfort(-0.1),
-    "FFJ3": Comfort(0.75),
-    "FFJ0": Comfort(1.2, 0.8, 0.8),
-    "MFJ4": Comfort(-0.05),
-    "MFJ3": Comfort(0.8),
-    "MFJ0": Comfort(1.2, 0.8, 0.8),
-    "RFJ4": Comfort(0.0),
-    "RFJ3": Comfort(0.8),
-    "RFJ0": Comfort(1.2, 0.8, 0.8),
-    "LFJ4": Comfort(-0.03),
-    "LFJ3": Comfort(0.75),
-    "LFJ0": Comfort(1.15, 0.8, 0.8),
-}
 _OVERLAP = 0.002  # [m] of links that counts as one
 _WALL = 0.001  # [m] into black keys
-_FOREARMS_APART = 0.16  # [m] they touch at 0.149
+_FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.005  # [m]
 
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
@@ -69,40 +37,34 @@ _ITERATIONS = 25
 _CONVERGED = 1e-3  # relative decrease of the cost
 
 
-def rest_posture(servos: Servos) -> Array:
+def rest_posture(hand: Hand, servos: Servos) -> Array:
     """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
-    rest = np.array([_comfort(name).rest for name in servos.names])
+    rest = np.array([hand.servo(name).rest for name in servos.names])
     return np.clip(rest, servos.low, servos.high)
 
 
-def _comfort(name: str) -> Comfort:
-    return _COMFORT.get(name, _STIFF)
-
-
 def solve_postures(
+    scene: Scene,
     kinematics: Kinematics,
     servos: Servos,
-    fingers: NDArray[np.intp],
     targets: Targets,
     guess: Array,
     before: Array,
-    mounted_apart: float,
     progress: Progress = silent,
 ) -> Array:
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
 
     Args:
+        scene: with one hand or two.
         kinematics: of the scene.
         servos: of the scene.
-        fingers: (F,) the fingers that are there, of 0..9.
-        targets: of all ten fingers in S states.
+        targets: of all fingers in S states.
         guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
             what the joints like best.
         before: (A,) the posture before that.
-        mounted_apart: distance of the forearms when their slides are at 0 [m].
         progress: is told of "postures", in iterations.
     """
-    problem = _Problem(kinematics, servos, fingers, targets, guess, before, mounted_apart)
+    problem = _Problem(scene, kinematics, servos, targets, guess, before)
     postures = guess.copy()
     damping = np.ones(len(guess) - 1)
     now = problem.linearise(postures)
@@ -140,25 +102,24 @@ class _Problem:
 
     def __init__(
         self,
+        scene: Scene,
         kinematics: Kinematics,
         servos: Servos,
-        fingers: NDArray[np.intp],
         targets: Targets,
         guess: Array,
         before: Array,
-        mounted_apart: float,
     ) -> None:
-        self._kinematics, self._servos = kinematics, servos
+        self._kinematics, self._servos, fingers = kinematics, servos, scene.fingers
         self._low, self._high = targets.low[1:, fingers], targets.high[1:, fingers]
         self._sigma = targets.sigma[1:, fingers]
         self._wall = targets.wall[1:, fingers]
-        self._links = LinkCollisions(len(fingers))
+        self._links = LinkCollisions(scene.hand, len(scene.sides))
         self._rest, self._before = guess[1:], before
-        comforts = [_comfort(name) for name in servos.names]
-        self._stiffness = np.array([c.sigma for c in comforts]) ** -2.0
-        self._inertia = np.array([c.change for c in comforts]) ** -2.0
-        self._stride = np.array([c.stride for c in comforts])
-        self._mounted_apart = mounted_apart
+        uses = [scene.hand.servo(name) for name in servos.names]
+        self._stiffness = np.array([use.ease for use in uses]) ** -2.0
+        self._inertia = np.array([use.change for use in uses]) ** -2.0
+        self._stride = np.array([use.stride for use in uses])
+        self._mounted_apart = scene.config.hand_spacing
         slides = servos.along_keyboard
         self._slides = slides if len(slides) == 2 else []
         self._base = self._smoothness_band(len(guess) - 1)

@@ -38,10 +38,12 @@ from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.fingering.search import Dropped
+from cadenza.fingers import NUM_FINGERS, SIDES, UNKNOWN_FINGER, hand_of
+from cadenza.hands.body import prefix
+from cadenza.hands.forearm import FOREARM, WIDTH
 from cadenza.music.keyboard import note_name
 from cadenza.music.performance import key_runs
-from cadenza.music.score import NUM_FINGERS, NUM_KEYS, UNKNOWN_FINGER, Score
-from cadenza.scene.piano import KEY_CENTRE, KEY_HALF_SIZE
+from cadenza.music.score import Score
 from cadenza.tasks.reward import key_state
 
 Array = NDArray[np.float64]
@@ -51,7 +53,7 @@ _SHORTEST = 2  # steps that a key takes to go down
 _BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
 _ASTRAY = 0.01  # [m]
 _TOUCHING = 0.018  # [m] between centres of fingertips, which are 13 to 16 mm thick
-_FOREARMS_TOUCH = 0.152  # [m] along the keyboard, 3 mm more than their diameter
+_FOREARMS_TOUCH = WIDTH + 0.003  # [m] along the keyboard
 _FAST = 0.7  # [m/s]
 _COMING = 4  # steps within which a finger that is late is seen to come
 
@@ -65,7 +67,7 @@ class Miss:
     note: str
     """Its name, such as C4."""
     finger: int
-    """0..4 right thumb to little, 5..9 left, -1 none."""
+    """Its number, see `cadenza.fingers`."""
     what: str
     """What became of it, such as "never sounded"."""
     cause: str
@@ -115,7 +117,7 @@ class _Inquiry:
     """What is known about an episode, and the rules."""
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
-        nominal = plan.nominal
+        nominal, self._keyboard = plan.nominal, plan.scene.keyboard
         self._dt, self._steps = episode.dt, episode.num_steps
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
         self._depth = key_state(episode["key_qpos"])
@@ -175,7 +177,7 @@ class _Inquiry:
         if (neighbour := self._neighbour(note, press)) is not None:
             return "neighbouring key struck", f"the finger pressed {note_name(neighbour)} instead"
         rows = slice(note.first, min(note.first + 1 + _IN_TIME, self._steps))
-        beside = float(_beside(self._tips[rows, press.finger], note.key).min())
+        beside = float(self._beside(self._tips[rows, press.finger], note.key).min())
         if beside <= _BESIDE:
             depth = float(self._depth[note.first : note.last, note.key].max())
             return "key not pressed far enough", f"the key went {100 * depth:.0f} % of its way"
@@ -185,11 +187,11 @@ class _Inquiry:
         row, finger = note.first, press.finger
         if with_what := self._collision(row, finger):
             return "collided", f"collided with {with_what}: {where}"
-        if (planned := float(_beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
+        if (planned := float(self._beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
             return "out of reach", f"out of reach: the plan has it {1000 * planned:.0f} mm away"
         coming = self._tips[row : row + 1 + _COMING, finger]
         speed = self._speed(row + 1, finger)
-        if (_beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
+        if (self._beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
             return "too fast to get there", f"too fast, planned at {speed:.1f} m/s: {where}"
         return "finger beside the key", where
 
@@ -198,8 +200,8 @@ class _Inquiry:
         rows = slice(max(note.first - _IN_TIME, 0), note.first + 2 + _IN_TIME)
         wrong = self._played[rows] & ~self._goal[rows]
         tip = self._tips[min(note.first + _IN_TIME, self._steps - 1), press.finger]
-        for key in range(max(note.key - 2, 0), min(note.key + 3, NUM_KEYS)):
-            nearer = _beside(tip, key) < _beside(tip, note.key)
+        for key in range(max(note.key - 2, 0), min(note.key + 3, self._keyboard.num_keys)):
+            nearer = self._beside(tip, key) < self._beside(tip, note.key)
             if key != note.key and wrong[:, key].any() and nearer:
                 return key
         return None
@@ -212,7 +214,7 @@ class _Inquiry:
         distance = np.linalg.norm(self._tips[row] - tip, axis=1)
         distance[~self._there] = distance[finger] = np.inf
         if distance.min() < _TOUCHING:
-            other = int(distance.argmin()) // 5 != finger // 5
+            other = hand_of(int(distance.argmin())) != hand_of(finger)
             return "a finger of the other hand" if other else "the finger beside it"
         return "the other forearm" if self._forearms[row] < _FOREARMS_TOUCH else ""
 
@@ -230,7 +232,7 @@ class _Inquiry:
             return "no finger", "no finger was there for it; another pressed the key in passing"
         if press.last <= note.last and end >= press.last - 1 - _IN_TIME:
             return "finger needed elsewhere", f"as planned: {self._cut(press)}"
-        beside = float(_beside(self._tips[end, press.finger], note.key))
+        beside = float(self._beside(self._tips[end, press.finger], note.key))
         if beside > _BESIDE:
             return (
                 "finger beside the key",
@@ -246,11 +248,11 @@ class _Inquiry:
             return f"its finger had to press {note_name(following.key)}"
         return "the hand had to jump"
 
-
-def _beside(tips: Array, key: int) -> Array:
-    """(...) how far fingertips (..., 3) are from being over a key [m], seen from above."""
-    outside = np.abs(tips - KEY_CENTRE[key])[..., :2] - KEY_HALF_SIZE[key, :2]
-    return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
+    def _beside(self, tips: Array, key: int) -> Array:
+        """(...) how far fingertips (..., 3) are from being over a key [m], seen from above."""
+        outside = np.abs(tips - self._keyboard.centre[key])[..., :2]
+        outside -= self._keyboard.half_size[key, :2]
+        return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
 
 
 def _left_out(
@@ -272,7 +274,8 @@ def _left_out(
 def _forearms_apart(episode: Episode) -> Array:
     """(T,) distance of the forearms along the keyboard [m]."""
     bodies = list(episode.scene["bodies"])
-    if not {"rh_forearm", "lh_forearm"} <= set(bodies):
+    forearms = [prefix(side) + FOREARM for side in SIDES]
+    if not set(forearms) <= set(bodies):
         return np.full(episode.num_steps, np.inf)
-    right, left = (episode["body_xpos"][:, bodies.index(f"{s}h_forearm"), 1] for s in "rl")
+    right, left = (episode["body_xpos"][:, bodies.index(name), 1] for name in forearms)
     return np.asarray(right - left, np.float64)

@@ -24,8 +24,8 @@ from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postu
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.targets import Targets, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
+from cadenza.fingers import NUM_FINGERS
 from cadenza.scene.kinematics import TIP, Kinematics
-from cadenza.scene.piano import KEY_CENTRE
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import reaction, servos_of
 
@@ -78,7 +78,7 @@ def nominal_plans(
     dt: float,
     progress: Progress = silent,
 ) -> Iterator[Nominal]:
-    """Plans how to play `keys` (T, 88) with `fingers` (T, 88), a window more each time.
+    """Plans how to play `keys` (T, K) with `fingers` (T, K), a window more each time.
 
     Args:
         scene: with one hand or two.
@@ -114,9 +114,10 @@ class _Hands:
         self._scene, self._dt = scene, dt
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
-        self._rest = rest_posture(self._servos)
-        self._rest_y = np.zeros(10)
-        self._rest_y[scene.fingers] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
+        self._rest = rest_posture(scene.hand, self._servos)
+        rest_y = np.zeros(NUM_FINGERS)
+        rest_y[scene.fingers] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
+        self._places = scene.keyboard.centre[:, 1, None] - rest_y  # (K, 10), see `let_go_in_time`
 
     def at_rest(self, hand_qpos: Array, steps: int) -> Nominal:
         """Room for a plan of `steps` steps, which begins with hands that are still."""
@@ -138,7 +139,7 @@ class _Hands:
 
         Args:
             plan: of the first steps.
-            asked: (T, 88) fingers that should press the keys, -1 for none.
+            asked: (T, K) fingers that should press the keys, -1 for none.
             progress: is told of "postures".
         """
         first = plan.num_steps
@@ -147,7 +148,7 @@ class _Hands:
         kept = last - first if last == len(asked) else size - _OVERLAP
         since = _begin_of_presses(asked, first)
         wanted = presses_of(asked[since:last] >= 0, asked[since:last])
-        presses = let_go_in_time(wanted, self._rest_y, self._dt)
+        presses = let_go_in_time(wanted, self._places, self._dt)
         window = self._planned(plan, presses, first - since, last - since, progress)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
         return window._replace(presses=presses), kept
@@ -157,16 +158,15 @@ class _Hands:
     ) -> Nominal:
         """A plan for the steps from `first` to `last`, as `presses` count them, after `plan`."""
         scene, servos = self._scene, self._servos
-        targets = Targets._make(rows[first:] for rows in targets_of(presses, last + 1))
+        targets = Targets._make(rows[first:] for rows in targets_of(scene, presses, last + 1))
         guess = self._guess(plan, presses, first, last)
         postures = solve_postures(
+            scene,
             self._kinematics,
             servos,
-            scene.fingers,
             targets,
             guess,
             plan.postures[-2:][0],
-            scene.config.hand_spacing,
             progress,
         )
         points, jacobian = self._kinematics.fingers(postures)
@@ -191,7 +191,7 @@ class _Hands:
             for press in presses:
                 if press.side == side:
                     there = slice(max(press.first - _LEAD, 0), press.last)
-                    place[there] += KEY_CENTRE[press.key, 1] - self._rest_y[press.finger]
+                    place[there] += self._places[press.key, press.finger]
                     count[there] += 1
             if plan.num_steps and not count[first]:
                 place[first], count[first] = here[slide], 1
@@ -234,7 +234,7 @@ def _pressing(sinking: Array, targets: Targets, fingers: NDArray[np.intp]) -> Ar
 
     Args:
         sinking: (T + 1, F, A) how the fingertips' heights change with the coordinates.
-        targets: of all ten fingers.
+        targets: of all fingers.
         fingers: (F,) those that are there.
     """
     return -np.einsum("sfa,sf->sa", sinking, targets.force[:, fingers])[1:]

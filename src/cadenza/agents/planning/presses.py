@@ -10,9 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingering.search import BOTH
-from cadenza.scene.config import Side
-from cadenza.scene.piano import KEY_CENTRE
+from cadenza.fingers import SIDES, Side, side_of
 
 Array = NDArray[np.float64]
 
@@ -29,7 +27,7 @@ _FLIGHT = 2  # steps between two presses that are spent on the way, if the hand 
 
 
 class Press(NamedTuple):
-    """Finger 0..9 holds `key` down in the states `first` up to, not including, `last`.
+    """A finger holds `key` down in the states `first` up to, not including, `last`.
 
     State t + 1 follows from step t; state 0 is where the hands start.
     """
@@ -46,7 +44,7 @@ class Press(NamedTuple):
     @property
     def side(self) -> Side:
         """Of the hand."""
-        return BOTH[self.finger // 5]
+        return side_of(self.finger)
 
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press]:
@@ -67,17 +65,18 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press
     return sorted(presses, key=lambda press: (press.first, press.key))
 
 
-def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press]:
+def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
     A press keeps a step at least.
 
     Args:
         presses: by time.
-        rest_y: (10,) where the fingertips are along the keyboard when the forearms are at 0 [m].
+        places: (K, 10) where a forearm is when one of its fingers presses a key at ease, from where
+            it is mounted [m].
         dt: control step [s].
     """
-    cut = [press for side in BOTH for press in _let_hand_go(presses, side, rest_y, dt)]
+    cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt)]
     next_of: dict[int, Press] = {}
     result = []
     for press in sorted(cut, key=lambda press: (press.first, press.key), reverse=True):
@@ -87,10 +86,10 @@ def let_go_in_time(presses: list[Press], rest_y: Array, dt: float) -> list[Press
             last = max(min(last, following.first - 1), press.first + 1)
         next_of[press.finger] = press
         result.append(press._replace(last=last))
-    return _with_jumps(result[::-1], rest_y)
+    return _with_jumps(result[::-1], places)
 
 
-def _with_jumps(presses: list[Press], rest_y: Array) -> list[Press]:
+def _with_jumps(presses: list[Press], places: Array) -> list[Press]:
     """Marks presses of one hand that are as little as `_FLIGHT` apart in time and far in space."""
     together = Counter((press.side, press.first) for press in presses)
     firsts = [press.first for press in presses]
@@ -98,7 +97,7 @@ def _with_jumps(presses: list[Press], rest_y: Array) -> list[Press]:
     for press in presses:
         soon, too_late = (bisect_right(firsts, press.last + steps) for steps in (0, _FLIGHT))
         for later in presses[soon:too_late]:
-            way = abs(_hand_y(later, rest_y) - _hand_y(press, rest_y))
+            way = abs(places[later.key, later.finger] - places[press.key, press.finger])
             if later.side == press.side and way > _WITHIN_REACH:
                 left.add(press)
                 reached.add(later)
@@ -111,14 +110,14 @@ def _with_jumps(presses: list[Press], rest_y: Array) -> list[Press]:
     ]
 
 
-def _let_hand_go(presses: list[Press], side: Side, rest_y: Array, dt: float) -> list[Press]:
+def _let_hand_go(presses: list[Press], side: Side, places: Array, dt: float) -> list[Press]:
     mine = [press for press in presses if press.side == side]
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
-    places = [[_hand_y(press, rest_y) for press in chord] for chord in chords]
-    means = [float(np.mean(place)) for place in places]
+    hands = [[float(places[press.key, press.finger]) for press in chord] for chord in chords]
+    means = [float(np.mean(hand)) for hand in hands]
     cut = []
     for i, chord in enumerate(chords):
-        for press, place in zip(chord, places[i], strict=True):
+        for press, place in zip(chord, hands[i], strict=True):
             last = press.last
             for j in range(i + 1, len(chords)):
                 first = chords[j][0].first
@@ -134,8 +133,3 @@ def _let_hand_go(presses: list[Press], side: Side, rest_y: Array, dt: float) -> 
                     last = min(last, max(first - steps, press.first + 1))
             cut.append(press._replace(last=last))
     return cut
-
-
-def _hand_y(press: Press, rest_y: Array) -> float:
-    """Where the forearm is when this finger presses and is at rest [m]."""
-    return float(KEY_CENTRE[press.key, 1] - rest_y[press.finger])

@@ -13,7 +13,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.scene.config import Side
+from cadenza.fingers import SIDES, Side, finger_number, hand_of, place_of
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
@@ -23,14 +23,9 @@ from cadenza.tasks import reward
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Standard deviations of what is sampled, of a control [m, rad].
-_SIGMA = {"forearm_tx": 0.01, "forearm_ty": 0.005, "WRJ2": 0.03, "WRJ1": 0.03}
-_FINGER_SIGMA, _COUPLED_SIGMA = 0.08, 0.12
-_IDLE_FINGER = 0.3  # of that, for fingers that do not play within the horizon
+_IDLE_FINGER = 0.3  # of a servo's noise, for fingers that do not play within the horizon
 _SPARSE = 0.3  # half of the candidates change this share of the servos
-# What frees a hand that is caught between keys: it lifts itself for a step or two [rad].
-_LIFT = {"WRJ1": -0.35, "FFJ3": -0.5, "MFJ3": -0.5, "RFJ3": -0.5, "LFJ3": -0.5}
-_LIFTED_STEPS = 2
+_LIFTED_STEPS = 2  # for which a hand lifts itself where it is caught between keys
 _KEPT = 0.5  # of the correction to the nominal plan from one control step to the next
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
@@ -54,33 +49,34 @@ class HandPart:
     """What one hand has to do over T steps, of which the first P are planned.
 
     Attributes:
-        mine: (T, 88) keys that this hand should hold down.
-        planned: (T, 88) those of them that the plan holds down, where it goes.
-        wrong: (T, 88) keys that it should not.
-        fingertips: (P + 1, 5, 3) where its fingertips should be [m].
-        fingers: of the ten.
-        playing: (T + 1, 5) whether they are about to press, press, or let go, where the plan goes.
+        mine: (T, K) keys that this hand should hold down.
+        planned: (T, K) those of them that the plan holds down, where it goes.
+        wrong: (T, K) keys that it should not.
+        fingertips: (P + 1, F, 3) where its F fingertips should be [m].
+        fingers: their numbers.
+        playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
-        hand = int(side == "left")
+        hand, count = SIDES.index(side), len(plan.scene.hand.fingers)
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
-        self.mine = keys & (fingers >= 0) & (fingers // 5 == hand)
+        self.mine = keys & (fingers >= 0) & (hand_of(fingers) == hand)
         others = keys & ~self.mine
         soon = others.copy()  # the other hand needs a moment to leave a key
         soon[1:] |= others[:-1]
         soon[2:] |= others[:-2]
         self.wrong = ~keys & ~soon
-        self.fingers = slice(5 * hand, 5 * hand + 5)
-        first = 5 * hand if nominal.fingertips.shape[1] > 5 else 0
-        self.fingertips = nominal.fingertips[:, first : first + 5]
+        first = finger_number(hand, 0)
+        self.fingers = slice(first, first + count)
+        row = count * plan.scene.sides.index(side)
+        self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.mine)
-        self.playing = np.zeros((len(keys) + 1, 5), bool)
+        self.playing = np.zeros((len(keys) + 1, count), bool)
         for press in nominal.presses:
             if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
                 about = max(press.first - _ABOUT_TO_PRESS, 0)
-                self.playing[about : press.last + 1, press.finger % 5] = True
+                self.playing[about : press.last + 1, place_of(press.finger)] = True
 
 
 class HandRefinement:
@@ -113,9 +109,10 @@ class HandRefinement:
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
-        self._sigma = np.array([_sigma(name) for name in self._servos.names])
-        self._finger = np.array([_finger(name) for name in self._servos.names])
-        self._lifts = _lifts(self._servos.names, self._horizon)
+        uses = [scene.hand.servo(name) for name in self._servos.names]
+        self._sigma = np.array([use.noise for use in uses])
+        self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
+        self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon)
         self._twin = PlanningSimulation(scene, 1, dt)
         self._single = PlanningSimulation(scene, 1, dt)
         self._batch = PlanningSimulation(scene, self._candidates, dt, num_threads)
@@ -139,7 +136,7 @@ class HandRefinement:
         Args:
             hand_qpos: (J,) of this hand [m, rad].
             hand_qvel: (J,)
-            key_qpos: (88,) [rad]
+            key_qpos: (K,) [rad]
         """
         if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
             self._twin.place(hand_qpos, hand_qvel, key_qpos)
@@ -269,18 +266,7 @@ def _cost(state: State, part: HandPart, row: int, last: bool) -> tuple[Array, ND
     return cost + _ALMOST * lacking.sum(axis=1) + astray.sum(axis=1), mistakes
 
 
-def _lifts(names: tuple[str, ...], horizon: int) -> Array:
-    """(_LIFTED_STEPS, H, A) what is added to the controls to lift the hand for 1, 2, ... steps."""
-    lift = np.array([_LIFT.get(name, 0.0) for name in names])
+def _lifts(lift: Array, horizon: int) -> Array:
+    """(_LIFTED_STEPS, H, A) what is added to the controls for 1, 2, ... steps; `lift` is (A,)."""
     steps = np.arange(1, _LIFTED_STEPS + 1)[:, None, None]
     return lift * (np.arange(horizon)[None, :, None] < steps)
-
-
-def _sigma(name: str) -> float:
-    return _SIGMA.get(name, _COUPLED_SIGMA if name.endswith("J0") else _FINGER_SIGMA)
-
-
-def _finger(name: str) -> int:
-    """0 thumb to 4 little finger, -1 for wrist and forearm."""
-    fingers = ("TH", "FF", "MF", "RF", "LF")
-    return fingers.index(name[:2]) if name[:2] in fingers else -1

@@ -12,7 +12,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.music.goals import Goals
 from cadenza.music.score import Score
-from cadenza.scene.scene import build_scene
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 
@@ -20,6 +20,8 @@ from cadenza.tasks.piano_task import PianoTask
 class SongPlan(NamedTuple):
     """How the hands of a scene are to play a song, as far as that has been planned."""
 
+    scene: Scene
+    """The hands and the keys."""
     score: Score
     """With the fingers that play it."""
     dropped: tuple[Dropped, ...]
@@ -66,4 +68,4 @@ def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> It
     scene, dt = build_scene(task.scene.config), task.config.control_timestep
     start = task.state.hand_qpos[0]
     for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
-        yield SongPlan(score, dropped, goals, nominal)
+        yield SongPlan(scene, score, dropped, goals, nominal)

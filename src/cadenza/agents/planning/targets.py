@@ -10,26 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.presses import Press
-from cadenza.scene.piano import (
-    BLACK,
-    IS_BLACK,
-    KEY_CENTRE,
-    KEY_HALF_SIZE,
-    KEY_TRAVEL,
-    holding_torque,
-)
+from cadenza.fingers import NUM_FINGERS, place_of
+from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
-NUM_FINGERS = 10
-_RADIUS = np.array([0.0082] + [0.0067] * 4)  # of the fingertips' ends, thumb to little [m]
-
-# Where keys are pressed, towards the player from the middle of the keyboard's depth [m]: whites
-# clear of the blacks, the thumb near their edge, as it is shorter, and blacks on their ridge.
-_ON_WHITE, _THUMB_ON_WHITE, _ON_BLACK = 0.047, 0.056, 0.0
-_BLACK_TOP = BLACK.centre_z + BLACK.half_size[2]
-_IN_FRONT_OF_BLACK = 0.025
-_OVER_KEYS = (-0.04, 0.066)  # [m] where idle fingertips stay
+# Where fingertips press and stay, towards the player from the middle of the white keys [m].
+_ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
+_BEFORE_BLACK = 0.01  # in front of black keys
+_OVER_KEYS = (-0.04, 0.066)  # idle ones
 
 _TOLERANCE = (0.003, 0.001)  # [m] along the key, across it
 _DEEP = 0.0015  # [m] below where the key stops
@@ -60,81 +49,91 @@ class Targets(NamedTuple):
     """(S, 10) downwards [N]."""
 
 
-def targets_of(presses: Sequence[Press], num_states: int) -> Targets:
-    """Where `presses` want the fingertips; idle ones stay above all keys."""
-    targets = _idle(num_states)
-    for finger in range(NUM_FINGERS):
-        mine = [press for press in presses if press.finger == finger]
-        before = 0
-        for press, following in pairwise([*mine, None]):
-            assert press is not None
-            _approach(targets, press, before)
-            _hold(targets, press)
-            if press.last < num_states and (following is None or following.first > press.last):
-                _let_go(targets, press)
-            before = press.last
-    return targets
+def targets_of(scene: Scene, presses: Sequence[Press], num_states: int) -> Targets:
+    """Where `presses` want the fingertips of a scene's hands; idle ones stay above all keys."""
+    return _Writer(scene, num_states).write(presses)
 
 
-def _idle(num_states: int) -> Targets:
-    shape = (num_states, NUM_FINGERS, 3)
-    low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
-    low[:, :, 0], high[:, :, 0] = _OVER_KEYS
-    low[:, :, 2] = _BLACK_TOP + _LIFTED + np.tile(_RADIUS, 2)
-    sigma = np.broadcast_to(_IDLE, shape).copy()
-    return Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
+class _Writer:
+    """Writes presses into targets that begin with all fingers idle."""
 
+    def __init__(self, scene: Scene, num_states: int) -> None:
+        self._keyboard, self._fingers = scene.keyboard, scene.hand.fingers
+        radius = np.zeros(NUM_FINGERS)
+        radius[scene.fingers] = np.tile([f.tip_radius for f in self._fingers], len(scene.sides))
+        black = scene.keyboard.black
+        # To the micrometre: the sum must not depend on how its parts are written.
+        self._wall = round(black.centre_x + black.half_size[0] + _BEFORE_BLACK, 6)
+        shape = (num_states, NUM_FINGERS, 3)
+        low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+        low[:, :, 0], high[:, :, 0] = _OVER_KEYS
+        low[:, :, 2] = black.top + _LIFTED + radius
+        sigma = np.broadcast_to(_IDLE, shape).copy()
+        self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
-def _approach(targets: Targets, press: Press, before: int) -> None:
-    """Over the key, the nearer in time the more closely, and low in the last state."""
-    over = _at(press, angle=0.0)
-    for state in range(max(press.first - _APPROACH, before + 1, 1), press.first):
-        steps = press.first - state
-        low = over[2] + (_HOVER if steps == 1 else _HOVER + 0.004)
-        high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
-        sigma = _ABOVE_KEY * steps
-        sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
-        if press.flies_to:
-            sigma *= _IN_FLIGHT
-        _box(targets, press, state, over, (low, high), sigma)
+    def write(self, presses: Sequence[Press]) -> Targets:
+        num_states = len(self._targets.low)
+        for finger in range(NUM_FINGERS):
+            mine = [press for press in presses if press.finger == finger]
+            before = 0
+            for press, following in pairwise([*mine, None]):
+                assert press is not None
+                self._approach(press, before)
+                self._hold(press)
+                if press.last < num_states and (following is None or following.first > press.last):
+                    self._let_go(press)
+                before = press.last
+        return self._targets
 
+    def _approach(self, press: Press, before: int) -> None:
+        """Over the key, the nearer in time the more closely, and low in the last state."""
+        over = self._at(press, angle=0.0)
+        for state in range(max(press.first - _APPROACH, before + 1, 1), press.first):
+            steps = press.first - state
+            low = over[2] + (_HOVER if steps == 1 else _HOVER + 0.004)
+            high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
+            sigma = _ABOVE_KEY * steps
+            sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
+            if press.flies_to:
+                sigma *= _IN_FLIGHT
+            self._box(press, state, over, (low, high), sigma)
 
-def _hold(targets: Targets, press: Press) -> None:
-    at = _at(press, KEY_TRAVEL[press.key])
-    depth = at[2] - _DEEP
-    states = slice(press.first, press.last)
-    _box(targets, press, states, at, (depth, depth), _AT_KEY)
-    lever = at[0] - KEY_CENTRE[press.key, 0] + KEY_HALF_SIZE[press.key, 0]
-    targets.force[states, press.finger] = _FORCE_MARGIN * holding_torque(press.key) / lever
+    def _hold(self, press: Press) -> None:
+        keyboard, key = self._keyboard, press.key
+        at = self._at(press, keyboard.travel[key])
+        depth = at[2] - _DEEP
+        states = slice(press.first, press.last)
+        self._box(press, states, at, (depth, depth), _AT_KEY)
+        lever = at[0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
+        force = _FORCE_MARGIN * keyboard.holding_torque[key] / lever
+        self._targets.force[states, press.finger] = force
 
+    def _let_go(self, press: Press) -> None:
+        """Straight up, or it would drag along the key; in a jump just up."""
+        over = self._at(press, angle=0.0)
+        sigma = _ABOVE_KEY * _IN_FLIGHT if press.flies_off else _ABOVE_KEY
+        self._box(press, press.last, over, (over[2] + _LIFTED, np.inf), sigma)
 
-def _let_go(targets: Targets, press: Press) -> None:
-    """Straight up before it goes anywhere, or it would drag along the key; in a jump just up."""
-    over = _at(press, angle=0.0)
-    sigma = _ABOVE_KEY * _IN_FLIGHT if press.flies_off else _ABOVE_KEY
-    _box(targets, press, press.last, over, (over[2] + _LIFTED, np.inf), sigma)
+    def _box(
+        self,
+        press: Press,
+        states: int | slice,
+        at: Array,
+        height: tuple[float, float],
+        sigma: Array,
+    ) -> None:
+        targets, room = self._targets, np.array(_TOLERANCE)
+        targets.low[states, press.finger] = (*(at[:2] - room), height[0])
+        targets.high[states, press.finger] = (*(at[:2] + room), height[1])
+        targets.sigma[states, press.finger] = sigma
+        if not self._keyboard.is_black[press.key]:
+            targets.wall[states, press.finger] = self._wall
 
-
-def _box(
-    targets: Targets,
-    press: Press,
-    states: int | slice,
-    at: Array,
-    height: tuple[float, float],
-    sigma: Array,
-) -> None:
-    room = np.array(_TOLERANCE)
-    targets.low[states, press.finger] = (*(at[:2] - room), height[0])
-    targets.high[states, press.finger] = (*(at[:2] + room), height[1])
-    targets.sigma[states, press.finger] = sigma
-    if not IS_BLACK[press.key]:
-        targets.wall[states, press.finger] = _IN_FRONT_OF_BLACK
-
-
-def _at(press: Press, angle: float) -> Array:
-    """(3,) where the fingertip touches the key when that is down by `angle` [rad]."""
-    centre, half = KEY_CENTRE[press.key], KEY_HALF_SIZE[press.key]
-    thumb = press.finger % 5 == 0
-    x = _ON_BLACK if IS_BLACK[press.key] else _THUMB_ON_WHITE if thumb else _ON_WHITE
-    fall = np.tan(angle) * (x - centre[0] + half[0])
-    return np.array([x, centre[1], centre[2] + half[2] - fall + _RADIUS[press.finger % 5]])
+    def _at(self, press: Press, angle: float) -> Array:
+        """(3,) where the fingertip touches the key when that is down by `angle` [rad]."""
+        keyboard, key = self._keyboard, press.key
+        finger = self._fingers[place_of(press.finger)]
+        centre, half = keyboard.centre[key], keyboard.half_size[key]
+        x = _ON_BLACK if keyboard.is_black[key] else finger.on_white
+        fall = np.tan(angle) * (x - centre[0] + half[0])
+        return np.array([x, centre[1], centre[2] + half[2] - fall + finger.tip_radius])

@@ -1,113 +1,29 @@
-"""The Shadow Dexterous Hand E3M5 on a forearm that slides along the keyboard.
+"""The body of the Shadow Dexterous Hand E3M5.
 
-One description serves both sides: the figures are the right hand's, the left hand is their mirror
-image in the plane x = 0 of the palm. Figures from the hand model of RoboPianist (Zakka et al.,
-CoRL 2023; PyPI robopianist 1.0.10), which goes back to DeepMind's model in MuJoCo Menagerie after
-Shadow Robot's description of the E3M5 series. Lengths in [m], masses in [kg], angles in [rad],
-quaternions w, x, y, z; frames of the links: z along the link, y out of the back of the hand.
+Figures from the hand model of RoboPianist (Zakka et al., CoRL 2023; PyPI robopianist 1.0.10), which
+goes back to DeepMind's model in MuJoCo Menagerie after Shadow Robot's description of the E3M5
+series. Frames of the links: z along the link, y out of the back of the hand.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from cadenza.hands.body import (
+    FINGERTIP_RGBA,
+    FOREARM_RGBA,
+    Actuator,
+    Body,
+    Coupling,
+    Geom,
+    Joint,
+    Link,
+    Quaternion,
+    Vector,
+)
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-FINGERS = ("th", "ff", "mf", "rf", "lf")  # thumb to little finger
-FINGERTIP_Z = {"th": 0.0275, "ff": 0.026, "mf": 0.026, "rf": 0.026, "lf": 0.026}  # in distal link
-
-# The paper's reduced action space has no such joints, and the thumb closes one way only.
-REMOVED_WHEN_REDUCED = ("THJ5", "THJ1", "LFJ5")
-REDUCED_RANGES = {"THJ2": (0.0, 0.698132)}
-
-JOINT_ARMATURE = 0.0002  # [kg m^2], for the forearm's slides [kg]
-JOINT_FRICTION_LOSS = 0.01  # [N m], for the forearm's slides [N]
-CONTACT_SOLREF = (0.005, 1.0)
-CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
-EXCLUDED_PAIRS = (("forearm", "wrist"), ("thproximal", "thmiddle"))
-
-_IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 # Turns a cylinder's z axis onto x.
 _ALONG_X: Quaternion = (0.707107, 0.0, 0.707107, 0.0)
 _SWAP_XY: Quaternion = (0.707107, 0.0, 0.0, 0.707107)
 _CYCLE: Quaternion = (0.5, 0.5, -0.5, 0.5)
-
-
-@dataclass(frozen=True)
-class Geom:
-    """A shape fixed to a link; `mirrored` False marks the few that both hands have alike."""
-
-    type: str
-    size: tuple[float, ...]
-    pos: Vector = (0.0, 0.0, 0.0)
-    quat: Quaternion = _IDENTITY
-    mirrored: bool = True
-    left_size: tuple[float, ...] | None = None
-    left_quat: Quaternion | None = None
-
-
-@dataclass(frozen=True)
-class Joint:
-    """A hinge. Mirrored, an axis (x, y, z) is (x, -y, -z), unless `left_axis` is given."""
-
-    name: str
-    axis: Vector
-    range: tuple[float, float]
-    damping: float = 0.05
-    left_axis: Vector | None = None
-
-
-@dataclass(frozen=True)
-class Link:
-    """A rigid link with at most one joint to its parent."""
-
-    name: str
-    parent: str
-    pos: Vector
-    mass: float
-    com: Vector
-    inertia: Vector
-    inertia_quat: Quaternion = _IDENTITY
-    quat: Quaternion = _IDENTITY
-    left_quat: Quaternion | None = None
-    joint: Joint | None = None
-    geoms: tuple[Geom, ...] = ()
-
-
-@dataclass(frozen=True)
-class Actuator:
-    """A position servo of gain `kp` [N m/rad] that can apply up to `force` [N m]."""
-
-    target: str
-    kp: float
-    force: float
-
-
-@dataclass(frozen=True)
-class ForearmJoint:
-    """A slide or hinge between world and forearm with a critically damped servo of gain `kp`.
-
-    The axis is given in the forearm's frame; `mirrored` ones turn the other way on the left.
-    """
-
-    hinge: bool
-    axis: Vector
-    kp: float
-    range: tuple[float, float]
-    mirrored: bool = False
-
-
-MOUNT_XZ = (0.4, 0.13)
-MOUNT_QUAT: Quaternion = (-0.5, -0.5, 0.5, 0.5)
-FOREARM_DOFS: dict[str, ForearmJoint] = {
-    "tx": ForearmJoint(False, (-1, 0, 0), 300.0, (0.0, 0.0)),  # range: the whole keyboard
-    "ty": ForearmJoint(False, (0, 0, 1), 300.0, (0.0, 0.06)),
-    "tz": ForearmJoint(False, (0, 1, 0), 1000.0, (-0.04, 0.0)),
-    "roll": ForearmJoint(True, (0, 0, 1), 300.0, (-0.25, 0.25)),
-    "pitch": ForearmJoint(True, (1, 0, 0), 50.0, (0.0, 0.15)),
-    "yaw": ForearmJoint(True, (0, -1, 0), 300.0, (-0.25, 0.25), mirrored=True),
-}
 
 
 def _capsule(radius: float, half_length: float, z: float) -> Geom:
@@ -146,10 +62,27 @@ _ROUND_THUMB_TIP = Geom(
     (-2e-07, 8.581401573e-05, 0.01916883371),
     mirrored=False,
 )
-ROUND_FINGERTIPS = {
-    finger: _ROUND_THUMB_TIP if finger == "th" else _ROUND_FINGERTIP for finger in FINGERS
-}
-
+# What is drawn in place of the boxes that collide: bones of a palm and a forearm, rounded. The
+# forearm tapers into the wrist, which reaches into the palm: no gap however they turn.
+_DRAWN_FOREARM = (
+    Geom("capsule", (0.036, 0.068), (0, -0.002, 0.075)),
+    Geom("cylinder", (0.046, 0.03), (0, -0.002, 0.04)),
+    Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.135)),
+    Geom("ellipsoid", (0.033, 0.033, 0.062), (0, -0.007, 0.165)),
+    Geom("capsule", (0.024, 0.02), (0, -0.01, 0.192)),
+)
+_DRAWN_WRIST = (
+    Geom("capsule", (0.021, 0.017), (0, 0, 0.017)),
+    Geom("capsule", (0.016, 0.008), (0, 0, 0.034), _ALONG_X),
+)
+_DRAWN_PALM = (
+    Geom("ellipsoid", (0.040, 0.014, 0.052), (-0.002, 0.001, 0.045)),
+    Geom("ellipsoid", (0.018, 0.017, 0.032), (0.023, -0.008, 0.022)),
+    Geom("capsule", (0.0105, 0.034), (0.028, 0.0, 0.062), (0.9945, 0, 0.105, 0)),
+    Geom("capsule", (0.0105, 0.036), (0.010, 0.0, 0.064), (0.9990, 0, 0.030, 0)),
+    Geom("capsule", (0.0105, 0.034), (-0.010, 0.0, 0.062), (0.9990, 0, -0.030, 0)),
+)
+_DRAWN_METACARPAL = (Geom("capsule", (0.0105, 0.026), (0.001, 0.0, 0.036)),)
 
 _FOREARM = Link(
     "forearm", "", (0, 0, 0), 3.0, (0, 0, 0.09), (0.0138, 0.0138, 0.00744),
@@ -160,6 +93,8 @@ _FOREARM = Link(
         Geom("box", (0.035, 0.035, 0.035), (0, -0.01, 0.181),
              (0.924909, 0, 0.380188, 0), mirrored=False),
     ),
+    drawn=_DRAWN_FOREARM,
+    rgba=FOREARM_RGBA,
 )  # fmt: skip
 
 _WRIST = Link(
@@ -173,6 +108,8 @@ _WRIST = Link(
         Geom("box", (0.0135, 0.009, 0.005), (-0.021, 0, 0.011), (0.923879, 0, 0.382684, 0)),
         Geom("box", (0.0135, 0.009, 0.005), (0.026, 0, 0.01), (0.923879, 0, -0.382684, 0)),
     ),
+    drawn=_DRAWN_WRIST,
+    rgba=FOREARM_RGBA,
 )  # fmt: skip
 
 _PALM = Link(
@@ -192,6 +129,8 @@ _PALM = Link(
         Geom("box", (0.009, 0.012, 0.002), (0.011, 0, 0.089)),
         Geom("box", (0.01, 0.012, 0.02), (-0.03, 0, 0.009)),
     ),
+    drawn=_DRAWN_PALM,
+    hides_keys=True,
 )  # fmt: skip
 
 
@@ -221,6 +160,8 @@ def _finger(name: str, base: str, pos: Vector, spread_axis: Vector) -> tuple[Lin
             (1.28092e-06, 1.12092e-06, 5.3e-07), _SWAP_XY,
             joint=Joint(f"{joint}J1", (1, 0, 0), (0.0, 1.5708)),
             geoms=(_FINGERTIP,),
+            round_geoms=(_ROUND_FINGERTIP,),
+            rgba=FINGERTIP_RGBA,
         ),
     )  # fmt: skip
 
@@ -230,6 +171,8 @@ _LITTLE_FINGER_METACARPAL = Link(
     (1.638e-05, 1.45e-05, 4.272e-06), _SWAP_XY,
     joint=Joint("LFJ5", (0.5735761643640093, 0, 0.8191522347362981), (0.0, 0.785398)),
     geoms=(Geom("box", (0.011, 0.012, 0.025), (0.002, 0, 0.033)),),
+    drawn=_DRAWN_METACARPAL,
+    hides_keys=True,
 )  # fmt: skip
 
 # The left thumb's frames are turned by half a turn about z after mirroring.
@@ -261,10 +204,12 @@ _THUMB = (
         left_quat=(0.707107, 0, 0, -0.707107),
         joint=Joint("THJ1", (1, 0, 0), (-0.261799, 1.5708)),
         geoms=(_THUMB_TIP,),
+        round_geoms=(_ROUND_THUMB_TIP,),
+        rgba=FINGERTIP_RGBA,
     ),
 )  # fmt: skip
 
-LINKS: tuple[Link, ...] = (
+_LINKS = (
     _FOREARM,
     _WRIST,
     _PALM,
@@ -276,7 +221,7 @@ LINKS: tuple[Link, ...] = (
     *_THUMB,
 )
 
-COUPLED_FINGERS = ("FF", "MF", "RF", "LF")  # a tendon, J0, pulls J2 and J1 together
+_COUPLED_FINGERS = ("FF", "MF", "RF", "LF")  # a tendon, J0, pulls J2 and J1 together
 
 
 def _finger_actuators(finger: str) -> tuple[Actuator, ...]:
@@ -287,7 +232,7 @@ def _finger_actuators(finger: str) -> tuple[Actuator, ...]:
     )
 
 
-ACTUATORS: tuple[Actuator, ...] = (
+_ACTUATORS = (
     Actuator("WRJ2", 10.0, 10.0),
     Actuator("WRJ1", 8.0, 5.0),
     Actuator("THJ5", 0.4, 3.0),
@@ -301,28 +246,16 @@ ACTUATORS: tuple[Actuator, ...] = (
     Actuator("LFJ5", 1.0, 1.0),
     *_finger_actuators("LF"),
 )
-COUPLED_CONTROL_RANGE = (0.0, 3.1415)
 
-# What is drawn in place of the boxes that collide: bones of a palm and a forearm, rounded.
-DRAWN: dict[str, tuple[Geom, ...]] = {
-    # The forearm tapers into the wrist, which reaches into the palm: no gap however they turn.
-    "forearm": (
-        Geom("capsule", (0.036, 0.068), (0, -0.002, 0.075)),
-        Geom("cylinder", (0.046, 0.03), (0, -0.002, 0.04)),
-        Geom("cylinder", (0.041, 0.008), (0, -0.004, 0.135)),
-        Geom("ellipsoid", (0.033, 0.033, 0.062), (0, -0.007, 0.165)),
-        Geom("capsule", (0.024, 0.02), (0, -0.01, 0.192)),
+BODY = Body(
+    links=_LINKS,
+    actuators=_ACTUATORS,
+    couplings=tuple(
+        Coupling(f"{finger}J0", (f"{finger}J2", f"{finger}J1"), control_range=(0.0, 3.1415))
+        for finger in _COUPLED_FINGERS
     ),
-    "wrist": (
-        Geom("capsule", (0.021, 0.017), (0, 0, 0.017)),
-        Geom("capsule", (0.016, 0.008), (0, 0, 0.034), _ALONG_X),
-    ),
-    "palm": (
-        Geom("ellipsoid", (0.040, 0.014, 0.052), (-0.002, 0.001, 0.045)),
-        Geom("ellipsoid", (0.018, 0.017, 0.032), (0.023, -0.008, 0.022)),
-        Geom("capsule", (0.0105, 0.034), (0.028, 0.0, 0.062), (0.9945, 0, 0.105, 0)),
-        Geom("capsule", (0.0105, 0.036), (0.010, 0.0, 0.064), (0.9990, 0, 0.030, 0)),
-        Geom("capsule", (0.0105, 0.034), (-0.010, 0.0, 0.062), (0.9990, 0, -0.030, 0)),
-    ),
-    "lfmetacarpal": (Geom("capsule", (0.0105, 0.026), (0.001, 0.0, 0.036)),),
-}
+    excluded=(("forearm", "wrist"), ("thproximal", "thmiddle")),
+    # The paper's reduced action space has no such joints, and the thumb closes one way only.
+    locked=("THJ5", "THJ1", "LFJ5"),
+    reduced_ranges={"THJ2": (0.0, 0.698132)},
+)

@@ -1,0 +1,1 @@
+"""Hands as values: bodies, fingers, servos, what they reach. A folder for each."""

@@ -1,0 +1,344 @@
+"""The body of a hand as tables of links, joints and servos, and how it gets into a scene.
+
+The tables are the right hand's; the left hand is their mirror image in the plane x = 0 of the palm,
+but for the few figures that are given for it. Lengths in [m], masses in [kg], angles in [rad],
+quaternions w, x, y, z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from cadenza.fingers import Side
+from cadenza.hands import forearm
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Colour = tuple[float, float, float, float]
+
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+FOREARM_RGBA = (0.27, 0.30, 0.35, 1.0)
+LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
+FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey: colours are for what became of a key
+DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
+_SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
+
+_GEOM_TYPES = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+
+
+def prefix(side: Side) -> str:
+    """What the names of one hand's bodies, joints, sites and actuators begin with."""
+    return "rh_" if side == "right" else "lh_"
+
+
+@dataclass(frozen=True)
+class Geom:
+    """A shape fixed to a link; `mirrored` False marks the few that both hands have alike."""
+
+    type: str
+    size: tuple[float, ...]
+    pos: Vector = (0.0, 0.0, 0.0)
+    quat: Quaternion = IDENTITY
+    mirrored: bool = True
+    left_size: tuple[float, ...] | None = None
+    left_quat: Quaternion | None = None
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A hinge. Mirrored, an axis (x, y, z) is (x, -y, -z), unless `left_axis` is given."""
+
+    name: str
+    axis: Vector
+    range: tuple[float, float]
+    damping: float = 0.05
+    left_axis: Vector | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid link with at most one joint to its parent; the first, without parent, is mounted."""
+
+    name: str
+    parent: str
+    pos: Vector
+    mass: float
+    com: Vector
+    inertia: Vector
+    inertia_quat: Quaternion = IDENTITY
+    quat: Quaternion = IDENTITY
+    left_quat: Quaternion | None = None
+    joint: Joint | None = None
+    geoms: tuple[Geom, ...] = ()
+    """What collides."""
+    round_geoms: tuple[Geom, ...] = ()
+    """What collides instead where the fingertips are not to be primitive."""
+    drawn: tuple[Geom, ...] = ()
+    """What is drawn in place of what collides."""
+    rgba: Colour = LINK_RGBA
+    hides_keys: bool = False
+    """Drawn so that one sees the keys through it."""
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A position servo of gain `kp` [N m/rad] that can apply up to `force` [N m]."""
+
+    target: str
+    """A joint or a coupling."""
+    kp: float
+    force: float
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A tendon that pulls joints together: its length is the sum of their angles."""
+
+    name: str
+    joints: tuple[str, ...]
+    control_range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What can be chosen about the hands of a scene, as `SceneConfig` has it."""
+
+    reduced_action_space: bool
+    forearm_dofs: tuple[str, ...]
+    hand_spacing: float
+    attachment_yaw: float
+    gravity_compensation: bool
+    primitive_fingertips: bool
+    hand_collisions: bool
+    dry_friction: bool
+    keyboard_half_length: float
+    """[m]"""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """All of a right hand with its forearm, the first link."""
+
+    links: tuple[Link, ...]
+    actuators: tuple[Actuator, ...]
+    couplings: tuple[Coupling, ...] = ()
+    excluded: tuple[tuple[str, str], ...] = ()
+    """Pairs of links that do not collide, beside those that are parent and child."""
+    locked: tuple[str, ...] = ()
+    """Joints that the reduced action space is without."""
+    reduced_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Of joints, in the reduced action space."""
+    armature: float = 0.0002
+    """Of every joint [kg m^2], of the forearm's slides [kg]."""
+    friction_loss: float = 0.01
+    """Of every joint [N m], of the forearm's slides [N]."""
+    contact_solref: tuple[float, float] = (0.005, 1.0)
+    contact_solimp: tuple[float, float, float, float, float] = (0.5, 0.99, 0.0001, 0.5, 2.0)
+
+    def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> None:
+        """Adds links, joints, geoms, tendons, actuators and exclusions of the hand on one side."""
+        _Builder(self, spec, side, options).build()
+
+
+def add_fingertip_site(spec: mujoco.MjSpec, side: Side, finger: str, link: str, pos: Vector) -> str:
+    """Marks where a finger presses, in the frame of a link; returns the site's name."""
+    name = f"{prefix(side)}{finger}tip"
+    spec.body(prefix(side) + link).add_site(
+        name=name, pos=_mirror(pos, side), size=_SITE_SIZE, group=_SITE_GROUP
+    )
+    return name
+
+
+def mount_y(side: Side, options: Options) -> float:
+    """Where the forearm of one side is mounted along the keyboard [m]."""
+    sign = 1.0 if side == "right" else -1.0
+    return sign * options.hand_spacing / 2
+
+
+class _Builder:
+    """Builds one hand into a scene."""
+
+    def __init__(self, body: Body, spec: mujoco.MjSpec, side: Side, options: Options) -> None:
+        self._body, self._spec, self._side, self._options = body, spec, side, options
+        self._prefix = prefix(side)
+        self._locked = body.locked if options.reduced_action_space else ()
+
+    def build(self) -> None:
+        for link in self._body.links:
+            body = self._add_link(link)
+            if not link.parent:
+                self._mount(body)
+            if link.joint and link.joint.name not in self._locked:
+                self._add_joint(body, link.joint)
+            self._add_geoms(body, link)
+        self._add_actuators()
+        for first, second in self._body.excluded:
+            self._spec.add_exclude(bodyname1=self._prefix + first, bodyname2=self._prefix + second)
+
+    def _joint_range(self, joint: Joint) -> tuple[float, float]:
+        reduced = self._body.reduced_ranges if self._options.reduced_action_space else {}
+        return reduced.get(joint.name, joint.range)
+
+    @property
+    def _friction_loss(self) -> float:
+        return self._body.friction_loss if self._options.dry_friction else 0.0
+
+    def _add_link(self, link: Link) -> mujoco.MjsBody:
+        # Each hand hangs from a body of its own, as in the published scene: sums are taken per
+        # root.
+        if not link.parent:
+            parent = self._spec.worldbody.add_body(name=f"{self._side}_hand")
+        else:
+            parent = self._spec.body(self._prefix + link.parent)
+        quat = _mirror_quat(link.quat, self._side)
+        if self._side == "left" and link.left_quat:
+            quat = link.left_quat
+        return parent.add_body(
+            name=self._prefix + link.name,
+            pos=_mirror(link.pos, self._side),
+            quat=quat,
+            mass=link.mass,
+            ipos=link.com,
+            inertia=link.inertia,
+            iquat=link.inertia_quat,
+            explicitinertial=True,
+            gravcomp=float(self._options.gravity_compensation),
+        )
+
+    def _mount(self, body: mujoco.MjsBody) -> None:
+        """Places the forearm and gives it the degrees of freedom that were asked for."""
+        sign = 1.0 if self._side == "right" else -1.0
+        x, z = forearm.MOUNT_XZ
+        yaw = sign * np.deg2rad(self._options.attachment_yaw)
+        turn, final = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0, 1]), yaw)
+        mujoco.mju_mulQuat(final, turn, np.array(forearm.MOUNT_QUAT))
+        body.pos, body.quat = (x, mount_y(self._side, self._options), z), final
+        for name in self._options.forearm_dofs:
+            dof = forearm.JOINTS[name]
+            mirrored = dof.mirrored and self._side == "left"
+            body.add_joint(
+                name=f"{self._prefix}{forearm.FOREARM}_{name}",
+                type=mujoco.mjtJoint.mjJNT_HINGE if dof.hinge else mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=[-a for a in dof.axis] if mirrored else dof.axis,
+                range=self._forearm_range(name),
+                armature=self._body.armature,
+                frictionloss=self._friction_loss,
+            )
+
+    def _forearm_range(self, name: str) -> tuple[float, float]:
+        y = mount_y(self._side, self._options)
+        return forearm.joint_range(name, y, self._options.keyboard_half_length)
+
+    def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
+        axis = _mirror_axis(joint.axis, self._side)
+        if self._side == "left" and joint.left_axis:
+            axis = joint.left_axis
+        body.add_joint(
+            name=self._prefix + joint.name,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=axis,
+            range=self._joint_range(joint),
+            damping=joint.damping,
+            armature=self._body.armature,
+            frictionloss=self._friction_loss,
+        )
+
+    def _add_geoms(self, body: mujoco.MjsBody, link: Link) -> None:
+        geoms = link.geoms
+        if link.round_geoms and not self._options.primitive_fingertips:
+            geoms = link.round_geoms
+        for geom in geoms:
+            self._add_geom(
+                body, geom,
+                group=COLLIDING_GROUP if link.drawn else DRAWN_GROUP,
+                rgba=link.rgba,
+                contype=1,
+                conaffinity=int(self._options.hand_collisions),
+                solref=self._body.contact_solref,
+                solimp=self._body.contact_solimp,
+            )  # fmt: skip
+        for geom in link.drawn:
+            self._add_geom(body, geom, group=DRAWN_GROUP, rgba=link.rgba, contype=0, conaffinity=0)
+
+    def _add_geom(self, body: mujoco.MjsBody, geom: Geom, **attributes: Any) -> None:
+        pos, quat, size = geom.pos, geom.quat, geom.size
+        if self._side == "left" and geom.mirrored:
+            pos, quat = _mirror(pos, self._side), geom.left_quat or _mirror_quat(quat, self._side)
+            size = geom.left_size or size
+        padded = np.zeros(3)
+        padded[: len(size)] = size
+        body.add_geom(type=_GEOM_TYPES[geom.type], pos=pos, quat=quat, size=padded, **attributes)
+
+    def _add_actuators(self) -> None:
+        ranges = {
+            link.joint.name: self._joint_range(link.joint)
+            for link in self._body.links
+            if link.joint
+        }
+        for coupling in self._body.couplings:
+            tendon = self._spec.add_tendon(name=self._prefix + coupling.name)
+            for joint in coupling.joints:
+                tendon.wrap_joint(self._prefix + joint, 1.0)
+        coupled = {coupling.name: coupling.control_range for coupling in self._body.couplings}
+        for actuator in self._body.actuators:
+            if actuator.target not in self._locked:
+                self._add_servo(
+                    name=actuator.target,
+                    tendon=actuator.target in coupled,
+                    kp=actuator.kp,
+                    ctrlrange=(coupled | ranges)[actuator.target],
+                    force=actuator.force,
+                )
+        for name in self._options.forearm_dofs:
+            self._add_servo(
+                name=f"{forearm.FOREARM}_{name}",
+                tendon=False,
+                kp=forearm.JOINTS[name].kp,
+                ctrlrange=self._forearm_range(name),
+                force=None,
+            )
+
+    def _add_servo(
+        self,
+        name: str,
+        tendon: bool,
+        kp: float,
+        ctrlrange: tuple[float, float],
+        force: float | None,
+    ) -> None:
+        actuator = self._spec.add_actuator(
+            name=f"{self._prefix}A_{name}",
+            target=self._prefix + name,
+            trntype=mujoco.mjtTrn.mjTRN_TENDON if tendon else mujoco.mjtTrn.mjTRN_JOINT,
+            ctrlrange=ctrlrange,
+        )
+        actuator.set_to_position(kp=kp)
+        if force is not None:
+            actuator.forcerange = (-force, force)
+
+
+def _mirror(vector: Vector, side: Side) -> Vector:
+    x, y, z = vector
+    return vector if side == "right" else (-x, y, z)
+
+
+def _mirror_axis(axis: Vector, side: Side) -> Vector:
+    x, y, z = axis
+    return axis if side == "right" else (x, -y, -z)
+
+
+def _mirror_quat(quat: Quaternion, side: Side) -> Quaternion:
+    w, x, y, z = quat
+    return quat if side == "right" else (w, x, -y, -z)

@@ -1,0 +1,62 @@
+"""The forearm that every hand is mounted on: its slides and hinges, and their servos.
+
+Figures from the hands of RoboPianist (Zakka et al., CoRL 2023; PyPI robopianist 1.0.10). In the
+forearm's frame z runs along it towards the keys, y out of the back of the hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cadenza.hands.servo import Servo
+
+FOREARM = "forearm"
+"""The link that carries a hand."""
+ALONG_KEYBOARD = "forearm_tx"
+"""The servo that slides a hand along the keyboard."""
+WIDTH = 0.149
+"""Two forearms touch when they are nearer than this [m]: twice the radius of their shells."""
+
+MOUNT_XZ = (0.4, 0.13)  # [m]
+MOUNT_QUAT = (-0.5, -0.5, 0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class ForearmJoint:
+    """A slide or hinge between world and forearm with a critically damped servo of gain `kp`.
+
+    The axis is given in the forearm's frame; `mirrored` ones turn the other way on the left.
+    """
+
+    hinge: bool
+    axis: tuple[float, float, float]
+    kp: float
+    range: tuple[float, float]
+    mirrored: bool = False
+
+
+JOINTS: dict[str, ForearmJoint] = {
+    "tx": ForearmJoint(False, (-1, 0, 0), 300.0, (0.0, 0.0)),  # range: the whole keyboard
+    "ty": ForearmJoint(False, (0, 0, 1), 300.0, (0.0, 0.06)),
+    "tz": ForearmJoint(False, (0, 1, 0), 1000.0, (-0.04, 0.0)),
+    "roll": ForearmJoint(True, (0, 0, 1), 300.0, (-0.25, 0.25)),
+    "pitch": ForearmJoint(True, (1, 0, 0), 50.0, (0.0, 0.15)),
+    "yaw": ForearmJoint(True, (0, -1, 0), 300.0, (-0.25, 0.25), mirrored=True),
+}
+
+_STIFF = Servo(ease=0.05, change=0.05, stride=0.05)  # planners leave them where they are
+SERVOS: dict[str, Servo] = {
+    "forearm_tx": Servo(0.0, 1000.0, 0.005, 0.05, noise=0.01),
+    "forearm_ty": Servo(0.01, 0.05, 0.02, 0.05, noise=0.005),
+} | {f"forearm_{name}": _STIFF for name in ("tz", "roll", "pitch", "yaw")}
+
+
+def joint_range(name: str, y: float, half_length: float) -> tuple[float, float]:
+    """Range of a forearm's joint [m, rad].
+
+    Args:
+        name: of `JOINTS`.
+        y: where the forearm is mounted along the keyboard [m]; it reaches all of it.
+        half_length: of the keyboard [m].
+    """
+    return (-half_length - y, half_length - y) if name == "tx" else JOINTS[name].range

@@ -1,0 +1,34 @@
+"""What the fingers of a hand reach, for whoever chooses fingers without simulating them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Of the F fingers of a right hand on white keys, thumb first; `tools/measure_reach.py`.
+
+    All lengths are along the keyboard [m], to the right. A left hand is its mirror image.
+    """
+
+    rest: Array
+    """(F,) where the fingertips are when all press, from the forearm."""
+    least: Array
+    """(F, F) least distances of two fingers that press; row the finger nearer the thumb."""
+    most: Array
+    """(F, F) greatest distances."""
+    outward: Array
+    """(F,) how far to the right of a fingertip that presses the forearm can be."""
+    forearm_width: float
+    """Two forearms touch when they are nearer than this."""
+
+    @property
+    def num_fingers(self) -> int:
+        """F"""
+        return len(self.rest)

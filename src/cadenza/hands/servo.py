@@ -1,0 +1,25 @@
+"""How planners use a servo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A servo as inverse kinematics and sampling see it; in its own units [m, rad]."""
+
+    rest: float = 0.0
+    """Where it is while its hand is at ease over the keys."""
+    ease: float = 0.5
+    """How far from rest counts as one."""
+    change: float = 0.4
+    """Which second difference from step to step counts as one."""
+    stride: float = 0.4
+    """The most that an iteration of inverse kinematics moves it."""
+    noise: float = 0.08
+    """Standard deviation of the candidates that a planner tries around its plan."""
+    lift: float = 0.0
+    """What frees a hand that is caught between keys, if it is added for a moment."""
+    finger: int | None = None
+    """The finger that it moves, 0 for the thumb; None if it moves the whole hand."""

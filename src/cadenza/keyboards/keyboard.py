@@ -1,0 +1,250 @@
+"""What a keyboard is, and how it gets into a scene.
+
+World frame: x towards the player, y to the player's right, z up; the keyboard's middle is at y = 0.
+Sizes in [m], masses in [kg], angles in [rad].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float, float]
+
+_BLACK_IN_OCTAVE = (1, 3, 6, 8, 10)  # counted from C
+_WHITE_FROM_A = {9: 0, 11: 1, 0: 2, 2: 3, 4: 4, 5: 5, 7: 6}  # by place in the octave from C
+# Of white keys A B C D E F G: how many white keys of its group of black keys came before.
+_FROM_GROUP_START = np.array([2, 0, 0, 1, 0, 0, 1])
+
+
+@dataclass(frozen=True)
+class KeyShape:
+    """One kind of key: a box whose hinge runs along y through the end away from the player."""
+
+    half_size: tuple[float, float, float]
+    centre_x: float
+    centre_z: float
+    mass: float
+    dip: float
+    """How far the player's end goes down."""
+    rgba: Colour
+
+    @property
+    def travel(self) -> float:
+        """Angle from rest to stop [rad]."""
+        return float(np.arctan2(self.dip, 2 * self.half_size[0]))
+
+    @property
+    def top(self) -> float:
+        """Height of its upper face [m]."""
+        return self.centre_z + self.half_size[2]
+
+
+@dataclass(frozen=True)
+class KeySpring:
+    """What brings a key back up."""
+
+    stiffness: float
+    """[N m/rad]"""
+    reference: float
+    """Angle at which it would be slack [rad]."""
+    damping: float
+    """[N m s/rad]"""
+    armature: float
+    """[kg m^2]"""
+
+
+@dataclass(frozen=True)
+class KeyServo:
+    """What moves a key of a piano that plays itself."""
+
+    stiffness: float
+    """[N m/rad]"""
+    damping: float
+    """[N m s/rad]"""
+
+
+@dataclass(frozen=True)
+class Base:
+    """The box behind the keys."""
+
+    pos: tuple[float, float, float]
+    half_depth: float
+    half_height: float
+    density: float
+    rgba: Colour
+
+
+@dataclass(frozen=True)
+class Keyboard:
+    """A row of K keys. Arrays over the keys run from the lowest to the highest."""
+
+    name: str
+    lowest_pitch: int
+    """MIDI number of key 0, which is white."""
+    num_keys: int
+    """K"""
+    white: KeyShape
+    black: KeyShape
+    gap: float
+    """Between white keys [m]."""
+    spring: KeySpring
+    servo: KeyServo
+    base: Base
+    sound_tolerance: float
+    """A key sounds within this of its stop [rad]."""
+    contact_solref: tuple[float, float]
+    """MuJoCo's time constant and damping ratio of contacts with keys."""
+
+    # Pitches
+
+    @property
+    def pitches(self) -> range:
+        """MIDI numbers of the keys."""
+        return range(self.lowest_pitch, self.lowest_pitch + self.num_keys)
+
+    @cached_property
+    def is_black(self) -> NDArray[np.bool_]:
+        """(K,) which keys are black."""
+        return np.isin(np.array(self.pitches) % 12, _BLACK_IN_OCTAVE)
+
+    def shape(self, key: int) -> KeyShape:
+        """Of one key."""
+        return self.black if self.is_black[key] else self.white
+
+    # Where the keys lie and how they move
+
+    @property
+    def spacing(self) -> float:
+        """From one white key's centre to the next [m]."""
+        return 2 * self.white.half_size[1] + self.gap
+
+    @property
+    def half_length(self) -> float:
+        """From the middle to either end [m]."""
+        whites = int(np.count_nonzero(~self.is_black))
+        return (whites * (2 * self.white.half_size[1]) + (whites - 1) * self.gap) / 2
+
+    @cached_property
+    def half_size(self) -> Array:
+        """(K, 3) of the keys' boxes [m]."""
+        return np.array([self.shape(k).half_size for k in range(self.num_keys)])
+
+    @cached_property
+    def centre(self) -> Array:
+        """(K, 3) of the keys' boxes at rest [m]."""
+        shapes = [self.shape(k) for k in range(self.num_keys)]
+        x, z = [shape.centre_x for shape in shapes], [shape.centre_z for shape in shapes]
+        return np.stack([x, self._y(), z], axis=1)
+
+    def _y(self) -> Array:
+        """(K,) where the keys lie along the keyboard [m], summed in the published order.
+
+        Black keys stand where the white key to their right begins, counted from the first white
+        key of their group of two or three; where that is not on the keyboard, in the middle of the
+        gap. Recorded performances depend on the last bit: a finger catches on a key or it does not.
+        """
+        width, start = 2 * self.white.half_size[1], -self.half_length
+        white_before = np.cumsum(~self.is_black) - 1  # the white key that is, or is to the left
+        letter = (white_before + _WHITE_FROM_A[self.lowest_pitch % 12]) % 7
+        group = white_before - _FROM_GROUP_START[letter]
+        white = start + width * 0.5 + white_before * self.spacing
+        black = start + (white_before - group + 1) * self.spacing + group * self.spacing
+        in_gap = (white_before + 1) * width + white_before * self.gap + (0.5 * self.gap + start)
+        return np.where(self.is_black, np.where(group < 0, in_gap, black), white)
+
+    @cached_property
+    def grid_y(self) -> Array:
+        """(K,) along the keyboard as if black keys stood halfway between white ones [m]."""
+        place = np.cumsum(~self.is_black) - 1 + 0.5 * self.is_black
+        return self.spacing * (place - place[-1] / 2)
+
+    @cached_property
+    def travel(self) -> Array:
+        """(K,) angle of each key from rest to stop [rad]."""
+        return np.array([self.shape(k).travel for k in range(self.num_keys)])
+
+    @cached_property
+    def sounds_from(self) -> Array:
+        """(K,) angle from which each key sounds [rad]."""
+        return self.travel - self.sound_tolerance
+
+    @cached_property
+    def holding_torque(self) -> Array:
+        """(K,) what holds each key at its stop against its spring [N m]."""
+        return self.spring.stiffness * (self.travel - self.spring.reference)
+
+    # The scene
+
+    def key_name(self, key: int) -> str:
+        """Name of the key's body; its joint and geom carry the same name."""
+        return f"{'black' if self.is_black[key] else 'white'}_key_{key}"
+
+    def add_to(self, spec: mujoco.MjSpec, actuated: bool) -> None:
+        """Adds base and keys to the world of `spec`; `actuated` keys follow a position target."""
+        piano = spec.worldbody.add_body(name="piano")
+        self._add_base(piano)
+        for key in range(self.num_keys):
+            self._add_key(piano, key)
+        if actuated:
+            for key in range(self.num_keys):
+                self._add_key_actuator(spec, key)
+
+    def _add_base(self, piano: mujoco.MjsBody) -> None:
+        body = piano.add_body(name="base", pos=self.base.pos)
+        body.add_geom(
+            name="base",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=(self.base.half_depth, self.half_length, self.base.half_height),
+            density=self.base.density,
+            rgba=self.base.rgba,
+            contype=0,
+            conaffinity=1,
+            solref=self.contact_solref,
+        )
+
+    def _add_key(self, piano: mujoco.MjsBody, key: int) -> None:
+        shape, name = self.shape(key), self.key_name(key)
+        body = piano.add_body(name=name, pos=self.centre[key])
+        body.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=(0, 1, 0),
+            pos=(-shape.half_size[0], 0, 0),
+            range=(0, shape.travel),
+            stiffness=self.spring.stiffness,
+            springref=self.spring.reference,
+            damping=self.spring.damping,
+            armature=self.spring.armature,
+        )
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=shape.half_size,
+            mass=shape.mass,
+            rgba=shape.rgba,
+            contype=0,
+            conaffinity=1,
+            solref=self.contact_solref,
+        )
+
+    def _add_key_actuator(self, spec: mujoco.MjSpec, key: int) -> None:
+        """A servo stiff enough to hold the key at its stop against its spring.
+
+        The published piano applies a torque equal to the control, which hardly moves the key, and
+        calls a key pressed when its control passes the middle of the range. Here the key really
+        goes down, and sounds when it does.
+        """
+        name = self.key_name(key)
+        actuator = spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            ctrlrange=(0, self.shape(key).travel),
+        )
+        actuator.set_to_position(kp=self.servo.stiffness, kv=self.servo.damping)
