@@ -1,8 +1,17 @@
-"""The hands that come with Cadenza, by name."""
+"""The hands that there are, by name."""
 
 from __future__ import annotations
 
 from cadenza.hands.hand import Hand
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.registry import Entry, Registry
 
-HANDS: dict[str, Hand] = {hand.name: hand for hand in (SHADOW,)}
+HANDS = Registry(
+    "hand",
+    "cadenza.hands",
+    {"shadow": Entry("cadenza.hands.shadow.hand:SHADOW", "the Shadow Dexterous Hand")},
+)
+
+
+def hand_named(name: str) -> Hand:
+    """Raises: CadenzaError: there is no such hand."""
+    return HANDS.load(name, Hand)

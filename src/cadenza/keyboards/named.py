@@ -1,8 +1,17 @@
-"""The keyboards that come with Cadenza, by name."""
+"""The keyboards that there are, by name."""
 
 from __future__ import annotations
 
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.keyboards.piano import PIANO
+from cadenza.registry import Entry, Registry
 
-KEYBOARDS: dict[str, Keyboard] = {keyboard.name: keyboard for keyboard in (PIANO,)}
+KEYBOARDS = Registry(
+    "keyboard",
+    "cadenza.keyboards",
+    {"piano": Entry("cadenza.keyboards.piano:PIANO", "the 88 keys of a piano")},
+)
+
+
+def keyboard_named(name: str) -> Keyboard:
+    """Raises: CadenzaError: there is no such keyboard."""
+    return KEYBOARDS.load(name, Keyboard)

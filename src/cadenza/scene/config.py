@@ -15,9 +15,9 @@ class SceneConfig:
     """The scene: the piano, the hands and the physics."""
 
     keyboard: str = "piano"
-    """The keyboard."""
+    """The keyboard: piano, a name that an installed package adds, or module:NAME."""
     hand: str = "shadow"
-    """The kind of hand."""
+    """The kind of hand: shadow, a name that an installed package adds, or module:NAME."""
     hands: Hands = "both"
     """Which hands play. With none, the piano plays itself."""
     reduced_action_space: bool = True

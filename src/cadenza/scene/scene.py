@@ -16,9 +16,9 @@ from cadenza.fingers import SIDES, Side, finger_number
 from cadenza.hands import forearm
 from cadenza.hands.body import Options, prefix
 from cadenza.hands.hand import Hand
-from cadenza.hands.named import HANDS
+from cadenza.hands.named import hand_named
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.keyboards.named import KEYBOARDS
+from cadenza.keyboards.named import keyboard_named
 from cadenza.scene.cameras import add_cameras
 from cadenza.scene.config import SceneConfig
 
@@ -87,7 +87,8 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     spec = mujoco.MjSpec()
     _set_options(spec, config)
     add_cameras(spec)
-    keyboard, hand, sides = KEYBOARDS[config.keyboard], HANDS[config.hand], _sides(config)
+    keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
+    sides = _sides(config)
     keyboard.add_to(spec, actuated=not sides)
     options = _options(config, keyboard)
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
