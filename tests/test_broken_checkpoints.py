@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 import mutations
 from cadenza.learning.algorithms import on_jax
@@ -75,16 +76,15 @@ def newest(run: Path) -> Path:
 def change(rng: np.random.Generator, run: Path) -> None:
     """Something in its newest checkpoint or experience, of which no digest tells."""
     checkpoint = newest(run)
-    facts, arrays = checkpoint / "facts.json", checkpoint / "arrays.npz"
+    facts, arrays = checkpoint / "facts.json", checkpoint / "arrays.safetensors"
     chunk = max((run / "replay").iterdir())
     match rng.integers(4):
         case 0:
             other = mutations.other_json(rng, json.loads(facts.read_text()))
             mutations.reseal(checkpoint, {"facts.json": mutations.json_bytes(other)})
         case 1:
-            with np.load(arrays) as file:
-                changed = mutations.other_arrays(rng, dict(file))
-            mutations.reseal(checkpoint, {"arrays.npz": mutations.npz_bytes(changed)})
+            changed = mutations.other_arrays(rng, safetensors.numpy.load_file(arrays))
+            mutations.reseal(checkpoint, {"arrays.safetensors": mutations.tensor_bytes(changed)})
         case 2:
             with np.load(chunk) as file:
                 changed = mutations.other_arrays(rng, dict(file))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 import mutations
 from cadenza.agents.agent import ZeroAgent
@@ -94,7 +95,7 @@ def other_sealed(rng: np.random.Generator, whole: Path, folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     for path in whole.iterdir():
         (folder / path.name).write_bytes(path.read_bytes())
-    facts, arrays = (whole / name for name in ("facts.json", "arrays.npz"))
+    facts, arrays = (whole / name for name in ("facts.json", "arrays.safetensors"))
     match rng.integers(5):
         case 0:
             content = mutations.other_json(rng, json.loads((whole / "manifest.json").read_text()))
@@ -104,11 +105,10 @@ def other_sealed(rng: np.random.Generator, whole: Path, folder: Path) -> None:
             mutations.reseal(folder, {"facts.json": mutations.json_bytes(changed)})
         case 3:
             changed = mutations.other_bytes(rng, arrays.read_bytes())
-            mutations.reseal(folder, {"arrays.npz": changed})
+            mutations.reseal(folder, {"arrays.safetensors": changed})
         case _:
-            with np.load(arrays) as file:
-                changed = mutations.other_arrays(rng, dict(file))
-            mutations.reseal(folder, {"arrays.npz": mutations.npz_bytes(changed)})
+            changed = mutations.other_arrays(rng, safetensors.numpy.load_file(arrays))
+            mutations.reseal(folder, {"arrays.safetensors": mutations.tensor_bytes(changed)})
 
 
 @many(6, 400)

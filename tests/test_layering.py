@@ -37,7 +37,16 @@ LIBRARIES: dict[str, set[str]] = {
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
     "agents": {"numpy", "scipy", "threadpoolctl"},
-    "learning": {"numpy", "jax", "flax", "optax", "filelock", "msgspec", "threadpoolctl"},
+    "learning": {
+        "numpy",
+        "jax",
+        "flax",
+        "optax",
+        "filelock",
+        "msgspec",
+        "safetensors",
+        "threadpoolctl",
+    },
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
 }
 

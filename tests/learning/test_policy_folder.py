@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from numpy.testing import assert_array_equal
 from rl_examples import melody
 
 from cadenza.agents.rollout import Performance, play
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.learning import old_formats
 from cadenza.learning.observation import Scores, inputs_of
 from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
@@ -25,6 +27,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from mutations import reseal
 
 # Times that no decimal of a few digits says exactly.
 SONG = Score(
@@ -105,6 +108,26 @@ def test_corrections_are_of_the_song_that_was_learnt() -> None:
     other = replace(some_policy(residual=True), score=melody(60, 64, 67, 72, 76))
     with pytest.raises(CadenzaError, match="can only play the song"):
         played(other)
+
+
+def test_what_the_version_before_wrote_plays_the_same_and_can_be_written_anew(
+    tmp_path: Path,
+) -> None:
+    learnt, folder = some_policy(ranged=True), tmp_path / "policy"
+    save_policy(folder, learnt, {"step": 3})
+    facts, arrays = read_sealed(folder, "policy")
+    (folder / "arrays.safetensors").unlink()
+    np.savez(folder / "arrays.npz", **arrays)
+    reseal(folder, {"arrays.npz": (folder / "arrays.npz").read_bytes()})
+    with pytest.warns(CadenzaWarning, match=r"older version.* -m cadenza\.learning\.old_formats"):
+        again = load_policy(folder)
+    for name, array in played(learnt).episode.arrays.items():
+        if name != "metrics":  # times
+            assert_array_equal(played(again).episode.arrays[name], array)
+    old_formats._main([str(folder)])
+    with warnings.catch_warnings(action="error"):
+        load_policy(folder)
+    assert read_sealed(folder, "policy")[0]["about"] == facts["about"] == {"step": 3}
 
 
 def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:

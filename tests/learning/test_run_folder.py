@@ -221,7 +221,7 @@ def test_only_what_is_needed_is_kept(run: RunFolder) -> None:
     assert kept == {60, 70, 80, 90}
 
 
-@pytest.mark.parametrize("file", ["manifest.json", "facts.json", "arrays.npz", "replay"])
+@pytest.mark.parametrize("file", ["manifest.json", "facts.json", "arrays.safetensors", "replay"])
 @pytest.mark.parametrize("harm", [damage, Path.unlink])
 def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(
     run: RunFolder, file: str, harm: Any, capsys: pytest.CaptureFixture[str]
@@ -247,7 +247,7 @@ def test_where_all_are_damaged_nothing_is_started_over(run: RunFolder) -> None:
     saving = Saving(run)
     for step in (10, 20):
         saving.at(step)
-        damage(saving.folder(step) / "arrays.npz")
+        damage(saving.folder(step) / "arrays.safetensors")
     with pytest.raises(CadenzaError, match="no checkpoint is intact; start a new run"):
         run.load()
 

@@ -47,7 +47,7 @@ def assert_refused(folder: Path, saying: str = ".", kind: str = "thing") -> None
 def test_gives_back_what_was_written(folder: Path) -> None:
     facts, arrays = read_sealed(folder, "thing")
     assert facts == FACTS
-    assert list(arrays) == list(ARRAYS)
+    assert arrays.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
         assert arrays[name].dtype == array.dtype
         assert_array_equal(arrays[name], array)
@@ -66,7 +66,7 @@ def test_any_byte_that_was_changed_is_noticed(folder: Path) -> None:
     """In the manifest another blank may stand in for a blank; that changes nothing."""
     for path in sorted(folder.iterdir()):
         content = path.read_bytes()
-        for i in range(0, len(content), 7 if path.suffix == ".npz" else 1):
+        for i in range(0, len(content), 7 if path.suffix == ".safetensors" else 1):
             path.write_bytes(content[:i] + bytes([content[i] ^ 1]) + content[i + 1 :])
             if path.name == "manifest.json" and content[i : i + 1].isspace():
                 continue
@@ -75,7 +75,7 @@ def test_any_byte_that_was_changed_is_noticed(folder: Path) -> None:
     assert read_sealed(folder, "thing")[0] == FACTS
 
 
-@pytest.mark.parametrize("name", ["manifest.json", "facts.json", "arrays.npz"])
+@pytest.mark.parametrize("name", ["manifest.json", "facts.json", "arrays.safetensors"])
 @pytest.mark.parametrize("keep", [0, 0.5, None])
 def test_files_that_are_cut_off_or_missing_are_noticed(
     folder: Path, name: str, keep: float | None
@@ -105,7 +105,7 @@ def test_folders_of_something_else_are_refused(folder: Path, tmp_path: Path) -> 
 
 def seal(folder: Path, **files: bytes) -> None:
     """As `write_sealed`, but with whatever content."""
-    names = {"facts": "facts.json", "arrays": "arrays.npz"}
+    names = {"facts": "facts.json", "arrays": "arrays.safetensors"}
     digests = {}
     for name, content in files.items():
         (folder / names[name]).write_bytes(content)
@@ -129,10 +129,43 @@ def test_nothing_that_a_file_says_is_carried_out(
     np.savez(objects, weights=np.array([Bomb()], object))
     array = io.BytesIO()
     np.save(array, np.array([Bomb()], object))
-    for content in (objects.getvalue(), array.getvalue(), pickle.dumps(Bomb()), b"", b"PK"):
+    contents = (objects.getvalue(), array.getvalue(), pickle.dumps(Bomb()), b"", b"PK")
+    for content in contents:
         seal(folder, arrays=content)
+        assert_refused(folder, r"arrays\.safetensors: not a readable \.safetensors file")
+    for content in contents:
+        seal_as_before(folder, content)
         assert_refused(folder, r"arrays\.npz: not a readable \.npz file of plain arrays")
     assert not (tmp_path / "went off").exists()
+
+
+def seal_as_before(folder: Path, arrays: bytes) -> None:
+    """As the version before did."""
+    (folder / "arrays.safetensors").unlink(missing_ok=True)
+    (folder / "arrays.npz").write_bytes(arrays)
+    names = ("facts.json", "arrays.npz")
+    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+    (folder / "manifest.json").write_text(json.dumps({"kind": "thing", "sha256": digests}))
+
+
+def test_what_the_version_before_wrote_is_read_and_written_anew(folder: Path) -> None:
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **ARRAYS)
+    seal_as_before(folder, packed.getvalue())
+    facts, arrays = read_sealed(folder, "thing")
+    write_sealed(folder, "thing", facts, arrays)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "arrays.safetensors", "facts.json", "manifest.json"
+    ]  # fmt: skip
+    assert facts == read_sealed(folder, "thing")[0] == FACTS
+    for name, array in read_sealed(folder, "thing")[1].items():
+        assert array.dtype == ARRAYS[name].dtype
+        assert_array_equal(array, ARRAYS[name])
+
+
+def test_names_that_cannot_be_printed_are_refused(folder: Path) -> None:
+    write_sealed(folder, "thing", FACTS, {"a\nb": np.zeros(1)})
+    assert_refused(folder, "names that cannot be printed")
 
 
 def test_facts_that_are_no_json_are_refused(folder: Path) -> None:

@@ -324,7 +324,7 @@ def test_a_damaged_checkpoint_costs_only_time(
     run = runs()
     with closing(Training(replace(CONFIG, checkpoint_interval=0.0), SONG, run)) as one:
         one.run(lambda: one.step < 200)
-    (newest(run) / "arrays.npz").write_bytes(b"")
+    (newest(run) / "arrays.safetensors").write_bytes(b"")
     train(CONFIG, run)
     assert_same_runs(run, undisturbed("in turn"))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, checked
 from cadenza.learning.observation import Inputs, inputs_of
+from cadenza.learning.old_formats import warn_of_old_policy
 from cadenza.learning.policy import Activation, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
@@ -163,6 +164,7 @@ def load_policy(folder: Path) -> LearntPolicy:
             f"{folder}: is the folder of a training run; its best policy is {folder / 'best'}"
         )
     plain, arrays = read_sealed(folder, _KIND, _EXPECTED)
+    warn_of_old_policy(folder)
     if (number := plain.get("format")) not in _READ:
         raise CadenzaError(
             f"{folder}: this policy has format {number!r}, but this version reads only up to "

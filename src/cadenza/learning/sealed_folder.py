@@ -7,7 +7,6 @@ refused; nothing that a file says is carried out.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import shutil
@@ -16,12 +15,14 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
+import safetensors.numpy
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     ANY,
     Expected,
+    check_arrays,
     content_of,
     parsed_json,
     read_arrays,
@@ -29,7 +30,8 @@ from cadenza.files import (
     write_atomically,
 )
 
-_MANIFEST = "manifest.json"
+_MANIFEST, _ARRAYS = "manifest.json", "arrays.safetensors"
+_OLD_ARRAYS = "arrays.npz"  # of the version before; to go with the next one
 
 
 class _Manifest(TypedDict):
@@ -51,11 +53,10 @@ def write_sealed(
     new, old = _beside(folder, "new"), _beside(folder, "old")
     _remove(new)
     new.mkdir(parents=True)  # nobody else's
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
+    in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     files = {
         "facts.json": (json.dumps(facts, indent=1) + "\n").encode(),
-        "arrays.npz": buffer.getvalue(),
+        _ARRAYS: safetensors.numpy.save(in_order),
     }
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     files[_MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
@@ -76,7 +77,7 @@ def write_sealed(
 def read_sealed(
     folder: Path, kind: str, expected: Expected = ANY
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Facts and arrays as they were written; of the arrays those that are `expected`.
+    """Facts and arrays as they were written, the arrays as they are `expected`, if any are.
 
     Raises:
         CadenzaError: the folder is not there, of another kind, or was changed or damaged.
@@ -88,16 +89,38 @@ def read_sealed(
     manifest = read_json(folder / _MANIFEST, _Manifest)
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
+    packed = _OLD_ARRAYS if is_old(folder) else _ARRAYS
     try:
-        contents = {name: content_of(folder / name) for name in ("facts.json", "arrays.npz")}
+        contents = {name: content_of(folder / name) for name in ("facts.json", packed)}
     except CadenzaError as error:
         raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy") from error
     for name, content in contents.items():
         if manifest["sha256"].get(name) != hashlib.sha256(content).hexdigest():
             raise CadenzaError(f"{folder / name}: damaged or modified; use another copy")
     facts = parsed_json(contents["facts.json"], dict[str, Any], folder / "facts.json")
-    arrays = read_arrays(contents["arrays.npz"], expected, where=folder / "arrays.npz")
-    return facts, arrays
+    unpack = read_arrays if packed == _OLD_ARRAYS else _unpacked
+    return facts, unpack(contents[packed], expected, where=folder / packed) if expected else {}
+
+
+def is_old(folder: Path) -> bool:
+    """Whether the version before has written it."""
+    return (folder / _OLD_ARRAYS).exists() and not (folder / _ARRAYS).exists()
+
+
+def _unpacked(content: bytes, expected: Expected, where: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .safetensors file by name.
+
+    Raises:
+        CadenzaError: it is no such file, or holds something else.
+    """
+    try:
+        arrays: dict[str, NDArray[Any]] = safetensors.numpy.load(content)
+    except Exception as error:  # damage shows in many ways
+        raise CadenzaError(f"{where}: not a readable .safetensors file") from error
+    if not all(map(str.isprintable, arrays)):
+        raise CadenzaError(f"{where}: holds arrays of names that cannot be printed")
+    check_arrays(arrays, expected, where)
+    return arrays
 
 
 def _remove(path: Path) -> None:
