@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import runpy
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -13,6 +14,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import cadenza
+from test_layering import STANDS_ON
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -37,6 +39,20 @@ def test_links_between_files_lead_somewhere(page: Path) -> None:
 def test_every_public_name_is_in_the_reference() -> None:
     text = (DOCS / "reference.md").read_text()
     assert sorted(re.findall(r"^\.\. auto\w+:: (\w+)", text, re.MULTILINE)) == cadenza.__all__
+
+
+def test_the_architecture_lists_all_folders_and_what_they_stand_on() -> None:
+    rows = re.findall(
+        r"^\| `(\w+)/` \| .* \| (.*)\|$", (DOCS / "architecture.md").read_text(), re.MULTILINE
+    )
+    assert {folder: set(re.findall(r"\w+", below)) for folder, below in rows} == STANDS_ON
+
+
+def test_the_picture_of_the_architecture_is_as_it_is_drawn() -> None:
+    picture = runpy.run_path(str(ROOT / "tools" / "draw_architecture.py"))
+    assert picture["PICTURE"].read_text() == picture["drawn"]()
+    named = {box.folder.rstrip("/") for box in picture["BOXES"] if box.folder.endswith("/")}
+    assert named == STANDS_ON.keys() - {"cli"}
 
 
 @pytest.mark.parametrize("name", cadenza.__all__)
