@@ -6,21 +6,20 @@ const FONT = "12px system-ui, sans-serif";
 const rounds = (low, high) => Array.from({ length: high - low }, (_, i) => [1, 2, 5].map((n) => Number(`${n}e${low + i}`))).flat();
 const MINUTE = 60, HOUR = 3600; // [s]
 /** Distances between ticks, by what is measured. */
-const STEPS = {
+const INCREMENTS = {
   number: rounds(-31, 31),
   seconds: [...rounds(-2, 1), 10, 20, ...[1, 2, 5, 10, 20, 30].map((n) => n * MINUTE), ...rounds(0, 25).map((n) => n * HOUR)],
 };
 
+const minus = (text) => text.replaceAll("-", "−").replace("e+", "e");
+
 /** `values` in one unit, with as many decimals as their distance needs. */
 function inUnit(values, step) {
-  const largest = Math.max(...values.map(Math.abs)), [size, unit] = largest >= 1e6 ? [1e6, " M"] : largest >= 1e4 ? [1e3, " k"] : [1, ""];
-  const digits = (unit) => Math.max(-Math.floor(Math.log10(step / unit) + 1e-9), 0);
-  if (largest >= 1e9 || (largest > 0 && largest < 1e-3)) {
-    const power = 10 ** Math.floor(Math.log10(largest));
-    return values.map((value) => (value ? minus(value.toExponential(digits(power))) : "0"));
-  }
-  const decimals = digits(size);
-  return values.map((value) => (value ? minus((value / size).toFixed(decimals)) + unit : "0"));
+  const largest = Math.max(...values.map(Math.abs)), isPlain = largest === 0 || (largest >= 1e-3 && largest < 1e9);
+  const [size, unit] = largest >= 1e6 ? [1e6, " M"] : largest >= 1e4 ? [1e3, " k"] : [1, ""];
+  const decimals = Math.max(-Math.floor(Math.log10(step / (isPlain ? size : largest)) + 1e-9), 0);
+  const text = (value) => (isPlain ? (value / size).toFixed(decimals) + unit : value.toExponential(decimals));
+  return values.map((value) => (value ? minus(text(value)) : "0"));
 }
 
 function inTime(values, step) {
@@ -29,8 +28,6 @@ function inTime(values, step) {
 }
 
 const LABELS = { number: inUnit, seconds: inTime, log: (values) => values.flatMap((value) => inUnit([value], value)) };
-
-const minus = (text) => text.replaceAll("-", "−").replace("e+", "e");
 
 /** Four digits of a number, or a time. */
 function inWords(value, kind = "number") {
@@ -55,7 +52,7 @@ const axis = (kind, more) => ({
     filter: (chart, ticks, i, ...more) => chart.axes[i].filter(chart, ticks, i, ...more), // where there are labels
   },
   ticks: { show: false },
-  ...(kind === "log" ? {} : { incrs: STEPS[kind] }),
+  ...(kind === "log" ? {} : { incrs: INCREMENTS[kind] }),
   values(chart, ticks, i, space, step) {
     const labels = LABELS[kind](ticks.filter((tick) => tick !== null), step);
     return ticks.map((tick) => (tick === null ? "" : labels.shift()));

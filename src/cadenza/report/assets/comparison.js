@@ -10,7 +10,9 @@ let turns = 0;
 // What was right when: keys that rightly sound and missing ones above the line, wrong ones below.
 const KEY = 6; // [px]
 const duration = Number(strips.dataset.duration);
-const time = { time: false, range: [0, duration] }; // of what `scales.x` is
+const SECONDS = { time: false, range: [0, duration] };
+
+const colour = (name) => () => css(`--${name}`);
 
 function drawStrip(element) {
   const { dt, hit, missed, wrong } = read(element.querySelector("script"));
@@ -26,11 +28,10 @@ function drawStrip(element) {
     paths: uPlot.paths.stepped({ align: 1 }),
     value: (chart, _, i, index) => (index === null ? "" : String(counts[Math.min(index, counts.length - 1)])),
   });
-  const colour = (name) => () => css(`--${name}`);
   createChart(element, {
     ...EXPLAINED,
     padding: [1, 0, 1, 0],
-    scales: { x: time, y: { range: [low, high] } },
+    scales: { x: SECONDS, y: { range: [low, high] } },
     axes: [{ show: false }, { size: 0, splits: [0], values: () => [], ticks: { show: false }, grid: { stroke: colour("soft"), width: 1 } }],
     series: [
       { label: "time", value: (chart, value) => (value === null ? "" : `${value.toFixed(2)} s`) },
@@ -44,9 +45,15 @@ createChart(document.querySelector(".seconds"), {
   padding: [0, 0, 0, 0],
   legend: { show: false },
   cursor: { show: false },
-  scales: { x: time },
-  // A label has to fit after the last tick.
-  axes: [axis("seconds", { align: 1, size: 22, gap: 4, space: 60, filter: (chart, ticks) => ticks.map((tick) => (tick < 0.95 * duration ? tick : null)) }), { show: false }],
+  scales: { x: SECONDS },
+  axes: [axis("seconds", {
+    align: 1,
+    size: 24,
+    gap: 1,
+    space: 60,
+    ticks: { size: 6, width: 1, stroke: colour("soft") },
+    filter: (chart, ticks) => ticks.map((tick) => (tick < 0.95 * duration ? tick : null)), // a label has to fit after the last
+  }), { show: false }],
   series: [{}],
 }, [[0, duration]]);
 
