@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cadenza
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
 
@@ -52,6 +54,18 @@ def test_a_reward_of_ones_own(run) -> None:
     assert sums["reward/wrong_keys"].any()
     total = sums.pop("their sum")
     np.testing.assert_allclose(sum(sums.values()), total, atol=0.21)  # all rounded to a tenth
+
+
+@pytest.mark.slow
+def test_training(run) -> None:
+    said = run("train", "Up.mid", "400")
+    metrics = json.loads(Path("played/metrics.json").read_text())
+    assert said == [f"F1 {metrics['f1']:.3f}"]
+    rows = Path("run/metrics.jsonl").read_text().splitlines()
+    steps = [json.loads(row)["step"] for row in rows]
+    assert max(steps) >= 400
+    with pytest.raises(cadenza.CadenzaError, match="already holds a run"):
+        cadenza.train("Up.mid", "run")
 
 
 def test_a_dataset(run) -> None:

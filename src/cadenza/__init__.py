@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from cadenza.agents.registry import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
+    from cadenza.learning.config import TrainingConfig
     from cadenza.music.arrangement import Arrangement
     from cadenza.music.library import Piece, songs
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.casting import load_song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
+    from cadenza.performing.training import train
     from cadenza.scene.config import SceneConfig
     from cadenza.tasks.config import TaskConfig
     from cadenza.tasks.env import PianoEnv, PianoVectorEnv
@@ -46,12 +48,14 @@ __all__ = [
     "Score",
     "ScorePlannerConfig",
     "TaskConfig",
+    "TrainingConfig",
     "load_episode",
     "load_song",
     "make_agent",
     "plan",
     "play",
     "songs",
+    "train",
 ]
 
 _MODULES = {
@@ -60,6 +64,7 @@ _MODULES = {
     "agents.planning.config": ("ScorePlannerConfig",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
+    "learning.config": ("TrainingConfig",),
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
     "music.library": ("Piece", "songs"),
@@ -67,6 +72,7 @@ _MODULES = {
     "performing.casting": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),
+    "performing.training": ("train",),
     "tasks.config": ("TaskConfig",),
     "tasks.env": ("PianoEnv", "PianoVectorEnv"),
     "tasks.reward": ("Outcome",),

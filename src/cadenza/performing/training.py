@@ -1,0 +1,60 @@
+"""Has a policy learn a song."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.learning.config import TrainingConfig, preset
+from cadenza.learning.run_folder import RunFolder
+from cadenza.learning.training import Training
+from cadenza.music.score import Score
+from cadenza.performing.casting import Song, load_song
+
+
+def train(
+    song: Song,
+    folder: str | Path,
+    config: TrainingConfig | None = None,
+    *,
+    progress: Progress = silent,
+    **options: Any,
+) -> Path:
+    """Trains a policy for a song, as `cadenza train` does::
+
+        best = cadenza.train("TwinkleTwinkleLittleStar", "run", num_steps=200_000)
+        print(cadenza.play(best).metrics["f1"])
+
+    Args:
+        song: see `cadenza.play`.
+        folder: of the run; nothing else may be in it. If the run is killed,
+            `cadenza train --resume` continues it from the last checkpoint.
+        config: how to train; by default what the command's preset "fast" says.
+        progress: is told how far it is, `progress("learning", done, total)`.
+        options: fields of `TrainingConfig`, which change `config`.
+
+    Returns:
+        The folder of the policy that played best, to be given to `cadenza.play`.
+
+    Raises:
+        CadenzaError: the song is not there, an option makes no sense, the folder holds a run
+            already, or JAX is not installed.
+    """
+    config = replace(config or preset("fast"), **options)
+    score = song if isinstance(song, Score) else load_song(song)
+    run = RunFolder(Path(folder))
+    with run.locked():
+        run.begin(config, score)
+        with closing(Training(config, score, run)) as training:
+
+            def goes_on() -> bool:
+                training.rows.clear()  # they are in the run's folder
+                progress("learning", training.step, config.num_steps)
+                return True
+
+            training.run(goes_on)
+            goes_on()
+    return run.path / "best"
