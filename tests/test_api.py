@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from io import BytesIO
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from cadenza.music.fingering_file import read_fingering
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.performing.casting import cast, set_up
 from cadenza.performing.performance import perform
+from cadenza.sim.mujoco_simulation import MujocoSimulation
 
 ROOT = Path(__file__).parents[1]
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), title="A tune")
@@ -81,6 +83,25 @@ def test_the_page_is_there_for_those_who_do_not_wait_for_the_video(
     monkeypatch.setattr("cadenza.performing.performance.write_video", lambda *_: None)
     performance.save(tmp_path, video=True)
     assert 'href="video.mp4"' in (tmp_path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_half_an_hour_needs_less_than_a_gigabyte(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A started Python takes 250 MB with all that is imported; this is what grows with the song."""
+    monkeypatch.setattr("cadenza.report.sound._IN_MEMORY", 1 << 20)
+    monkeypatch.setattr(MujocoSimulation, "step", lambda *_: None)  # only for speed
+
+    def peak(minutes: int) -> int:
+        notes = tuple(Note(second, second + 0.4, 60) for second in range(60 * minutes))
+        tracemalloc.start()
+        cadenza.play(Score(notes), "zero").save(tmp_path)
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    assert 30 * (peak(2) - peak(1)) < 250e6
 
 
 def test_loudness_of_the_score(tmp_path: Path) -> None:
