@@ -1,0 +1,81 @@
+"""What the how-to pages tell people to write works, in a package of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import cadenza
+from cadenza.cli import main
+from cadenza.music.midi import write_midi
+
+PAGES = Path(__file__).parents[1] / "docs" / "how-to"
+TUNE = cadenza.Score((cadenza.Note(0.0, 0.25, 60), cadenza.Note(0.25, 0.5, 62)), title="Tune")
+
+Follow = Callable[[str], None]
+
+
+@pytest.fixture
+def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follow]:
+    """Writes the modules of a page, each of whose first block names its file, and installs them."""
+    site = tmp_path / "site"
+    written = set()
+
+    def follow(page: str) -> None:
+        text = (PAGES / f"{page}.md").read_text()
+        for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+            if named := re.match(r"# (\S+\.py)\n", code):
+                path = site / named[1]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                written.add(named[1].split("/")[0].removesuffix(".py"))
+            with path.open("a") as file:
+                file.write(code)
+        project = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)))
+        about = site / f"{project['project']['name']}-1.0.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {project['project']['name']}\nVersion: 1.0\n"
+        )
+        groups = project["project"]["entry-points"].items()
+        points = (
+            f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in entries.items())
+            for group, entries in groups
+        )
+        (about / "entry_points.txt").write_text("".join(points))
+        monkeypatch.syspath_prepend(site)
+
+    monkeypatch.chdir(tmp_path)
+    write_midi(TUNE, tmp_path / "tune.mid")
+    yield follow
+    for module in written:
+        sys.modules.pop(module, None)
+
+
+def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> None:
+    follow("song-library")
+    Path("site/etudes/songs").mkdir()
+    write_midi(TUNE, Path("site/etudes/songs/thirds.mid"))
+    main(["songs"])
+    assert capsys.readouterr().out.splitlines()[-1].startswith("etudes/thirds ")
+    assert cadenza.load_song("etudes/thirds").notes == TUNE.notes
+
+
+def test_a_learner(follow: Follow) -> None:
+    follow("learner")
+    options = ["--num-steps", "200", "--seed-steps", "64", "--log-interval", "50"]
+    options += ["--steps-per-round", "8", "--batch-size", "16", "--no-video"]
+    train = ["train", "tune.mid", "--learner", "regression", "--step-size", "0.05", *options]
+    main([*train, "-o", "run"])
+    rows = [json.loads(line) for line in Path("run/metrics.jsonl").read_text().splitlines()]
+    losses = [row["train/loss"] for row in rows if "train/loss" in row]
+    assert losses[-1] < losses[0]
+    main([*train, "-o", "stopped", "--num-steps", "104"])
+    main(["train", "--resume", "stopped", "--num-steps", "200", "--no-video"])
+    last = [Path(run, "last/arrays.safetensors").read_bytes() for run in ("run", "stopped")]
+    assert last[0] == last[1]
