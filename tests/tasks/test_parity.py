@@ -91,11 +91,10 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     state, activation = reward.key_state(key_qpos), reward.key_activation(key_qpos)
     assert_array_equal(activation, recording["key_activation"])
     force, velocity = servo_force_and_velocity(recording)
-    pairs = reward.score_pairs(goals.fingers)
-    offset = reward.press_offsets(recording["fingertip_xpos"], key_centres(recording), pairs)
+    tips, centres = recording["fingertip_xpos"], key_centres(recording)
     terms = {
         "key_press": reward.key_press(state, activation, goals.keys),
-        "fingering": reward.nearness(pairs.row, offset, goals.num_steps, otherwise=0.0),
+        "fingering": reward.score_fingering(tips, centres, goals.fingers),
         "energy": reward.energy(force, velocity, recording.config.energy_coefficient),
         "sustain": reward.sustain(recording["sustain_activation"], goals.sustain),
         "forearm": reward.forearm(np.zeros(goals.num_steps, bool)),

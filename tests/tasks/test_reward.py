@@ -1,4 +1,4 @@
-"""The reward terms against their published formulas, written out as plain loops."""
+"""The reward terms against their published formulas, written out as plain loops, and compiled."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import math
 from itertools import permutations
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import ragged_reward
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -15,8 +18,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.keyboards.piano import PIANO
 from cadenza.tasks import reward
+from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
+NUM_KEYS = PIANO.num_keys
 few = settings(max_examples=25, deadline=None)
 sizes = st.integers(1, 4)
 
@@ -27,7 +32,7 @@ def arrays(shape: Any, low: float, high: float) -> st.SearchStrategy[np.ndarray]
 
 def key_angles(n: int) -> st.SearchStrategy[np.ndarray]:
     """At rest, pressed, and anything between and a little beyond."""
-    return arrays((n, PIANO.num_keys), -0.01, 0.1)
+    return arrays((n, NUM_KEYS), -0.01, 0.1)
 
 
 def masks(n: int, *more: int) -> st.SearchStrategy[np.ndarray]:
@@ -44,18 +49,6 @@ def gaussian(x: float, low: float, high: float, margin: float) -> float:
     return math.exp(-0.5 * (distance / margin * math.sqrt(-2 * math.log(0.1))) ** 2)
 
 
-@given(st.floats(-3, 3), st.sampled_from([(0.05, 0.5), (0.01, 0.1)]))
-def test_tolerance(x: float, bound_and_margin: tuple[float, float]) -> None:
-    bound, margin = bound_and_margin
-    ours = reward.tolerance(np.array([x]), bound, margin)
-    assert_allclose(ours, gaussian(x, 0.0, bound, margin), **CLOSE)
-
-
-def test_tolerance_is_a_tenth_at_the_margin() -> None:
-    x = np.array([-0.5, 0.0, 0.05, 0.55])
-    assert_allclose(reward.tolerance(x, 0.05, 0.5), [0.1, 1.0, 1.0, 0.1])
-
-
 @few
 @given(sizes.flatmap(key_angles))
 def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
@@ -70,20 +63,20 @@ def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
 @few
 @given(st.data(), sizes)
 def test_key_press(data: st.DataObject, n: int) -> None:
-    key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, PIANO.num_keys))
-    sounds = data.draw(masks(n, PIANO.num_keys))
+    key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, NUM_KEYS))
+    sounds = data.draw(masks(n, NUM_KEYS))
     state = reward.key_state(key_qpos)
     ours = reward.key_press(state, sounds, goal)
     for env in range(n):
         near = [
             gaussian(1 - s, 0, 0.05, 0.5) for s, g in zip(state[env], goal[env], strict=True) if g
         ]
-        silent = not any(sounds[env, key] and not goal[env, key] for key in range(PIANO.num_keys))
+        silent = not any(sounds[env, key] and not goal[env, key] for key in range(NUM_KEYS))
         assert_allclose(ours[env], 0.5 * (sum(near) / max(len(near), 1)) + 0.5 * silent, **CLOSE)
 
 
 def test_key_press_with_nothing_to_press() -> None:
-    nothing = np.zeros((2, PIANO.num_keys), bool)
+    nothing = np.zeros((2, NUM_KEYS), bool)
     wrong = nothing.copy()
     wrong[1, 40] = True
     assert_array_equal(reward.key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
@@ -97,7 +90,7 @@ def point(key: int, centre: np.ndarray) -> np.ndarray:
 
 def key_centres(n: int) -> st.SearchStrategy[np.ndarray]:
     """Keys a little below where they rest."""
-    return arrays((n, PIANO.num_keys, 3), -0.01, 0.0).map(lambda offset: PIANO.centre + offset)
+    return arrays((n, NUM_KEYS, 3), -0.01, 0.0).map(lambda offset: PIANO.centre + offset)
 
 
 def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
@@ -105,45 +98,38 @@ def fingertips(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
     return arrays((n, fingers, 3), -0.2, 0.2)
 
 
-def fingers_at_their_keys(
-    tips: np.ndarray, centres: np.ndarray, fingers: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the pairs that a score wants, and how far off the fingers are."""
-    pairs = reward.score_pairs(fingers)
-    return pairs.row, reward.press_offsets(tips, centres, pairs)
+def fingerings(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
+    """Few keys have a finger, and one finger may have two keys."""
+    some = st.sampled_from([-1] * 9 + list(range(fingers)))
+    return npst.arrays(np.int8, (n, NUM_KEYS), elements=some, fill=st.just(-1))
 
 
 @few
 @given(st.data(), sizes)
 def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
     tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
-    some = st.sampled_from([-1] * 9 + list(range(10)))
-    fingers = data.draw(npst.arrays(np.int8, (n, PIANO.num_keys), elements=some, fill=st.just(-1)))
-    row, offset = fingers_at_their_keys(tips, centres, fingers)
-    ours = reward.nearness(row, offset, n, otherwise=0.0)
+    fingers = data.draw(fingerings(n))
+    ours = reward.score_fingering(tips, centres, fingers)
     for env in range(n):
         distances = [
             math.dist(tips[env, fingers[env, k]], point(k, centres[env, k]))
-            for k in range(PIANO.num_keys)
+            for k in range(NUM_KEYS)
             if fingers[env, k] >= 0
         ]
         near = [gaussian(distance, 0, 0.01, 0.1) for distance in distances]
-        assert_allclose(np.linalg.norm(offset[row == env], axis=1), distances, **CLOSE)
         assert_allclose(ours[env], sum(near) / len(near) if near else 0.0, **CLOSE)
 
 
 @pytest.mark.parametrize("key", [0, 1, 39, 87])
 def test_a_finger_at_its_key_gets_all(key: int) -> None:
     assert bool(PIANO.is_black[key]) == (key == 1)
-    tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, PIANO.num_keys), -1, np.int8)
+    tips, fingers = np.full((1, 10, 3), 9.0), np.full((1, NUM_KEYS), -1, np.int8)
     fingers[0, key] = 7
     tips[0, 7] = point(key, PIANO.centre[key])
     centres = PIANO.centre[None]
-    row_and_offset = fingers_at_their_keys(tips, centres, fingers)
-    assert_allclose(reward.nearness(*row_and_offset, 1, otherwise=0.0), [1.0])
+    assert_allclose(reward.score_fingering(tips, centres, fingers), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
-    row_and_offset = fingers_at_their_keys(tips, centres, fingers)
-    assert_allclose(reward.nearness(*row_and_offset, 1, otherwise=0.0), [0.1], rtol=1e-6)
+    assert_allclose(reward.score_fingering(tips, centres, fingers), [0.1], rtol=1e-6)
 
 
 @few
@@ -151,50 +137,99 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
 def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int]) -> None:
     """No assignment of fingers to keys, or of keys to fingers where they are more, is shorter."""
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
-    goal = np.zeros((1, PIANO.num_keys), bool)
+    goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    pairs = reward.transport_pairs(tips, centres, goal, np.arange(num_fingers))
-    assert pairs.row.tolist() == [0] * min(num_fingers, len(keys))
-    assert set(pairs.key) <= set(keys)
-    distance = np.linalg.norm(reward.press_offsets(tips, centres, pairs), axis=1)
-    way = [[math.dist(tip, point(k, centres[0, k])) for k in keys] for tip in tips[0]]
+    (assigned,) = keys_by_transport_on_host(tips, centres, goal, np.arange(num_fingers))
+    given_away = assigned[assigned >= 0].tolist()
+    assert len(set(given_away)) == len(given_away) == min(num_fingers, len(keys))
+    assert set(given_away) <= set(keys)
+    way = [[math.dist(tip, point(k, centres[0, k])) for k in range(NUM_KEYS)] for tip in tips[0]]
     if num_fingers < len(keys):
         sums = (
             sum(way[f][k] for f, k in enumerate(chosen))
-            for chosen in permutations(range(len(keys)), num_fingers)
+            for chosen in permutations(keys, num_fingers)
         )
     else:
         sums = (
-            sum(way[f][k] for k, f in enumerate(chosen))
+            sum(way[f][k] for k, f in zip(keys, chosen, strict=True))
             for chosen in permutations(range(num_fingers), len(keys))
         )
-    assert_allclose(distance.sum(), min(sums), **CLOSE)
+    ours = sum(way[f][k] for f, k in enumerate(assigned) if k >= 0)
+    assert_allclose(ours, min(sums), **CLOSE)
 
 
 def test_optimal_transport_row_by_row() -> None:
-    """Rows without a key to press have no pairs, and are worth what was said."""
+    """Rows without a key to press have no pairs, and are worth 1."""
     tips, centres = np.zeros((3, 10, 3)), np.tile(PIANO.centre, (3, 1, 1))
-    goal = np.zeros((3, PIANO.num_keys), bool)
+    goal = np.zeros((3, NUM_KEYS), bool)
     goal[1, [3, 50]] = True
     tips[1, 2], tips[1, 8] = point(50, PIANO.centre[50]), point(3, PIANO.centre[3])
-    pairs = reward.transport_pairs(tips, centres, goal, np.array([2, 5, 8]))
-    assert [values.tolist() for values in pairs] == [[1, 1], [2, 8], [50, 3]]
-    offset = reward.press_offsets(tips, centres, pairs)
-    assert_allclose(offset, 0.0, atol=1e-12)
-    for otherwise in (0.0, 1.0):
-        near = reward.nearness(pairs.row, offset, 3, otherwise=otherwise)
-        assert_allclose(near, [otherwise, 1.0, otherwise])
+    tips[1, 8, 1] += 0.11
+    keys = keys_by_transport_on_host(tips, centres, goal, np.array([2, 5, 8]))
+    assert np.argwhere(keys >= 0).tolist() == [[1, 2], [1, 8]]
+    assert keys[1, [2, 8]].tolist() == [50, 3]
+    assert_allclose(reward.transport_fingering(tips, centres, keys), [1.0, 0.55, 1.0], rtol=1e-6)
 
 
-def test_optimal_transport_of_nothing() -> None:
-    tips, centres, goal = (
-        np.zeros((2, 5, 3)),
-        np.zeros((2, PIANO.num_keys, 3)),
-        np.zeros((2, PIANO.num_keys)),
-    )
-    nothing = reward.transport_pairs(tips, centres, goal > 0, np.arange(5))
-    assert [len(part) for part in nothing] == [0, 0, 0]
-    assert reward.press_offsets(tips, centres, nothing).shape == (0, 3)
+@few
+@given(st.data(), sizes)
+def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -> None:
+    """Also with more keys to press than a plain sum adds up one after the other."""
+    state, centres = reward.key_state(data.draw(key_angles(n))), data.draw(key_centres(n))
+    goal, sounds = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
+    goal[:, :40:2] |= data.draw(st.booleans())
+    tips, fingers = data.draw(fingertips(n)), data.draw(fingerings(n))
+    there = np.array(data.draw(st.sampled_from([range(10), range(5), range(5, 10)])))
+    keys = keys_by_transport_on_host(tips, centres, goal, there)
+    pairs = ragged_reward.transport_pairs(tips, centres, goal, there)
+    row, finger = (keys >= 0).nonzero()
+    assert_array_equal([row, finger, keys[row, finger]], pairs)
+    for dense, ragged in (
+        (
+            reward.key_press(state, sounds, goal),
+            ragged_reward.key_press(state, sounds, goal),
+        ),
+        (
+            reward.score_fingering(tips, centres, fingers),
+            ragged_reward.nearness(tips, centres, ragged_reward.score_pairs(fingers), 0.0),
+        ),
+        (
+            reward.transport_fingering(tips, centres, keys),
+            ragged_reward.nearness(tips, centres, pairs, 1.0),
+        ),
+    ):
+        assert_array_equal(dense, ragged)
+
+
+def test_jax_compiles_the_terms() -> None:
+    """All that a step is rewarded for, in single precision."""
+    n, rng = 3, np.random.default_rng(0)
+    down = rng.random(n) < 0.5
+    for term, *arguments in (
+        (reward.key_state, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))),
+        (reward.key_activation, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))),
+        (
+            reward.key_press,
+            rng.random((n, NUM_KEYS)),
+            *(rng.random((2, n, NUM_KEYS)) < 0.01),
+        ),
+        (reward.score_fingering, *around_keys(rng, n), rng.integers(-1, 10, (n, NUM_KEYS))),
+        (
+            reward.transport_fingering,
+            *around_keys(rng, n),
+            rng.integers(-1, NUM_KEYS, (n, 10)),
+        ),
+        (reward.energy, *rng.normal(size=(2, n, 38)), np.array(0.005)),
+        (reward.sustain, down, ~down),
+        (reward.forearm, down),
+    ):
+        compiled = jax.jit(term)(*map(jnp.asarray, arguments))
+        assert_allclose(compiled, term(*arguments), rtol=1e-4, atol=1e-6, err_msg=term.__name__)
+
+
+def around_keys(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fingertips and centres of keys."""
+    return rng.uniform(-0.1, 0.1, (n, 10, 3)), np.tile(PIANO.centre, (n, 1, 1))
 
 
 @few

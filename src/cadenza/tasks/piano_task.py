@@ -23,6 +23,7 @@ from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -275,25 +276,10 @@ class PianoTask:
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos
-        pairs = self.pairs(tips, key_xpos, keys, fingers)
-        offset = reward.press_offsets(tips, key_xpos, pairs)
-        otherwise = 1.0 if self.config.fingering == "transport" else 0.0
-        return reward.nearness(pairs.row, offset, self.num_envs, otherwise)
-
-    def pairs(
-        self, fingertips: Array, key_xpos: Array, keys: Mask, fingers: NDArray[np.int8]
-    ) -> reward.Pairs:
-        """Which fingers are to press which keys, by the score or by the least way.
-
-        Args:
-            fingertips: (N, 10, 3) [m].
-            key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-            keys: (N, 88) to press.
-            fingers: (N, 88) that the score gives them, -1 for none.
-        """
         if self.config.fingering == "transport":
-            return reward.transport_pairs(fingertips, key_xpos, keys, self.scene.fingers)
-        return reward.score_pairs(fingers)
+            assigned = keys_by_transport_on_host(tips, key_xpos, keys, self.scene.fingers)
+            return reward.transport_fingering(tips, key_xpos, assigned)
+        return reward.score_fingering(tips, key_xpos, fingers)
 
     # What is seen
 

@@ -1,26 +1,30 @@
 """The reward terms, pure functions of state and goal, over the batch.
 
+They take arrays of NumPy or of a library like it, whose namespace is `xp`, and all shapes follow
+from those of the arguments, so that `jax.jit` can compile them. -1, for none, picks any value,
+which a mask then leaves out.
+
 The formulas are those of the paper (Zakka et al., RoboPianist, CoRL 2023, table "reward") as its
 published code computes them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from cadenza.keyboards.piano import PIANO
 from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Ids = NDArray[np.intp]
+Ids = NDArray[np.integer]
 
-_LOG_VALUE_AT_MARGIN = np.log(0.1)
+_LOG_VALUE_AT_MARGIN = math.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
 _FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
 PRESS_OFFSET = np.stack(
@@ -54,15 +58,10 @@ RewardTerm = Callable[[Outcome], Array]
 """A term of the reward, (N,)."""
 
 
-def tolerance(x: Array, bound: float, margin: float) -> Array:
-    """1 for 0 <= x <= bound, falling off as a Gaussian to 0.1 at `margin` beyond either side."""
-    distance = np.maximum(np.maximum(x - bound, -x), 0.0)
-    return np.exp(distance * distance * (_LOG_VALUE_AT_MARGIN / margin**2))
-
-
 def key_state(key_qpos: Array) -> Array:
     """How far the keys are down, 0..1, of the same shape `(..., 88)` as their angles [rad]."""
-    return np.minimum(np.maximum(key_qpos / PIANO.travel, 0.0), 1.0)
+    xp = key_qpos.__array_namespace__()
+    return xp.minimum(xp.maximum(key_qpos / PIANO.travel, 0.0), 1.0)
 
 
 def key_activation(key_qpos: Array) -> Mask:
@@ -72,93 +71,78 @@ def key_activation(key_qpos: Array) -> Mask:
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     """Half for goal keys that are down, half for no other key sounding; arrays (N, 88) to (N,)."""
-    env, key = goal.nonzero()
-    down = tolerance(1.0 - state[env, key], _KEY_BOUND, _KEY_MARGIN)
-    wrong = (activation > goal).any(axis=1)
-    return 0.5 * (_mean_by_row(env, down, len(goal), otherwise=0.0) + ~wrong)
+    xp = state.__array_namespace__()
+    down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
+    wrong = (activation > goal).any(-1)
+    return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
 
 
-def _mean_by_row(row: Ids, values: Array, num_rows: int, otherwise: float) -> Array:
-    """(num_rows,) means of the values (P,) that belong to each row, `otherwise` where none does."""
-    count = np.bincount(row, minlength=num_rows)
-    total = np.bincount(row, values, num_rows)
-    return np.where(count, total / np.maximum(count, 1), otherwise)
-
-
-class Pairs(NamedTuple):
-    """P fingers, each with a key to press; arrays (P,)."""
-
-    row: Ids
-    """Of 0..N-1, that it belongs to."""
-    finger: Ids
-    key: Ids
-
-
-def score_pairs(fingers: NDArray[np.int8]) -> Pairs:
-    """The fingers (N, 88) that the score gives to keys, -1 for none."""
-    row, key = (fingers >= 0).nonzero()
-    return Pairs(row, fingers[row, key].astype(np.intp), key)
-
-
-def transport_pairs(fingertips: Array, key_xpos: Array, goal: Mask, there: Ids) -> Pairs:
-    """The fingers that get to the keys by the least way in sum.
-
-    RP1M (Zhao et al., 2024) assigns fingers so where a song has no fingering.
+def score_fingering(fingertips: Array, key_xpos: Array, fingers: Ids) -> Array:
+    """(N,) mean nearness of fingers to the keys that the score gives them, 0 where it gives none.
 
     Args:
-        fingertips: (N, 10, 3) [m].
+        fingertips: (N, F, 3) [m].
         key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        goal: (N, 88) the keys to press.
-        there: (F,) the fingers that there are.
+        fingers: (N, 88) for the keys, of 0..F-1, -1 for none.
     """
-    pairs = [np.zeros((3, 0), np.intp)]
-    for row in np.flatnonzero(goal.any(axis=1)):
-        key = np.flatnonzero(goal[row])
-        points = key_xpos[row, key] + PRESS_OFFSET[key]
-        offsets = fingertips[row, there][:, None] - points
-        finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
-        pairs.append(np.array([np.full(len(of_key), row), there[finger], key[of_key]]))
-    return Pairs(*np.concatenate(pairs, axis=1))
+    xp = fingertips.__array_namespace__()
+    rows = xp.arange(len(fingers))[:, None]
+    offset = fingertips[rows, fingers] - key_xpos - PRESS_OFFSET
+    return _masked_mean(xp, _nearness(xp, offset), fingers >= 0)
 
 
-def press_offsets(fingertips: Array, key_xpos: Array, pairs: Pairs) -> Array:
-    """(P, 3) from where on its key each finger is wanted to where it is [m].
+def transport_fingering(fingertips: Array, key_xpos: Array, keys: Ids) -> Array:
+    """(N,) mean nearness of fingers to the keys assigned to them, 1 where none is (RP1M).
 
     Args:
-        fingertips: (N, 10, 3) [m].
+        fingertips: (N, F, 3) [m].
         key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        pairs: of fingers and keys.
+        keys: (N, F) for the fingers, -1 for none, see `optimal_transport`.
     """
-    row, finger, key = pairs
-    return fingertips[row, finger] - key_xpos[row, key] - PRESS_OFFSET[key]
-
-
-def nearness(row: Ids, offset: Array, num_rows: int, otherwise: float) -> Array:
-    """(num_rows,) mean nearness of fingers to their keys.
-
-    Args:
-        row: (P,) that each finger belongs to.
-        offset: (P, 3) of each, as `press_offsets` has it [m].
-        num_rows: N.
-        otherwise: what a row without fingers gets: 0 with the score's fingering (the published
-            code), 1 with optimal transport (RP1M).
-    """
-    distance = np.sqrt(np.vecdot(offset, offset))
-    near = tolerance(distance, _FINGER_BOUND, _FINGER_MARGIN)
-    return _mean_by_row(row, near, num_rows, otherwise)
+    xp = fingertips.__array_namespace__()
+    rows = xp.arange(len(keys))[:, None]
+    offset = fingertips - key_xpos[rows, keys] - xp.asarray(PRESS_OFFSET)[keys]
+    assigned = keys >= 0
+    mean = _masked_mean(xp, _nearness(xp, offset), assigned)
+    return xp.where(assigned.any(-1), mean, 1.0)
 
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:
     """Minus the power of all actuators times `coefficient`; arrays (N, A) [N, N m] and speeds."""
-    return -coefficient * np.vecdot(np.abs(force), np.abs(velocity))
+    xp = force.__array_namespace__()
+    return -coefficient * xp.vecdot(abs(force), abs(velocity))
 
 
 def sustain(pedal_down: Mask, goal: Mask) -> Array:
     """Pedal as the score wants it; arrays (N,)."""
+    xp = goal.__array_namespace__()
     difference = goal.astype(float) - pedal_down.astype(float)
-    return tolerance(difference, _KEY_BOUND, _KEY_MARGIN)
+    beyond = xp.maximum(difference - _KEY_BOUND, -difference)
+    return _tolerance(xp, beyond, _KEY_MARGIN)
 
 
 def forearm(contact: Mask) -> Array:
     """A half unless the forearms touch; arrays (N,)."""
-    return np.where(contact, 0.0, 0.5)
+    return contact.__array_namespace__().where(contact, 0.0, 0.5)
+
+
+def _tolerance(xp: Any, beyond: Array, margin: float) -> Array:
+    """1 up to the bound, falling off as a Gaussian to 0.1 at `margin` beyond it."""
+    distance = xp.maximum(beyond, 0.0)
+    return xp.exp(distance * distance * (_LOG_VALUE_AT_MARGIN / margin**2))
+
+
+def _nearness(xp: Any, offset: Array) -> Array:
+    """(N, P) of fingers that are (N, P, 3) away from where they are wanted [m]."""
+    distance = xp.sqrt(xp.vecdot(offset, offset))
+    return _tolerance(xp, distance - _FINGER_BOUND, _FINGER_MARGIN)
+
+
+def _masked_mean(xp: Any, values: Array, mask: Mask) -> Array:
+    """(N,) means of the values (N, P) in the mask (N, P), 0 where there are none.
+
+    They are added up one after the other, which zeros in between do not change. A plain sum adds
+    in an order that depends on N and P, and so rounds otherwise.
+    """
+    total = xp.where(mask, values, 0.0).cumsum(-1)[:, -1]
+    return total / xp.maximum(mask.sum(-1), 1)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.agents.baselines.box_ddp import Model, Policy, backward_pass
+from cadenza.agents.baselines.pairs import Pairs, pairs_of
 from cadenza.agents.planning.config import ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
@@ -172,10 +173,8 @@ class _Misses(NamedTuple):
 
     keys: Array
     """(R, 88) state of the keys less that wanted."""
-    pairs: reward.Pairs
+    pairs: Pairs
     """Q of a finger and its key, at such a moment."""
-    offset: Array
-    """(Q, 3) from where the finger is wanted to where it is [m]."""
 
 
 class _Cost:
@@ -200,7 +199,7 @@ class _Cost:
         steps = np.full(num * self._num_looks, step)
         misses = self._misses(steps, _flat(key_qpos), _flat(tips), _flat(centres))
         cost = _norm(misses.keys, _KEY_RADIUS) - _KEY_RADIUS
-        fingers = _norm(misses.offset, _FINGER_RADIUS) - _FINGER_RADIUS
+        fingers = _norm(misses.pairs.offset, _FINGER_RADIUS) - _FINGER_RADIUS
         cost += np.bincount(misses.pairs.row, fingers, minlength=len(cost))
         return cost.reshape(num, -1).sum(axis=1)
 
@@ -215,7 +214,7 @@ class _Cost:
         for step in range(self._num_steps):
             mine, pairs = steps == step, steps[misses.pairs.row] == step
             of_keys = _weighted(misses.keys[mine], by_keys[mine], _KEY_RADIUS)
-            of_fingers = _weighted(misses.offset[pairs], by_offset[pairs], _FINGER_RADIUS)
+            of_fingers = _weighted(misses.pairs.offset[pairs], by_offset[pairs], _FINGER_RADIUS)
             residual, rows = map(np.concatenate, zip(of_keys, of_fingers, strict=True))
             gradients.append(rows.T @ residual)
             hessians.append(rows.T @ rows)
@@ -228,7 +227,7 @@ class _Cost:
 
         A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
         """
-        moment, finger, key = misses.pairs
+        moment, finger, key, _ = misses.pairs
         keys = self._task.scene.key_qpos
         of_keys = jacobian[:, keys]
         of_tips = _flat(seen.fingertip_jacobian)[moment, finger]
@@ -239,9 +238,8 @@ class _Cost:
 
     def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
         wanted = self._wanted[steps]
-        pairs = self._task.pairs(tips, centres, wanted, self._fingers[steps])
-        keys = reward.key_state(key_qpos) - wanted
-        return _Misses(keys, pairs, reward.press_offsets(tips, centres, pairs))
+        pairs = pairs_of(self._task, tips, centres, wanted, self._fingers[steps])
+        return _Misses(reward.key_state(key_qpos) - wanted, pairs)
 
 
 def _norm(residual: Array, radius: float) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array
+from cadenza.agents.baselines.pairs import pairs_of
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
@@ -100,8 +101,9 @@ class PredictiveSampling:
         wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
         keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
-        pairs = self._task.pairs(tips, centres, wanted, np.tile(fingers[rows], (shape[0], 1)))
-        distance = np.linalg.norm(reward.press_offsets(tips, centres, pairs), axis=1)
+        by_score = np.tile(fingers[rows], (shape[0], 1))
+        pairs = pairs_of(self._task, tips, centres, wanted, by_score)
+        distance = np.linalg.norm(pairs.offset, axis=1)
         return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)
 
 

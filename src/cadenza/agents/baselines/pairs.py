@@ -1,0 +1,55 @@
+"""Which finger is to press which key, one pair after the other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Array
+from cadenza.tasks.optimal_transport import keys_by_transport_on_host
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import PRESS_OFFSET
+
+Ids = NDArray[np.intp]
+
+
+class Pairs(NamedTuple):
+    """P fingers, each with a key to press."""
+
+    row: Ids
+    """(P,) of 0..N-1, that the pair belongs to."""
+    finger: Ids
+    """(P,)"""
+    key: Ids
+    """(P,)"""
+    offset: Array
+    """(P, 3) from where on its key the finger is wanted to where it is [m]."""
+
+
+def pairs_of(
+    task: PianoTask,
+    fingertips: Array,
+    key_xpos: Array,
+    keys: NDArray[np.bool_],
+    fingers: NDArray[np.int8],
+) -> Pairs:
+    """By the score or, as the task is configured, by the least way.
+
+    Args:
+        task: with hands.
+        fingertips: (N, 10, 3) [m].
+        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
+        keys: (N, 88) to press.
+        fingers: (N, 88) that the score gives them, -1 for none.
+    """
+    if task.config.fingering == "transport":
+        of_fingers = keys_by_transport_on_host(fingertips, key_xpos, keys, task.scene.fingers)
+        row, finger = (of_fingers >= 0).nonzero()
+        key = of_fingers[row, finger]
+    else:
+        row, key = (fingers >= 0).nonzero()
+        finger = fingers[row, key].astype(np.intp)
+    offset = fingertips[row, finger] - key_xpos[row, key] - PRESS_OFFSET[key]
+    return Pairs(row, finger, key, offset)

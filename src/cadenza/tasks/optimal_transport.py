@@ -1,0 +1,36 @@
+"""Which fingers should press which keys, where a song has no fingering."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from cadenza.tasks.reward import PRESS_OFFSET
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+
+def keys_by_transport_on_host(
+    fingertips: Array, key_xpos: Array, goal: NDArray[np.bool_], there: Ids
+) -> Ids:
+    """(N, F) the key of each finger, -1 for none, so that the ways are the least in sum.
+
+    RP1M (Zhao et al., 2024) assigns fingers so. Unlike the reward terms this cannot be compiled:
+    SciPy solves one row after the other.
+
+    Args:
+        fingertips: (N, F, 3) [m].
+        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
+        goal: (N, 88) the keys to press.
+        there: the fingers of 0..F-1 that there are.
+    """
+    keys = np.full(fingertips.shape[:2], -1)
+    for row in np.flatnonzero(goal.any(axis=1)):
+        key = np.flatnonzero(goal[row])
+        points = key_xpos[row, key] + PRESS_OFFSET[key]
+        offsets = fingertips[row, there][:, None] - points
+        finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
+        keys[row, there[finger]] = key[of_key]
+    return keys
