@@ -19,7 +19,7 @@ STANDS_ON: dict[str, set[str]] = {
     "keyboards": set(),
     "hands": set(),
     "scene": {"keyboards", "hands"},
-    "fingering": {"music"},
+    "fingering": {"music", "keyboards", "hands"},
     "sim": {"scene"},
     "tasks": {"fingering", "sim"},
     "agents": {"tasks"},

@@ -23,10 +23,15 @@ from pathlib import Path
 
 import mido
 
+from cadenza.fingering.players import seated
 from cadenza.fingering.search import solve
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import SIDES, UNKNOWN_FINGER
+from cadenza.hands.shadow.hand import SHADOW
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import Note, Score
+
+HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
 
 
 def main() -> None:
@@ -35,7 +40,7 @@ def main() -> None:
     for name in names or [piece.name for piece in songs()]:
         written = load_score(name)
         bare = tuple(replace(note, finger=UNKNOWN_FINGER) for note in written.notes)
-        found = solve(replace(written, notes=bare)).score
+        found = solve(replace(written, notes=bare), HANDS).score
         row = f"{name:31} {len(bare):5} {_cost(written)}   {_agreement(written, found)}"
         if pianoplayer:
             begin = time.perf_counter()
@@ -53,7 +58,7 @@ def _agreement(written: Score, found: Score) -> str:
 
 def _cost(score: Score) -> str:
     """Cost of a fingering, and how many of its notes are against the limits."""
-    solution = solve(score)
+    solution = solve(score, HANDS)
     return f"{solution.cost:6.1f} ({len(solution.unheeded)})"
 
 

@@ -2,52 +2,82 @@
 
 from __future__ import annotations
 
-import itertools
 import time
+from collections.abc import Callable
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.fingering.playable import playable
+from cadenza.fingering.players import Players, seated
 from cadenza.fingering.presses import Press, onsets, outer_first
-from cadenza.fingering.reach import LEAST, MOST, OUTWARD
-from cadenza.fingering.search import find_fingering
-from cadenza.music.keyboard import KEY_Y
+from cadenza.fingering.search import solve
+from cadenza.fingers import hand_of, place_of
+from cadenza.hands.shadow.hand import SHADOW
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import monophonic_per_key, scores
+from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
+
+REACH = SHADOW.reach
 
 
-def together(low: tuple[Press, int], high: tuple[Press, int]) -> bool:
-    """Whether a lower and a higher key can be pressed by fingers 0..9 at once."""
-    (below, a), (above, b) = low, high
-    distance = KEY_Y[above.key] - KEY_Y[below.key]
-    if a < 5 <= b:
+def in_one_hand(way: dict[Press, int], hand: int, players: Players) -> tuple[float, float] | None:
+    """From where to where the forearm can be along the keyboard while its fingers do this.
+
+    Seen from the right hand, the left one mirrored; None where it cannot be anywhere.
+    """
+    reach, forearm = players.reach, players.forearm(hand)
+    assert forearm
+    low, high = forearm.low, forearm.high
+    y = {press: players.key_y(hand)[press.key] for press in way}
+    for press, finger in way.items():
+        low = max(low, y[press] - reach.inward[place_of(finger)])
+        high = min(high, y[press] + reach.outward[place_of(finger)])
+        for other, beyond in way.items():
+            if y[other] > y[press]:
+                pair = place_of(finger), place_of(beyond)
+                if pair[0] >= pair[1]:
+                    return None
+                if not reach.least[pair] <= y[other] - y[press] <= reach.most[pair]:
+                    return None
+    return (low, high) if low <= high else None
+
+
+def possible(way: dict[Press, int], players: Players) -> bool:
+    """Whether keys can be pressed by fingers, 0..9, at once."""
+    highs = [press.key for press, finger in way.items() if hand_of(finger) == 0]
+    lows = [press.key for press, finger in way.items() if hand_of(finger) == 1]
+    if highs and lows and min(highs) <= max(lows):
         return False
-    if a >= 5 > b:
-        return distance + OUTWARD[a - 5] + OUTWARD[b] > 0.149
-    nearer, farther = (a, b) if a < 5 else (b - 5, a - 5)
-    return nearer < farther and LEAST[nearer, farther] <= distance <= MOST[nearer, farther]
+    ends = []
+    for hand in range(2):
+        if players.forearm(hand):
+            mine = {press: finger for press, finger in way.items() if hand_of(finger) == hand}
+            place = in_one_hand(mine, hand, players)
+            if place is None:
+                return False
+            ends.append(place[1])
+    room = sum(arm.high for arm in map(players.forearm, range(2)) if arm)
+    return len(ends) < 2 or sum(ends) >= min(players.reach.forearm_width, room)
 
 
-def possible(way: dict[Press, int]) -> bool:
-    keys = sorted(way.items(), key=lambda item: item[0].key)
-    return all(together(low, high) for low, high in itertools.combinations(keys, 2))
-
-
-def written_out(score: Score, sides) -> set[int]:
+def written_out(score: Score, players: Players) -> set[int]:
     """The indices of the notes that are played."""
-    fingers = [f for f in range(10) if ("right", "left")[f // 5] in sides]
     ways: list[dict[Press, int]] = [{}]
     played: set[int] = set()
-    for moment, begin in onsets(score):
+    for moment, begin in onsets(score, players.keyboard.lowest_pitch):
         struck = [press.key for press in begin]
         held = [p for p in ways[0] if p.end > moment + LETTING_GO and p.key not in struck]
         ways = [dict(w) for w in {tuple((p, way[p]) for p in held) for way in ways}]
         for press in outer_first(begin, held):
-            able = fingers if press.finger < 0 else {press.finger} & set(fingers)
+            if not 0 <= press.key < players.keyboard.num_keys:
+                continue
+            able = {f for f in players.fingers if players.forearms[hand_of(f)]}
+            able &= able if press.finger < 0 else {press.finger}
             more = [way | {press: finger} for way in ways for finger in able]
-            if more := [way for way in more if possible(way)]:
+            if more := [way for way in more if possible(way, players)]:
                 ways = more
                 played |= set(press.notes)
     return played
@@ -63,21 +93,29 @@ crowded = st.builds(
         max_size=12,
     ),
 )
-hands = st.sampled_from([("right", "left"), ("right",), ("left",)])
+sides = st.sampled_from([("right", "left"), ("right",), ("left",)])
+everyone = st.builds(
+    seated,
+    reach=st.sampled_from([REACH, FOUR_FINGERS]),
+    keyboard=st.sampled_from([PIANO, TWO_OCTAVES]),
+    sides=sides,
+    hand_spacing=st.sampled_from([0.0, 0.16, 0.3]),
+    slides=st.booleans(),
+)
 
 
 @settings(deadline=None)
-@given(score=st.one_of(crowded, scores()), sides=hands)
-def test_the_same_notes_as_written_out(score: Score, sides) -> None:
-    found = playable(score, sides)
+@given(score=st.one_of(crowded, scores()), players=everyone)
+def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
+    found = playable(score, players)
     played = {i for i in range(len(score.notes)) if i not in found.reasons | found.unheeded}
-    assert played == written_out(score, sides)
+    assert played == written_out(score, players)
 
 
 @settings(deadline=None)
-@given(score=crowded, sides=hands)
+@given(score=crowded, sides=sides)
 def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
-    found = playable(score, sides)
+    found = playable(score, shadow_hands(sides))
     assert [moment.begun for moment in found.moments][-1] == len(score.notes)
     for moment in found.moments:
         keys = [press.key for press in moment.presses]
@@ -103,10 +141,12 @@ def test_deciding_takes_little_of_the_time_of_fingering() -> None:
             )
         )
     )
-    playable(score, ("right", "left"))  # makes tables
-    begin = time.process_time()
-    found = playable(score, ("right", "left"))
-    decided = time.process_time()
-    _, dropped = find_fingering(score)
-    assert len(dropped) == len(found.reasons) > 100
-    assert decided - begin < (time.process_time() - decided) / 3
+    players = shadow_hands()
+
+    def seconds(what: Callable[[Score, Players], object]) -> float:
+        begin = time.process_time()
+        what(score, players)
+        return time.process_time() - begin
+
+    assert len(playable(score, players).reasons) > 100
+    assert min(seconds(playable) for _ in range(5)) < seconds(solve) / 3

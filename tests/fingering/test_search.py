@@ -10,13 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.fingering.reach import LEAST, MOST
-from cadenza.fingering.search import find_fingering, solve
+from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.keyboard import IS_BLACK, KEY_Y
+from cadenza.music.keyboard import IS_BLACK
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import lengths, monophonic_per_key, scores, times
+from players import find_fingering, solve
+
+REACH = SHADOW.reach
 
 
 def bare(score: Score) -> Score:
@@ -43,7 +45,7 @@ unfingered = scores().map(monophonic_per_key).map(bare)
 
 def test_keys_lie_where_the_model_has_them() -> None:
     np.testing.assert_array_equal(IS_BLACK, PIANO.is_black)
-    np.testing.assert_allclose(KEY_Y, PIANO.centre[:, 1], atol=6e-4)
+    np.testing.assert_allclose(PIANO.grid_y, PIANO.centre[:, 1], atol=6e-4)
 
 
 # What hands can do
@@ -61,8 +63,8 @@ def check_hands(score: Score) -> None:
         for a, b in itertools.combinations(sounding, 2):
             if a.finger // 5 == b.finger // 5:
                 first, second = sorted((a.finger % 5, b.finger % 5))
-                distance = KEY_Y[b.key] - KEY_Y[a.key]
-                assert LEAST[first, second] <= distance <= MOST[first, second]
+                distance = PIANO.grid_y[b.key] - PIANO.grid_y[a.key]
+                assert REACH.least[first, second] <= distance <= REACH.most[first, second]
 
 
 @settings(deadline=None)

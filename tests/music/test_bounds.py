@@ -5,10 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.search import find_fingering
 from cadenza.music.goals import MAX_STEPS, score_to_goals
 from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import MAX_SECONDS, Note, PedalEvent, Score
+from players import find_fingering
 
 SHORT = Score((Note(0.0, 10.0, 60),), (PedalEvent(1.0, 127),))
 

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.search import find_fingering
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.library import load_score
 from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.music.tracks import Track
 from music_strategies import scores
+from players import find_fingering
 
 QUARTER = 480
 PARTS = (  # name, channel, program, pitches of 16 quarters, and how many sound at once

@@ -11,6 +11,7 @@ import tyro
 from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
@@ -116,10 +117,16 @@ def _about_fingering(score: Score) -> str:
     from collections import Counter
 
     from cadenza.fingering.playable import playable
+    from cadenza.fingering.players import seated
     from cadenza.fingers import SIDES
+    from cadenza.hands.named import hand_named
+    from cadenza.keyboards.named import keyboard_named
 
+    scene = SceneConfig()
+    hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
+    players = seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
     given = sum(note.finger >= 0 for note in score.notes)
-    reasons = Counter(playable(score, SIDES).reasons.values())
+    reasons = Counter(playable(score, players).reasons.values())
     found = len(score.notes) - given - reasons.total()
     parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
     parts += [f"found for {found}"] if found else []

@@ -3,6 +3,7 @@
 The limits:
 
 - as many notes a hand as it has fingers, their distances within what the fingers reach;
+- keys within what a finger reaches from where its forearm is, if that cannot slide anywhere;
 - forearms that do not run into each other;
 - a finger stays on its key as long as the note sounds; notes with less than `LETTING_GO` left
   when others begin count as over.
@@ -13,12 +14,12 @@ two equally far inside the louder, then the longer, then the higher. A note is d
 cannot be played along with those taken before it.
 
 For this, all ways to play what sounds are followed through the song, as sets of sets in whole
-numbers. A set of fingers that are down is a number of ten bits, from the left hand's little
-finger, 1, to the right hand's, 512. As notes lie in the order of the fingers, it tells which
-finger is on which note: the n-th finger down is on the n-th note. A set of such sets is a number
-of 1,024 bits, in which bit s stands for the set s. All limits are between two notes, and each
-allows such a set of sets; what all allow is their intersection, `&`. To lift finger f lowers s by
-2^f, so that it shifts the bits of all s at once by as many places.
+numbers. A set of fingers that are down is a number of ten bits (of two for each finger of a hand),
+from the left hand's little finger, 1, to the right hand's, 512. As notes lie in the order of the
+fingers, it tells which finger is on which note: the n-th finger down is on the n-th note. A set of
+such sets is a number of 1,024 bits, in which bit s stands for the set s. All limits are of one note
+or between two, and each allows such a set of sets; what all allow is their intersection, `&`. To
+lift finger f lowers s by 2^f, so that it shifts the bits of all s at once by as many places.
 
 A note takes 10 to 20 us, and time and memory grow in proportion to the number of notes.
 """
@@ -26,9 +27,8 @@ A note takes 10 to 20 us, and time and memory grow in proportion to the number o
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import combinations
 from operator import attrgetter
 from typing import NamedTuple
@@ -36,13 +36,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.fingering.players import Players
 from cadenza.fingering.presses import Press, onsets, outer_first
-from cadenza.fingering.reach import LEAST, MOST, OUTWARD, forearms_touch, is_within
-from cadenza.fingers import SIDES, UNKNOWN_FINGER, Side
-from cadenza.music.keyboard import KEY_Y
-from cadenza.music.score import LETTING_GO, NUM_KEYS, Score
-
-_ORDER = (9, 8, 7, 6, 5, 0, 1, 2, 3, 4)  # the fingers from left to right
+from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.music.score import LETTING_GO, Score
 
 
 class Moment(NamedTuple):
@@ -74,14 +71,13 @@ class Playable:
     unheeded: dict[int, int]
 
 
-def playable(score: Score, sides: Sequence[Side]) -> Playable:
-    """What of `score` can be played by the hands on these `sides`."""
-    whose = "both hands" if len(sides) == 2 else f"the {sides[0]} hand"
+def playable(score: Score, players: Players) -> Playable:
+    """What of `score` can be played by these hands on this keyboard."""
     moments = []
     reasons: dict[int, str] = {}
     unheeded: dict[int, int] = {}
-    sounding = _Sounding([place for place, f in enumerate(_ORDER) if SIDES[f // 5] in sides])
-    for time, begin in onsets(score):
+    sounding = _Sounding(players)
+    for time, begin in onsets(score, players.keyboard.lowest_pitch):
         struck = {press.key for press in begin}
         for press in list(sounding.presses):
             if press.end <= time + LETTING_GO or press.key in struck:
@@ -90,8 +86,7 @@ def playable(score: Score, sides: Sequence[Side]) -> Playable:
             if sounding.take(press):
                 continue
             if press.finger == UNKNOWN_FINGER:
-                reason = f"{sounding.reason_against(press)} {whose}"
-                reasons |= dict.fromkeys(press.notes, reason)
+                reasons |= dict.fromkeys(press.notes, sounding.reason_against(press))
             else:
                 unheeded |= dict.fromkeys(press.notes, press.finger)
         moments.append(Moment(time, tuple(sounding.presses), begin[-1].notes[-1] + 1))
@@ -105,10 +100,10 @@ class _Sounding:
         presses: in the order of their keys.
     """
 
-    def __init__(self, fingers: Sequence[int]) -> None:
-        """For hands with these `fingers`, 0..9 from left to right."""
+    def __init__(self, players: Players) -> None:
         self.presses: list[Press] = []
-        self._fingers = fingers
+        self._whose = players.whose
+        self._limits = _limits(players)
         self._sets = _EMPTY
 
     def release(self, press: Press) -> None:
@@ -116,97 +111,118 @@ class _Sounding:
         del self.presses[n]
         sets = self._sets
         self._sets = 0
-        for finger in self._fingers:
-            self._sets |= (sets & _NTH[n][finger]) >> (1 << finger)
+        for finger, nth in enumerate(self._limits.nth[n]):
+            self._sets |= (sets & nth) >> (1 << finger)
 
     def take(self, press: Press) -> bool:
         """Adds `press` if it can be played along with the others, and says whether it can."""
+        if not 0 <= press.key < len(self._limits.reaching):
+            return False
         n = bisect(self.presses, press.key, key=attrgetter("key"))
-        sets = _with_one_more(self._sets, n, self._fingers) & _given(press, n)
-        limits = _limits()
+        sets = self._limits.with_one_more(self._sets, n, press)
+        allowed, pairs = self._limits.allowed, self._limits.pairs
         for i, below in enumerate(self.presses[:n]):
-            sets &= _allowed(i, n, limits[below.key][press.key])
+            sets &= allowed(i, n, pairs[below.key][press.key])
         for i, above in enumerate(self.presses[n:], start=n + 1):
-            sets &= _allowed(n, i, limits[press.key][above.key])
+            sets &= allowed(n, i, pairs[press.key][above.key])
         if sets:
             self.presses.insert(n, press)
             self._sets = sets
         return bool(sets)
 
     def reason_against(self, press: Press) -> str:
-        """Why `press` cannot be played along with the others by ... (whose hands)."""
-        most = len(self._fingers)
-        if len(self.presses) == most:
-            return f"more than {most} notes at once for"
+        """Why `press` cannot be played along with the others."""
+        limits = self._limits
+        if not 0 <= press.key < len(limits.reaching):
+            return "not on this keyboard"
+        if not limits.reaching[press.key]:
+            return f"out of reach of {self._whose}"
+        if len(self.presses) == limits.most:
+            return f"more than {limits.most} notes at once for {self._whose}"
         presses = sorted([*self.presses, press], key=attrgetter("key"))
         sets = _EMPTY
         for n, other in enumerate(presses):
-            sets = _with_one_more(sets, n, self._fingers)
-            if other.start == press.start:
-                sets &= _given(other, n)
-        limits = _limits(forearms=False)
+            sets = limits.with_one_more(sets, n, other, given=other.start == press.start)
         for (i, low), (n, high) in combinations(enumerate(presses), 2):
-            sets &= _allowed(i, n, limits[low.key][high.key])
-        return "too far from what is held by" if sets else "too far from the other notes for"
+            sets &= limits.allowed(i, n, limits.pairs_but_for_forearms[low.key][high.key])
+        others = "what is held by" if sets else "the other notes for"
+        return f"too far from {others} {self._whose}"
 
 
 _EMPTY = 1  # only the empty set
 
 
-def _with_one_more(sets: int, n: int, fingers: Iterable[int]) -> int:
-    """`sets`, each with any one of the `fingers` more, which becomes the `n`-th."""
-    more = 0
-    for finger in fingers:
-        more |= (sets << (1 << finger)) & _NTH[n][finger]
-    return more
+class _Limits:
+    """What hands can do, as sets of sets of fingers. Fingers are counted from the left.
 
-
-def _given(press: Press, n: int) -> int:
-    """The sets in which the `n`-th note has the finger that it is to have, if any."""
-    return _ANY if press.finger == UNKNOWN_FINGER else _NTH[n][_ORDER.index(press.finger)]
-
-
-@cache
-def _allowed(i: int, n: int, pairs: int) -> int:
-    """The sets whose `i`-th and `n`-th finger are among `pairs`, bits of `_limits`."""
-    sets = 0
-    for low, high in combinations(range(10), 2):
-        if pairs >> (10 * low + high) & 1:
-            sets |= _NTH[i][low] & _NTH[n][high]
-    return sets
-
-
-@cache
-def _limits(forearms: bool = True) -> list[list[int]]:
-    """[low][high]: the pairs of fingers that can be on these two keys.
-
-    Bit 10 a + b stands for the finger a on the lower key and b on the higher, from left to right.
-
-    Args:
-        forearms: whether they must not touch.
+    Attributes:
+        most: notes at once.
+        nth: [n][f] the sets whose `n`-th finger is f, both from 0.
+        reaching: [key] the fingers that reach it.
+        pairs: [low][high] the pairs of fingers that reach two keys at once, as bits: of F fingers
+            the pair of a on the lower key and b on the higher has bit F a + b.
+        pairs_but_for_forearms: the same if forearms could pass through each other.
     """
-    distance = (KEY_Y - KEY_Y[:, None])[..., None, None]
-    one_hand = is_within(distance, LEAST, MOST)
-    right = KEY_Y[:, None] + OUTWARD
-    left = -KEY_Y[:, None] + OUTWARD
-    apart = ~forearms_touch(right[None, :, None, :], left[:, None, :, None])
-    pairs = np.zeros((NUM_KEYS, NUM_KEYS, 10, 10), bool)
-    pairs[:, :, 5:, 5:] = one_hand
-    pairs[:, :, 4::-1, 4::-1] = one_hand.swapaxes(2, 3)
-    pairs[:, :, 4::-1, 5:] = apart | (not forearms)
-    return [[_as_number(bits) for bits in row] for row in pairs.reshape(NUM_KEYS, NUM_KEYS, 100)]
+
+    def __init__(self, players: Players) -> None:
+        self.most = players.most
+        self._numbers = players.fingers
+        self.nth = _nth(len(self._numbers))
+        reaches = np.concatenate([players.reaches(1)[:, ::-1], players.reaches(0)], axis=1)
+        self.reaching = [np.flatnonzero(row).tolist() for row in reaches]
+        self.pairs = _pairs(players)
+        self.pairs_but_for_forearms = _pairs(players, forearms=False)
+        self.allowed = cache(self._allowed)
+
+    def with_one_more(self, sets: int, n: int, press: Press, given: bool = True) -> int:
+        """`sets`, each with a finger more that reaches the key of `press`; it becomes the `n`-th.
+
+        Args:
+            given: whether it has to be the finger that `press` is to have, if any.
+        """
+        fingers = self.reaching[press.key]
+        if given and press.finger != UNKNOWN_FINGER:
+            fingers = [finger for finger in fingers if self._numbers[finger] == press.finger]
+        more = 0
+        for finger in fingers:
+            more |= (sets << (1 << finger)) & self.nth[n][finger]
+        return more
+
+    def _allowed(self, i: int, n: int, pairs: int) -> int:
+        """The sets whose `i`-th and `n`-th finger are one of `pairs`."""
+        count = len(self._numbers)
+        sets = 0
+        for low, high in combinations(range(count), 2):
+            if pairs >> (count * low + high) & 1:
+                sets |= self.nth[i][low] & self.nth[n][high]
+        return sets
+
+
+_limits = lru_cache(maxsize=8)(_Limits)
+
+
+def _nth(count: int) -> list[list[int]]:
+    """[n][f]: of so many fingers the sets whose `n`-th is f."""
+    down = (np.arange(1 << count)[:, None] >> np.arange(count) & 1).astype(bool)
+    rank = np.where(down, down.cumsum(axis=1) - 1, -1)
+    nth = [[_as_number(rank[:, finger] == n) for finger in range(count)] for n in range(count)]
+    return [*nth, [0] * count]  # no set has one more
+
+
+def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
+    """`_Limits.pairs`, where `forearms` must not touch or may."""
+    one_hand = players.spans()
+    num_keys, half = one_hand.shape[1:3]
+    right, left = slice(half, None), slice(half - 1, None, -1)  # from the thumbs on
+    pairs = np.zeros((num_keys, num_keys, 2 * half, 2 * half), bool)
+    pairs[:, :, right, right] = one_hand
+    pairs[:, :, left, left] = one_hand.swapaxes(2, 3)
+    pairs[:, :, left, right] = True
+    if forearms and all(players.forearms):
+        lower, higher = players.outmost(1)[:, None, :, None], players.outmost(0)[None, :, None, :]
+        pairs[:, :, left, right] = ~players.forearms_touch(higher, lower)
+    return [[_as_number(bits.ravel()) for bits in row] for row in pairs]
 
 
 def _as_number(bits: NDArray[np.bool_]) -> int:
     return int.from_bytes(np.packbits(bits, bitorder="little").tobytes(), "little")
-
-
-def _nth() -> list[list[int]]:
-    """[n][f]: the sets whose `n`-th finger is f, both from 0."""
-    down = (np.arange(1024)[:, None] >> np.arange(10) & 1).astype(bool)
-    rank = np.where(down, down.cumsum(axis=1) - 1, -1)
-    return [[_as_number(rank[:, finger] == n) for finger in range(10)] for n in range(10)]
-
-
-_NTH = [*_nth(), [0] * 10]  # no set has eleven
-_ANY = (1 << 1024) - 1

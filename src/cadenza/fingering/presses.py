@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from cadenza.fingers import UNKNOWN_FINGER
-from cadenza.music.score import NUM_KEYS, TOGETHER, Score
+from cadenza.music.score import TOGETHER, Score
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,21 +21,26 @@ class Press:
     notes: tuple[int, ...]
 
 
-def onsets(score: Score) -> Iterator[tuple[float, list[Press]]]:
+def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Press]]]:
     """The moments at which notes begin, with what is pressed then.
 
     A note that is struck again while it sounds ends there.
+
+    Args:
+        score: the notes.
+        lowest_pitch: of key 0.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     for i, note in enumerate(score.notes):
         if not moments or note.start > moments[-1][0] + TOGETHER:
             moments.append((note.start, {}))
-        moments[-1][1].setdefault(note.key, []).append(i)
-    struck_again = [float("inf")] * NUM_KEYS
+        moments[-1][1].setdefault(note.pitch - lowest_pitch, []).append(i)
+    struck_again: dict[int, float] = {}
     ends: dict[int, float] = {}
     for time, keys in reversed(moments):
         for key, indices in keys.items():
-            ends[indices[0]] = min(max(score.notes[i].end for i in indices), struck_again[key])
+            end = max(score.notes[i].end for i in indices)
+            ends[indices[0]] = min(end, struck_again.get(key, end))
             struck_again[key] = time
     for time, keys in moments:
         presses = []

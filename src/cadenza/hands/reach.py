@@ -25,6 +25,8 @@ class Reach:
     """(F, F) greatest distances."""
     outward: Array
     """(F,) how far to the right of a fingertip that presses the forearm can be."""
+    inward: Array
+    """(F,) how far to its left."""
     forearm_width: float
     """Two forearms touch when they are nearer than this."""
 

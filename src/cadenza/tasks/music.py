@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import find_fingering
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER, Side
+from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
 from cadenza.music.goals import Goals, check_steps, score_to_goals
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -18,6 +19,7 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
+from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
 
 _OCTAVE = 12
@@ -35,13 +37,20 @@ _MOST = {  # of options that are 0 or more
 }
 
 
+def players_of(scene: Scene) -> Players:
+    """The hands of a scene at its keyboard."""
+    slides = len(scene.slide_joints) > 0
+    spacing = scene.config.hand_spacing
+    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides)
+
+
 def prepare(
     scores: Sequence[Score],
     config: TaskConfig,
-    sides: Sequence[Side],
+    scene: Scene,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Score, ...]:
-    """The scores as the task will draw from them, for the hands on these `sides`.
+    """The scores as the task will draw from them, for the hands of a `scene`.
 
     `progress` is that of `find_fingering`.
 
@@ -55,8 +64,9 @@ def prepare(
     _check(config)
     scores = [_arranged(score, config) for score in scores]
     _check_longest(max(score.total_time for score in scores), config)
-    if config.fingering == "auto" and sides:
-        scores = [find_fingering(score, sides, progress)[0] for score in scores]
+    if config.fingering == "auto" and scene.sides:
+        players = players_of(scene)
+        scores = [find_fingering(score, players, progress)[0] for score in scores]
     return tuple(scores)
 
 

@@ -105,7 +105,7 @@ class PianoTask:
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
-        self.scores = music.prepare(scores, self.config, self.scene.sides, progress)
+        self.scores = music.prepare(scores, self.config, self.scene, progress)
         self._offset_joints = self._find_offset_joints()
         self.simulation = make_simulation(
             scene=self.scene,

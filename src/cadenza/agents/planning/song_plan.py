@@ -13,7 +13,7 @@ from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.music.goals import Goals
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.tasks.music import goals_of
+from cadenza.tasks.music import goals_of, players_of
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -63,7 +63,7 @@ def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> It
     """
     if not task.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
-    score, dropped = find_fingering(score, task.scene.sides, partial(progress, "fingers"))
+    score, dropped = find_fingering(score, players_of(task.scene), partial(progress, "fingers"))
     goals = goals_of(score, task.config)
     scene, dt = build_scene(task.scene.config), task.config.control_timestep
     start = task.state.hand_qpos[0]

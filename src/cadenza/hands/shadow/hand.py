@@ -67,6 +67,7 @@ _REACH = Reach(
         ]
     ),
     outward=np.array([0.092, 0.084, 0.060, 0.037, 0.018]),
+    inward=np.array([0.030, 0.081, 0.108, 0.135, 0.150]),
     forearm_width=forearm.WIDTH,
 )
 

@@ -1,0 +1,117 @@
+"""What it costs a hand to get from what it does at one moment to what it does at the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, lru_cache
+
+import numpy as np
+
+from cadenza.fingering.chords import NEVER, States, shapes
+from cadenza.fingering.presses import Press
+from cadenza.hands.reach import Array, Reach
+
+_WAY = 8.0  # [1 / m]
+_SPEED = 3.0  # [s / m^2]: 1 for 0.3 m in 0.25 s
+_SAME_FINGER, _TIME_TO_MOVE = 2.0, 0.15  # [s] to lift, move and press
+_CROSSING, _TIME_TO_CROSS = 0.5, 0.3  # [s]
+_OTHER_FINGER = 1.0
+
+
+def transition(was: States, will: States, change: Array | None, seconds: float) -> Array:
+    """(S', S) what it costs a hand to go from one of S states to one of S' in `seconds`.
+
+    `change` is what `changes_of_fingers` says.
+    """
+    way = np.abs(will.centre[:, None] - was.centre)
+    way[will.playing :] -= will.free
+    way[: will.playing, was.playing :] -= will.free
+    np.maximum(way, 0.0, out=way)
+    cost = way**2
+    cost *= _SPEED / seconds
+    way *= _WAY
+    cost += way
+    if change is not None:
+        cost += change[will.shape[:, None], was.shape]
+    return cost
+
+
+# What a note is to one of the moment before; higher or lower if it begins when that has ended.
+_UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
+
+
+def changes_of_fingers(
+    earlier: Sequence[Press], now: Sequence[Press], time: float, reach: Reach
+) -> tuple[Array, Array] | tuple[None, None]:
+    """(S', S) of `shapes`: what it costs the right and the left hand to come from other fingers.
+
+    None where it costs nothing.
+    """
+    keys = {press.key for press in now}
+    begins = [press.start >= time for press in now]
+    gaps = tuple([min(max(time - press.end, 0.0), _TIME_TO_CROSS) for press in earlier])
+    changes = []
+    for was, gap in zip(earlier, gaps, strict=True):
+        if was.key in keys:
+            changes += [
+                _UNRELATED if will.key != was.key else _STRUCK_AGAIN if new else _HELD
+                for will, new in zip(now, begins, strict=True)
+            ]
+        elif gap < _TIME_TO_CROSS:
+            changes += [
+                (_HIGHER if will.key > was.key else _LOWER) if new else _UNRELATED
+                for will, new in zip(now, begins, strict=True)
+            ]
+        else:
+            changes += [_UNRELATED] * len(now)
+    return _costs_of_changes(tuple(changes), gaps, reach) if any(changes) else (None, None)
+
+
+@cache
+def _tables(num_fingers: int) -> Array:
+    """(5, 2, F + 1, F + 1) for each of the above, from one finger or none to another.
+
+    Of the right hand and of the left, whose keys rise towards the thumb.
+    """
+    up = np.pad(np.tril(np.ones((num_fingers, num_fingers)), -1), (0, 1))  # to one nearer the thumb
+    down = up.T
+    same = np.pad(np.eye(num_fingers), (0, 1))
+    other = 1.0 - np.eye(num_fingers + 1)
+    return np.stack([[other, other], [other, other], [same, same], [up, down], [down, up]])
+
+
+@lru_cache(maxsize=1024)  # figures come again
+def _costs_of_changes(
+    changes: tuple[int, ...], gaps: tuple[float, ...], reach: Reach
+) -> tuple[Array, Array]:
+    """As `changes_of_fingers`.
+
+    Args:
+        changes: what each of m notes is to each of m' before, (m' m,).
+        gaps: between those before and now (m',) [s].
+        reach: of the hands.
+    """
+    change = np.array(changes).reshape(len(gaps), -1)
+    gap = np.array(gaps)[:, None]
+    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))
+    hurry = _SAME_FINGER * (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))
+    weights = np.stack(
+        [
+            NEVER * (change == _HELD),
+            _OTHER_FINGER * (change == _STRUCK_AGAIN),
+            hurry * (change >= _HIGHER),
+            cross * (change == _HIGHER),
+            cross * (change == _LOWER),
+        ],
+        axis=-1,
+    )
+    tables = _tables(reach.num_fingers)
+    costs = (weights @ tables.reshape(len(tables), -1)).reshape(*change.shape, *tables.shape[1:])
+    costs = costs.transpose(2, 0, 3, 1, 4)
+    fingers_before, fingers = (shapes(m, reach).one_hot for m in change.shape)
+    shape = fingers_before.shape[1], fingers.shape[1]
+    right, left = costs[0].reshape(shape), costs[1, ::-1, :, ::-1].reshape(shape)
+    return (
+        np.ascontiguousarray((fingers_before @ right @ fingers.T).T),
+        np.ascontiguousarray((fingers_before @ left @ fingers.T).T),
+    )

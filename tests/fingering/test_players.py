@@ -1,0 +1,117 @@
+"""Hands of other kinds, in other places and at other keyboards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cadenza.fingering.players import Players, seated
+from cadenza.fingering.search import find_fingering
+from cadenza.fingers import SIDES, hand_of, place_of
+from cadenza.hands.shadow.hand import SHADOW
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.library import load_score
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.music import players_of
+from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
+
+FOUR = seated(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)
+OUT_OF_REACH = "out of reach of both hands"
+
+
+def scale(*pitches: int) -> Score:
+    return Score(tuple(Note(0.5 * i, 0.5 * i + 0.5, pitch) for i, pitch in enumerate(pitches)))
+
+
+def fingers(score: Score, players: Players) -> list[int]:
+    return [note.finger for note in find_fingering(score, players)[0].notes]
+
+
+# Hands that do not slide
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.3, 0.6])
+def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing: float) -> None:
+    players = shadow_hands(hand_spacing=spacing, slides=False)
+    everything = scale(*range(21, 109))
+    played = {n.pitch: n.finger for n in find_fingering(everything, players)[0].notes}
+    for hand, side in enumerate((1, -1)):
+        mine = [p for p, finger in played.items() if finger >= 0 and hand_of(finger) == hand]
+        away = [side * PIANO.grid_y[p - 21] - spacing / 2 for p in mine]
+        assert -max(SHADOW.reach.outward) <= min(away) < -0.05
+        assert 0.1 < max(away) <= max(SHADOW.reach.inward)
+
+
+def test_what_it_does_not_reach_is_dropped_and_said_to_be() -> None:
+    twinkle = load_score("TwinkleTwinkleLittleStar").without_fingers()
+    found, dropped = find_fingering(twinkle, shadow_hands(slides=False))
+    assert {d.reason for d in dropped} == {OUT_OF_REACH}
+    assert {n.pitch for n in found.notes if n.finger >= 0} == {60, 69}
+    assert not find_fingering(twinkle, shadow_hands(hand_spacing=0.15, slides=False))[1]
+
+
+def test_it_plays_with_the_finger_before_the_key() -> None:
+    """Or, where that is a weak one, with its neighbour."""
+    players = shadow_hands(["right"], hand_spacing=0.0, slides=False)
+    for finger, rest in enumerate(SHADOW.reach.rest):
+        distance = abs(PIANO.grid_y - rest) + PIANO.is_black
+        (found,) = fingers(scale(int(distance.argmin()) + 21), players)
+        assert found == finger if finger < 3 else finger - 1 <= found <= finger
+
+
+def test_mirrored_hands_that_do_not_slide() -> None:
+    players = shadow_hands(slides=False)
+    white = [pitch for pitch in range(21, 109) if not PIANO.is_black[pitch - 21]]
+    right, left = (fingers(scale(*pitches), players) for pitches in (white, white[::-1]))
+    assert right == [f if f < 0 else (f + 5) % 10 for f in left]
+
+
+def test_forearms_that_touch_whatever_they_do() -> None:
+    """Mounted too close to each other, they play all the same."""
+    _, dropped = find_fingering(scale(60, 64, 67), shadow_hands(hand_spacing=0.05, slides=False))
+    assert not dropped
+
+
+@pytest.mark.parametrize("dofs", [("tx", "ty"), ("ty",)])
+def test_players_are_those_of_the_scene(dofs) -> None:
+    scene = build_scene(SceneConfig(hands="left", forearm_dofs=dofs, hand_spacing=0.4))
+    right, left = players_of(scene).forearms
+    assert right is None
+    assert left.home == pytest.approx(-0.2)
+    assert (left.low < -0.6 and left.high > 0.6) == ("tx" in dofs)
+
+
+# Other hands and keyboards
+
+
+def test_a_hand_of_four_fingers() -> None:
+    everything = Score(tuple(Note(0, 1, pitch) for pitch in range(21, 109)))
+    found, dropped = find_fingering(everything, FOUR)
+    assert [n.finger for n in found.notes if n.finger >= 0] == [8, 7, 6, 5, 0, 1, 2, 3]
+    assert {d.reason for d in dropped} == {"more than 8 notes at once for both hands"}
+
+
+def test_fingers_that_a_hand_does_not_have_are_found_anew() -> None:
+    written = load_score("OdeToJoy")
+    assert 4 in {place_of(note.finger) for note in written.notes}
+    found, dropped = find_fingering(written, FOUR)
+    assert not dropped
+    for before, after in zip(written.notes, found.notes, strict=True):
+        assert after.finger == before.finger or place_of(before.finger) == 4
+        assert place_of(after.finger) < 4
+
+
+def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
+    small = seated(SHADOW.reach, TWO_OCTAVES, SIDES, hand_spacing=0.3, slides=True)
+    found, dropped = find_fingering(scale(47, 48, 72, 73), small)
+    assert [d.note.pitch for d in dropped] == [47, 73]
+    assert {d.reason for d in dropped} == {"not on this keyboard"}
+    assert [hand_of(n.finger) for n in found.notes[1:3]] == [1, 0]
+    wide = replace(TWO_OCTAVES, gap=0.03)  # no hand spans an octave of it
+    chord = Score((Note(0, 1, 48), Note(0, 1, 60), Note(0, 1, 72)))
+    wider = seated(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)
+    assert not find_fingering(chord, small)[1]
+    assert len(find_fingering(chord, wider)[1]) == 1
