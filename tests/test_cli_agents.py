@@ -308,3 +308,15 @@ def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
 ) -> None:
     assert interrupted(capsys, agent).endswith("cadenza: interrupted\n")
     assert os.listdir(here / "part") == []
+
+
+# Hands of one's own
+
+
+@pytest.mark.parametrize("command", ["play", "plan"])
+def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
+    (here / "own.py").write_text("from cadenza.hands.shadow.hand import SHADOW as MINE")
+    write_midi(Score((Note(0.0, 0.2, 60),)), here / "note.mid")
+    hand = ["--hand", "own:MINE", "--hands", "right", "-o", f"out{'.npz' * (command == 'plan')}"]
+    main([command, "note.mid", *hand, *["--no-video"] * (command == "play")])
+    assert any(path.name.startswith("out") for path in here.iterdir())

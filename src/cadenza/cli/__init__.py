@@ -58,6 +58,8 @@ def _run(arguments: list[str]) -> None:
     if name not in _COMMANDS:
         _run_without_command(arguments)
         return
+    if any(":" in word for word in rest) and "" not in sys.path:
+        sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
     kind, run = _COMMANDS[name]
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
     read = partial(parse, kind, f"cadenza {name}", rest)

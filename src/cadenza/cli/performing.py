@@ -72,8 +72,6 @@ def cast_of(command: Performing, agent: str | None, plan: Path | None = None) ->
     """The song of a command, and whoever plays it with the options of the command."""
     from cadenza.performing.casting import cast
 
-    if agent is not None and ":" in agent and "" not in sys.path:
-        sys.path.append("")  # `module:Class` may lie in the working folder
     return cast(
         command.song, agent, arrangement=command.arrangement, configs=command.configs, plan=plan
     )
