@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 
 import gymnasium as gym
@@ -32,6 +34,11 @@ def test_every_bundled_song_is_registered() -> None:
     for piece in songs():
         assert f"cadenza/{piece.name}-v0" in gym.registry
     assert cadenza.__version__
+
+
+def test_gymnasium_imports_the_package_that_is_named() -> None:
+    make = 'import gymnasium as gym; gym.make("cadenza:cadenza/OdeToJoy-v0").reset(seed=0)'
+    subprocess.run([sys.executable, "-c", make], check=True, timeout=60)
 
 
 def test_gymnasium_checks_the_env() -> None:

@@ -2,7 +2,7 @@
 
 What the hands cannot play is left out first, see `cadenza.fingering.playable`. The rest is found
 by a dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once.
-Notes that sound together lie in the order of the ten fingers, so that what a hand does at a moment
+Notes that sound together lie in the order of the fingers, so that what a hand does at a moment
 is the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the
 right hand the highest. A hand without notes stands somewhere along the keyboard. From these states
 and their transitions the cheapest sequence is found, exactly. Time and memory grow in proportion
@@ -12,6 +12,7 @@ notes sound.
 Costs, about 1 for something worth avoiding once:
 
 - stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
+- fingers off their places at rest, where the forearm cannot slide to where they would be there;
 - moving the hand along the keyboard: by the way, and by its square over the time there is;
 - a finger that has to leave one key and press another, the less time there is between the two;
 - fingers that would pass over or under one another from one moment to the next;
@@ -87,11 +88,13 @@ def find_fingering(
     if all(note.finger != UNKNOWN_FINGER for note in score.notes):
         return score, ()
     asked = score, players
-    if asked not in _last_found:
-        found = solve(score, players, progress)
+    found = _last_found.get(asked)
+    if found is None:
+        solution = solve(score, players, progress)
+        found = solution.score, solution.dropped
         _last_found.clear()
-        _last_found[asked] = found.score, found.dropped
-    return _last_found[asked]
+        _last_found[asked] = found
+    return found
 
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
