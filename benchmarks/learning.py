@@ -34,7 +34,14 @@ from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.observation import Floats, Inputs, Observer, Scores, inputs_of
+from cadenza.learning.observation import (
+    Floats,
+    Inputs,
+    ObservationSpec,
+    Observer,
+    Scores,
+    pruned,
+)
 from cadenza.learning.replay_buffer import Batch, Replay
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
@@ -84,7 +91,8 @@ def gather(score: Score) -> Experience:
     task, rng = PianoTask([score]), np.random.default_rng(0)
     scores = Scores(task)
     scores.add_all(task)
-    inputs, short_inputs = inputs_of(task, None, False), inputs_of(task, scores, False)
+    spec = ObservationSpec.of(task)
+    inputs, short_inputs = spec.inputs, pruned(spec, scores)
     observer = Observer(task, scores, inputs)
     actions = task.action_size
     played = Replay(observer, 1, 2 * PLAYED, actions)

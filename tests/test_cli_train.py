@@ -201,7 +201,7 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
     folder = tmp_path / "run"
     with monkeypatch.context() as patch:
         if when == "while it is made":
-            patch.setattr(training, "plan_of", interrupted)
+            patch.setattr(training, "reference_of", interrupted)
         else:
             patch.setattr(train, "asked_to_stop", at_once)
         with pytest.raises(SystemExit) as stop:

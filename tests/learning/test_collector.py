@@ -13,10 +13,10 @@ from rl_examples import melody
 
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.control import control_of
-from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.observation import Observer, Scores
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch, Replay
-from cadenza.learning.residual import plan_of
+from cadenza.learning.residual import reference_of
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -66,9 +66,8 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = Scores(self.task)
         self.scores.add_all(self.task)
-        control = control_of(self.task, plan_of(self.task) if residual else None, None)
-        inputs = inputs_of(self.task, None, residual)
-        self.observer = Observer(self.task, self.scores, inputs, control.plan)
+        control = control_of(self.task, reference_of(self.task) if residual else None, None)
+        self.observer = Observer(self.task, self.scores, reference=control.reference)
         self.replay = Replay(self.observer, 3, capacity, self.task.action_size)
         rng = np.random.default_rng(0)
         self.collector = Collector(

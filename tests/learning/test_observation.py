@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
-from cadenza.errors import CadenzaError
-from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.observation import ObservationSpec, Observer, Scores, pruned
 from cadenza.music.score import NUM_KEYS
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -66,7 +65,7 @@ def task(request: pytest.FixtureRequest) -> PianoTask:
 
 def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) -> None:
     scores = Scores(task)
-    observer = Observer(task, scores, inputs_of(task, None, False))
+    observer = Observer(task, scores)
     for seed in range(3):
         acting = Acting(task, scores, seed)
         for _ in range(int(task.sheets.num_steps.max()) + 3):
@@ -79,9 +78,9 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
     scores = Scores(task)
     scores.add_all(task)
-    inputs = inputs_of(task, scores, False)
+    inputs = pruned(ObservationSpec.of(task), scores)
     observer = Observer(task, scores, inputs)
-    whole = Observer(task, scores, inputs_of(task, None, False))
+    whole = Observer(task, scores)
     kept = np.array(inputs.kept)
     left_out = np.setdiff1d(np.arange(task.observation_size), kept)
     # Some 80 keys that no song asks for, in all the steps ahead.
@@ -99,7 +98,7 @@ def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     task = PianoTask([SONGS[0]])
     scores = Scores(task)
     scores.add_all(task)
-    inputs = inputs_of(task, scores, False)
+    inputs = pruned(ObservationSpec.of(task), scores)
     acting = Acting(task, scores)
     seen = np.zeros(task.observation_size, bool)
     seen[task.observation_layout["key_state"].start :] = True
@@ -120,7 +119,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     """
     task = PianoTask(SONGS, num_envs=2)
     low, high = task.action_low, task.action_high
-    observer = Observer(task, scores := Scores(task), inputs_of(task, None, False))
+    observer = Observer(task, scores := Scores(task))
     acting = Acting(task, scores)
     previous = np.zeros((2, task.action_size + 1))
     for _ in range(6):
@@ -133,18 +132,20 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     assert np.abs(previous).max() > 0
 
 
-def test_with_a_plan_its_next_action_comes_last() -> None:
+def test_with_a_reference_its_next_action_comes_last() -> None:
     task = PianoTask(SONGS[:1])
     scores = Scores(task)
     scores.add_all(task)
     reset(task)
     steps = int(task.sheets.num_steps[0])
-    plan = np.random.default_rng(0).uniform(-1, 1, (steps, task.action_size)).astype(np.float32)
-    observer = Observer(task, scores, inputs_of(task, None, True), plan)
+    reference = (
+        np.random.default_rng(0).uniform(-1, 1, (steps, task.action_size)).astype(np.float32)
+    )
+    observer = Observer(task, scores, reference=reference)
     acting = Acting(task, scores)
     for step in range(steps + 2):
         shown = acting.seen_by(observer)[0, -task.action_size :]
-        assert_array_equal(shown, plan[min(step, steps - 1)])
+        assert_array_equal(shown, reference[min(step, steps - 1)])
         acting.step()
 
 
@@ -179,7 +180,7 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
     task = PianoTask(SONGS)
     scores = Scores(task)
     scores.add_all(task)
-    observer = Observer(task, scores, inputs_of(task, scores, False))
+    observer = Observer(task, scores, pruned(ObservationSpec.of(task), scores))
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))
     rest = rng.random((2, 5, observer.rest_size), np.float32)
@@ -192,9 +193,25 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
         assert alone.shape == (len(observer.inputs.kept),)
 
 
-def test_refuses_a_task_that_shows_something_else() -> None:
-    learnt = PianoTask(SONGS)
-    other = PianoTask(SONGS, TaskConfig(n_steps_lookahead=3))
-    with pytest.raises(CadenzaError, match=r"observes 1\d+ numbers.*has \d+: use") as error:
-        Observer(other, Scores(other), inputs_of(learnt, None, False))
-    assert "\n" not in str(error.value)
+@pytest.mark.parametrize("residual", [False, True])
+def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
+    """It follows from the task and the scene."""
+    specs = {ObservationSpec.of(PianoTask([song]), residual) for song in SONGS}
+    assert len(specs) == 1
+    (spec,) = specs
+    task = PianoTask(SONGS[:1])
+    assert {n: spec.layout[n] for n in task.observation_layout} == task.observation_layout
+    assert spec.size == task.observation_size + task.action_size + 1 + residual * task.action_size
+    assert spec.inputs.kept == tuple(range(spec.size))
+    less = PianoTask(SONGS[:1], TaskConfig(n_steps_lookahead=3), SceneConfig(hands="left"))
+    assert ObservationSpec.of(less).goal == 4 * (NUM_KEYS + 1)
+    assert ObservationSpec.of(less).joints < spec.joints
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_shape_is_that_of_what_is_observed(name: str) -> None:
+    options, scene = TASKS[name]
+    task = PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene))
+    acting = Acting(task, Scores(task))
+    observer = Observer(task, acting.scores)
+    assert acting.seen_by(observer).shape == (1, ObservationSpec.of(task).size)

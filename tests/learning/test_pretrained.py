@@ -23,7 +23,7 @@ def test_there_are_three_and_they_are_small() -> None:
 
 
 def test_one_of_them_was_learnt_from_nothing() -> None:
-    assert load_policy(pretrained.pretrained_folder("TwinkleTwinkleLittleStar")).plan is None
+    assert load_policy(pretrained.pretrained_folder("TwinkleTwinkleLittleStar")).reference is None
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
-from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.observation import Observer, Scores
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -89,7 +89,7 @@ def test_acts_and_sees_on_that_scale() -> None:
     task = PianoTask([SONG], num_envs=2)
     scores, ranges = Scores(task), ranges_of(task)
     scores.add_all(task)
-    observer = Observer(task, scores, inputs_of(task, None, False), ranges=ranges)
+    observer = Observer(task, scores, ranges=ranges)
     for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):
         assert_allclose(ranges.ctrl(np.full((2, task.action_size), end, np.float32)), [rows, rows])
     assert_array_equal(

@@ -13,7 +13,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import Performance, play
 from cadenza.errors import CadenzaError
-from cadenza.learning.residual import PlanFollower, plan_of
+from cadenza.learning.residual import ReferenceTracker, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -31,11 +31,11 @@ class Following:
         self.correction = correction
 
     def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self.task, self.follower = task, PlanFollower(task, plan_of(task))
+        self.task, self.tracker = task, ReferenceTracker(task, reference_of(task))
 
     def act(self) -> Any:
         correction = np.full((1, self.task.action_size), self.correction, np.float32)
-        return self.follower.ctrl(correction)[0]
+        return self.tracker.ctrl(correction)[0]
 
 
 def performance(agent: Any, score: Score = SONG, **options: Any) -> Performance:
@@ -59,9 +59,9 @@ def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, An
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
-    follower = PlanFollower(task, plan_of(task))
+    tracker = ReferenceTracker(task, reference_of(task))
     plain, moved = (
-        follower.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
+        tracker.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
     )
     change = moved - plain
     assert change[-1] == 0
@@ -77,7 +77,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.scale_action(PlanFollower(task, plan_of(task)).actions)
+    plan = task.scale_action(ReferenceTracker(task, reference_of(task)).actions)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.action_high - task.action_low
@@ -88,10 +88,10 @@ def test_a_plan_is_for_one_score_and_for_hands() -> None:
     for option in ({"random_stretch": 0.1}, {"random_hand_position": 0.1}):
         task = PianoTask([SONG], TaskConfig(**option))  # type: ignore[arg-type]
         with pytest.raises(CadenzaError, match=f"leave out {next(iter(option))}"):
-            plan_of(task)
+            reference_of(task)
     task = PianoTask([SONG], scene=SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="this scene has no hands"):
-        plan_of(task)
+        reference_of(task)
 
 
 def test_the_fingers_of_a_file_are_forgotten() -> None:

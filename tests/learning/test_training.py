@@ -116,7 +116,7 @@ def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
         assert facts[name] == other_facts[name]
     for name in ("best", "last"):
         ours, theirs = (load_policy(r.path / name) for r in (run, other))
-        nothing: dict[str, Any] = {"policy": None, "plan": None, "ranges": None}
+        nothing: dict[str, Any] = {"policy": None, "reference": None, "ranges": None}
         assert replace(ours, **nothing) == replace(theirs, **nothing)
         for layer, array in ours.policy.weights.items():
             assert_array_equal(array, theirs.policy.weights[layer], err_msg=f"{name}: {layer}")
@@ -151,7 +151,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     assert about["eval/f1"] == best["eval/f1"]
     assert about["eval_step"] == best["eval_step"]
     learnt = load_policy(run.path / "best")
-    assert (learnt.plan is not None) == WAYS[way].residual
+    assert learnt.residual == WAYS[way].residual
     metrics = play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
     for name in ("f1", "precision", "return", "reward/key_press", "steps"):
         assert metrics[name] == best[f"eval/{name}"]

@@ -356,6 +356,7 @@ def test_labels_are_as_people_say_them(written, browser: Browser, tmp_path: Path
     assert {"0", "1 h", "2 h", "3 h"} < time
     assert {"−0.40", "−0.36"} < earned
     assert {"0.01", "0.1", "1", "10"} < loss
+    assert not {"0.001", "100"} & loss
 
 
 @pytest.mark.slow

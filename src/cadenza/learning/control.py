@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cadenza.learning.observation import Floats
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.residual import Plan, PlanFollower
+from cadenza.learning.residual import Reference, ReferenceTracker
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -19,13 +19,13 @@ class Control(NamedTuple):
 
     ctrl: Callable[[Floats], NDArray[np.float64]]
     """From what it does (N, A) to actions in actuator units."""
-    plan: Floats | None
-    """(T, A) what is done if it does nothing, in [-1, 1]; None where that is not planned."""
+    reference: Floats | None
+    """(T, A) what is done if it does nothing, in [-1, 1], where it corrects that."""
 
 
-def control_of(task: PianoTask, plan: Plan | None, ranges: Ranges | None) -> Control:
-    """A policy corrects `plan`, or else acts within `ranges`, or else within those of the task."""
-    if plan is not None:
-        follower = PlanFollower(task, plan)
-        return Control(follower.ctrl, follower.actions)
+def control_of(task: PianoTask, reference: Reference | None, ranges: Ranges | None) -> Control:
+    """A policy corrects a reference, or else acts within `ranges`, or within those of the task."""
+    if reference is not None:
+        tracker = ReferenceTracker(task, reference)
+        return Control(tracker.ctrl, tracker.actions)
     return Control(ranges.ctrl if ranges else task.scale_action, None)

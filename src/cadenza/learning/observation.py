@@ -1,4 +1,7 @@
-"""What a policy observes: what the task shows, its previous action and reward, the plan's action.
+"""What a policy observes: what the task shows, its previous action and reward, a reference action.
+
+Its shape follows from task and scene, and is the same for every song (`ObservationSpec`). For a
+single song it can be pruned (`pruned`) and put on the scale of that song (`ranges`).
 
 Most of it follows from the score and the step that comes next. `Observer` puts it together from
 what does not follow and a table of the scores, for acting and for learning alike, so that nothing
@@ -7,8 +10,8 @@ of it has to be kept for every transition.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import astuple, dataclass, fields
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -29,17 +32,62 @@ _ROW = _GOAL + NUM_FINGERS
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Which entries of what could be observed a network is given.
+class ObservationSpec:
+    """The parts of an observation in their order, each with its size, whatever the song is."""
 
-    Those that are always zero for a song can be left out: no weight of theirs would ever be used
-    or change. A network without them begins with the same other weights.
-    """
+    goal: int
+    """Keys and pedal of the next step and of those ahead of it."""
+    fingering: int
+    key_state: int
+    pedal: int
+    joints: int
+    previous_action: int
+    previous_reward: int
+    reference: int
+    """The next action of what a residual policy corrects."""
+
+    @classmethod
+    def of(cls, task: PianoTask, residual: bool = False) -> ObservationSpec:
+        """That of a task."""
+        sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
+        return cls(
+            **{name: sizes.get(name, 0) for name in _OF_THE_TASK},
+            previous_action=task.action_size,
+            previous_reward=1,
+            reference=task.action_size * residual,
+        )
+
+    @property
+    def size(self) -> int:
+        """D."""
+        return sum(astuple(self))
+
+    @property
+    def layout(self) -> dict[str, slice]:
+        """Name -> slice of an observation."""
+        ends = accumulate(astuple(self))
+        return {
+            field.name: slice(end - getattr(self, field.name), end)
+            for field, end in zip(fields(self), ends, strict=True)
+        }
+
+    @property
+    def inputs(self) -> Inputs:
+        """All entries."""
+        return Inputs(tuple(range(self.size)), self.size)
+
+
+_OF_THE_TASK = ("goal", "fingering", "key_state", "pedal", "joints")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Which entries of an observation a network is given."""
 
     kept: tuple[int, ...]
     """Indices of those that are given, ascending."""
     total: int
-    """How many there could be."""
+    """How many there are."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: indices that cannot be."""
@@ -115,25 +163,28 @@ class Scores:
         self._first = {self._rows[first:last].tobytes(): first for first, last in pairwise(ends)}
 
 
-def inputs_of(task: PianoTask, scores: Scores | None, with_plan: bool) -> Inputs:
-    """What of an observation is there; with `scores`, without what is zero in all of them."""
-    layout, actions = task.observation_layout, task.action_size
-    goal = np.arange(layout["goal"].stop)
-    fingers = np.arange(NUM_FINGERS if "fingering" in layout else 0)
-    total = task.observation_size + actions + 1 + actions * with_plan
-    rest = np.arange(layout["key_state"].start, total)
-    if scores is not None:
-        keys_wanted, fingers_wanted = scores.ever_wanted()
-        goal, fingers = goal[keys_wanted[goal % _GOAL]], fingers[fingers_wanted[fingers]]
-    kept = np.concatenate([goal, layout["goal"].stop + fingers, rest])
-    return Inputs(tuple(kept.tolist()), total)
+def pruned(spec: ObservationSpec, scores: Scores) -> Inputs:
+    """Without goals of keys and fingers that none of the scores ever asks for.
+
+    They are always zero, so that no weight of theirs would ever be used or change. A network
+    without them begins with the same other weights.
+    """
+    layout = spec.layout
+    keys_wanted, fingers_wanted = scores.ever_wanted()
+    goal, fingers = np.arange(spec.goal), np.arange(spec.fingering)
+    kept = (
+        goal[keys_wanted[goal % _GOAL]],
+        layout["fingering"].start + fingers[fingers_wanted[fingers]],
+        np.arange(layout["key_state"].start, spec.size),
+    )
+    return Inputs(tuple(np.concatenate(kept).tolist()), spec.size)
 
 
 class Observer:
     """Puts observations together.
 
     An observation is that of the task, then as published the previous action in actuator units and
-    the reward that it got, and with a plan its next action. At first both are 0, where the
+    the reward that it got, and with a reference its next action. At first both are 0, where the
     published wrapper shows the least action. With ranges, joints and the previous action are on
     their scale.
 
@@ -145,28 +196,20 @@ class Observer:
         self,
         task: PianoTask,
         scores: Scores,
-        inputs: Inputs,
-        plan: Floats | None = None,
+        inputs: Inputs | None = None,
+        reference: Floats | None = None,
         ranges: Ranges | None = None,
     ) -> None:
         """Args:
         task: whose observations they are.
         scores: the music.
-        inputs: which entries are to be there.
-        plan: (T, A) of the only score, in [-1, 1].
+        inputs: which entries are to be there, all by default.
+        reference: (T, A) actions for the only score, in [-1, 1].
         ranges: of joints and actions, which are shown as -1 to 1 then.
-
-        Raises:
-            CadenzaError: the observations have other entries.
         """
-        if inputs.total != inputs_of(task, None, plan is not None).total:
-            raise CadenzaError(
-                f"the policy observes {inputs.total} numbers, but this task has "
-                f"{inputs_of(task, None, plan is not None).total}: use the task and scene options "
-                "that it was trained with"
-            )
-        self.inputs = inputs
-        self._scores, self._plan = scores, plan
+        spec = ObservationSpec.of(task, residual=reference is not None)
+        self.inputs = inputs or spec.inputs
+        self._scores, self._reference = scores, reference
         self._centre = ((task.action_high + task.action_low) / 2).astype(np.float32)
         self._scale = ((task.action_high - task.action_low) / 2).astype(np.float32)
         self._joints: tuple[slice, Floats, Floats] | None = None
@@ -174,8 +217,8 @@ class Observer:
             self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
             low, high = ranges.joints.astype(np.float32)
             self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
-        goals, rest = task.observation_layout["goal"].stop, task.observation_layout["key_state"]
-        kept = np.array(inputs.kept)
+        goals, rest = spec.goal, task.observation_layout["key_state"]
+        kept = np.array(self.inputs.kept)
         self._goal = kept[kept < goals]
         self._fingers = kept[(kept >= goals) & (kept < rest.start)] - goals
         self._rest = slice(rest.start, task.observation_size)
@@ -218,6 +261,6 @@ class Observer:
             rest,
             np.where(first[..., None], np.float32(0), before),
         ]
-        if self._plan is not None:
-            parts.append(self._plan[np.minimum(rows, len(self._plan) - 1)])
+        if self._reference is not None:
+            parts.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
         return np.concatenate(parts, axis=-1)

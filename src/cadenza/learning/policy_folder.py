@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, ArrayOf, checked
-from cadenza.learning.observation import Inputs, inputs_of
-from cadenza.learning.old_formats import warn_of_old_policy
+from cadenza.files import FLOATS, ArrayOf, check_arrays, checked
+from cadenza.learning.observation import Inputs, ObservationSpec
+from cadenza.learning.old_formats import is_old_policy, renewed_policy
 from cadenza.learning.policy import Activation, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.residual import Plan
+from cadenza.learning.residual import Reference
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
@@ -24,10 +24,9 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 _KIND = "policy"
-_FORMAT = 2
-_READ = (1, _FORMAT)  # the first had no ranges
-_PLAN, _RANGES = "plan/", "ranges/"  # what names of their arrays begin with
-_CHANGE_THE_PLAN = (
+_FORMAT = 3
+_REFERENCE, _RANGES = "reference/", "ranges/"  # what names of their arrays begin with
+_CHANGE_THE_REFERENCE = (
     "control_timestep",
     "trim_silence",
     "stretch",
@@ -37,6 +36,8 @@ _CHANGE_THE_PLAN = (
     "random_stretch",
     "random_pitch_shift",
     "random_octave_shift",
+    "keyboard",
+    "hand",
     "hands",
     "reduced_action_space",
     "forearm_dofs",
@@ -48,16 +49,18 @@ _CHANGE_WHAT_IS_OBSERVED = (
     "n_seconds_lookahead",
     "control_timestep",
     "fingering",
+    "keyboard",
+    "hand",
     "hands",
     "reduced_action_space",
     "forearm_dofs",
 )
 _EXPECTED = {
-    "plan/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
-    "plan/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
-    "plan/expected": ArrayOf(FLOATS, ("steps + 1", "servos", 2), finite=True),
-    "plan/pedal": ArrayOf(FLOATS, ("steps",), finite=True),
-    "plan/reach": ArrayOf(FLOATS, ("servos",), finite=True),
+    "reference/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
+    "reference/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
+    "reference/expected": ArrayOf(FLOATS, ("steps + 1", "servos", 2), finite=True),
+    "reference/pedal": ArrayOf(FLOATS, ("steps",), finite=True),
+    "reference/reach": ArrayOf(FLOATS, ("servos",), finite=True),
     "ranges/joints": ArrayOf(FLOATS, (2, "joints"), finite=True),
     "ranges/actions": ArrayOf(FLOATS, (2, "actions"), finite=True),
     "mean/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
@@ -76,8 +79,8 @@ class _Facts:
     format: int
     activation: Activation
     log_std_range: tuple[float, float]
+    observation: ObservationSpec
     inputs: Inputs
-    residual: bool
     task: TaskConfig
     scene: SceneConfig
     score: Score
@@ -89,8 +92,10 @@ class LearntPolicy:
     """A policy and all that is needed to play with it."""
 
     policy: Policy
+    observation: ObservationSpec
     inputs: Inputs
-    plan: Plan | None
+    """Which of that it is given."""
+    reference: Reference | None
     """What it corrects, if it does."""
     ranges: Ranges | None
     """On whose scale it sees and acts, if not on the task's."""
@@ -102,7 +107,12 @@ class LearntPolicy:
     @property
     def agent(self) -> PolicyAgent:
         """For one that is played."""
-        return PolicyAgent(self.policy, self.inputs, self.plan, self.ranges)
+        return PolicyAgent(self.policy, self.observation, self.inputs, self.reference, self.ranges)
+
+    @property
+    def residual(self) -> bool:
+        """Whether it corrects a reference, which is that of one song."""
+        return self.reference is not None
 
     def has_learnt(self, score: Score) -> bool:
         """Whether it was trained to play the notes and the pedal of `score`."""
@@ -111,11 +121,11 @@ class LearntPolicy:
 
     def check(self, name: str, task: PianoTask) -> None:
         """Raises:
-        CadenzaError: `name`, as it is known, corrects another plan than is needed for `task`, or
-            observes other things than that shows.
+        CadenzaError: `name`, as it is known, corrects another reference than is needed for `task`,
+            or observes other things than that shows.
         """
-        options: tuple[str, ...] = () if self.plan is None else _CHANGE_THE_PLAN
-        if self.inputs.total != inputs_of(task, None, self.plan is not None).total:
+        options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
+        if self.observation != ObservationSpec.of(task, self.residual):
             options += _CHANGE_WHAT_IS_OBSERVED
         learnt, here = (
             vars(self.task) | vars(self.scene),
@@ -140,14 +150,14 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "about": about,
         "activation": learnt.policy.activation,
         "log_std_range": learnt.policy.log_std_range,
+        "observation": asdict(learnt.observation),
         "inputs": asdict(learnt.inputs),
-        "residual": learnt.plan is not None,
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
         "score": asdict(learnt.score),
     }
     try:
-        parts = _named(_PLAN, learnt.plan) | _named(_RANGES, learnt.ranges)
+        parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
         write_sealed(folder, _KIND, facts, learnt.policy.weights | parts)
     except OSError as error:
         raise CadenzaError(
@@ -163,24 +173,26 @@ def load_policy(folder: Path) -> LearntPolicy:
         raise CadenzaError(
             f"{folder}: is the folder of a training run; its best policy is {folder / 'best'}"
         )
-    plain, arrays = read_sealed(folder, _KIND, _EXPECTED)
-    warn_of_old_policy(folder)
-    if (number := plain.get("format")) not in _READ:
+    plain, arrays = read_sealed(folder, _KIND)
+    where = folder / "facts.json"
+    if is_old_policy(folder, plain):
+        plain, arrays = renewed_policy(plain, arrays, where)
+    elif (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
             f"{folder}: this policy has format {number!r}, but this version reads only up to "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
-    learnt = _learnt(checked(plain, _Facts, folder / "facts.json"), arrays, folder)
-    try:
-        learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))  # layers that fit
-    except (KeyError, ValueError) as error:
+    check_arrays(arrays, _EXPECTED, folder)
+    learnt = _learnt(checked(plain, _Facts, where), arrays)
+    if learnt is None or not _fits_together(learnt):
         raise CadenzaError(
-            f"{folder}: not a policy that this version can read ({error!r}); use another copy"
-        ) from error
+            f"{folder}: not a policy that this version can read (its arrays do not belong "
+            "together); use another copy"
+        )
     return learnt
 
 
-def _named(prefix: str, part: Plan | Ranges | None) -> dict[str, NDArray[Any]]:
+def _named(prefix: str, part: Reference | Ranges | None) -> dict[str, NDArray[Any]]:
     return {} if part is None else {prefix + name: a for name, a in part._asdict().items()}
 
 
@@ -188,21 +200,40 @@ def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
-def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]], folder: Path) -> LearntPolicy:
-    plan, ranges = _with(_PLAN, arrays), _with(_RANGES, arrays)
-    for names, kind, wanted in ((plan, Plan, facts.residual), (ranges, Ranges, bool(ranges))):
-        if names.keys() != set(kind._fields if wanted else ()):
-            raise CadenzaError(
-                f"{folder}: not a policy that this version can read (arrays of its plan or its "
-                "ranges are missing, or too many); use another copy"
-            )
-    weights = {n: a for n, a in arrays.items() if not n.startswith((_PLAN, _RANGES))}
+def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | None:
+    """None where arrays of the reference or of the ranges are missing."""
+    reference, ranges = _with(_REFERENCE, arrays), _with(_RANGES, arrays)
+    for found, kind in ((reference, Reference), (ranges, Ranges)):
+        if found and found.keys() != set(kind._fields):
+            return None
+    weights = {n: a for n, a in arrays.items() if not n.startswith((_REFERENCE, _RANGES))}
     return LearntPolicy(
         policy=Policy(weights, facts.activation, facts.log_std_range),
+        observation=facts.observation,
         inputs=facts.inputs,
-        plan=Plan(**plan) if facts.residual else None,
+        reference=Reference(**reference) if reference else None,
         ranges=Ranges(**ranges) if ranges else None,
         task=facts.task,
         scene=facts.scene,
         score=facts.score,
+    )
+
+
+def _fits_together(learnt: LearntPolicy) -> bool:
+    observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
+    actions = observation.previous_action
+    try:
+        action = learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))
+    except (KeyError, ValueError):  # layers that do not fit
+        return False
+    return (
+        action.shape == (1, actions)
+        and learnt.inputs.total == observation.size
+        and observation.reference == actions * learnt.residual
+        and (ranges is None or ranges.joints.shape[1] == observation.joints)
+        and (
+            reference is None
+            or (*reference.ctrl.shape, len(reference.expected))
+            == (len(reference.ctrl), actions - 1, len(reference.ctrl) + 1)
+        )
     )

@@ -182,6 +182,9 @@ class Replay:
             raise CadenzaError("experience: does not continue what came before; start a new run")
         if there != (expected := (to - start).sum()):
             raise CadenzaError(f"experience: has {there} frames instead of {expected}")
+        # Nothing of an environment closes no gap: what comes next is still the first after it.
+        some = to > start
+        start, to = np.where(some, start, self._count), np.where(some, to, self._count)
         gap = np.flatnonzero(self._count < start)
         self.skip(start)
         at = self._places(start, to)

@@ -1,4 +1,4 @@
-"""The plan that a residual policy corrects: inverse kinematics of the song, with feedback."""
+"""What a residual policy corrects: inverse kinematics of the song, tracked with feedback."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _REACH = {"forearm_tx": 0.03, "forearm_ty": 0.015, "WRJ2": 0.1, "WRJ1": 0.1}
 _FINGER_REACH = 0.25
 
 
-class Plan(NamedTuple):
+class Reference(NamedTuple):
     """How the hands are to play T steps with A servos, and how far that may be corrected."""
 
     ctrl: Floats
@@ -36,8 +36,8 @@ class Plan(NamedTuple):
     """(A,) of corrections [m, rad]."""
 
 
-def plan_of(task: PianoTask) -> Plan:
-    """The plan for the only score of a task.
+def reference_of(task: PianoTask) -> Reference:
+    """That of the only score of a task.
 
     Raises:
         CadenzaError: the task changes the score or the start at random, or has no hands.
@@ -47,21 +47,21 @@ def plan_of(task: PianoTask) -> Plan:
     plan = plan_song(task, score)
     reach = [_REACH.get(name, _FINGER_REACH) for name in servos_of(task.scene).names]
     arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
-    return Plan._make(array.astype(np.float32) for array in arrays)
+    return Reference._make(array.astype(np.float32) for array in arrays)
 
 
-class PlanFollower:
+class ReferenceTracker:
     """Turns corrections in [-1, 1] into actions."""
 
-    def __init__(self, task: PianoTask, plan: Plan) -> None:
-        self._task, self._plan = task, plan
+    def __init__(self, task: PianoTask, reference: Reference) -> None:
+        self._task, self._reference = task, reference
         self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
         self._low, self._high = task.action_low, task.action_high
 
     @property
     def actions(self) -> Floats:
-        """(T, A + 1) of the plan with the pedal, in [-1, 1]."""
-        action = np.concatenate([self._plan.ctrl, self._plan.pedal[:, None]], axis=1)
+        """(T, A + 1) of the reference with the pedal, in [-1, 1]."""
+        action = np.concatenate([self._reference.ctrl, self._reference.pedal[:, None]], axis=1)
         centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
         return ((action - centre) / scale).astype(np.float32)
 
@@ -70,12 +70,12 @@ class PlanFollower:
 
         The pedal is the score's whatever the correction.
         """
-        row, state, plan = self._task.sheets.row, self._task.state, self._plan
+        row, state, reference = self._task.sheets.row, self._task.state, self._reference
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         here = np.stack([position, speed], axis=-1)
-        feedback = (plan.gain[row] * (here - plan.expected[row])).sum(axis=-1)
-        hands = plan.ctrl[row] - feedback + plan.reach * correction[:, :-1]
-        both = np.concatenate([hands, plan.pedal[row, None]], axis=1)
+        feedback = (reference.gain[row] * (here - reference.expected[row])).sum(axis=-1)
+        hands = reference.ctrl[row] - feedback + reference.reach * correction[:, :-1]
+        both = np.concatenate([hands, reference.pedal[row, None]], axis=1)
         return np.clip(both, self._low, self._high)
 
 

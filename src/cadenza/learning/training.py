@@ -20,11 +20,11 @@ from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.control import control_of
-from cadenza.learning.observation import Observer, Scores, inputs_of
+from cadenza.learning.observation import ObservationSpec, Observer, Scores, pruned
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import Replay
-from cadenza.learning.residual import plan_of
+from cadenza.learning.residual import reference_of
 from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
@@ -69,12 +69,14 @@ class Training:
         self._task = self._new_task(config.num_envs)
         self._scores = Scores(self._task)
         self._scores.add_all(self._task)
-        self._plan = plan_of(self._task) if config.residual else None
+        self._reference = reference_of(self._task) if config.residual else None
         narrowed = config.song_range and self._task.scene.sides
         self._ranges = ranges_of(self._task) if narrowed else None
-        control = control_of(self._task, self._plan, self._ranges)
-        inputs = inputs_of(self._task, self._known_scores(), config.residual)
-        observer = Observer(self._task, self._scores, inputs, control.plan, self._ranges)
+        control = control_of(self._task, self._reference, self._ranges)
+        self._observation = ObservationSpec.of(self._task, config.residual)
+        prune = self._has_known_scores() and not config.keep_zero_inputs
+        inputs = pruned(self._observation, self._scores) if prune else self._observation.inputs
+        observer = Observer(self._task, self._scores, inputs, control.reference, self._ranges)
         actions = self._task.action_size
         self._inputs = inputs
         self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
@@ -112,11 +114,10 @@ class Training:
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)
 
-    def _known_scores(self) -> Scores | None:
-        """What will be played, if what is always zero in it is to be left out."""
+    def _has_known_scores(self) -> bool:
+        """Whether no other keys and fingers will be asked for."""
         task = self.config.task
-        known = not (task.random_pitch_shift or task.random_octave_shift)
-        return self._scores if known and not self.config.keep_zero_inputs else None
+        return not (task.random_pitch_shift or task.random_octave_shift)
 
     # The loop
 
@@ -182,8 +183,9 @@ class Training:
         config = self.config
         return LearntPolicy(
             policy=self._learner.policy(self._state),
+            observation=self._observation,
             inputs=self._inputs,
-            plan=self._plan,
+            reference=self._reference,
             ranges=self._ranges,
             task=config.task,
             scene=config.scene,

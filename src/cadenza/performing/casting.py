@@ -168,11 +168,11 @@ def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:
     """In the task and scene that it has learnt in."""
     if not learnt.has_learnt(casting.score):
         what = f"{casting.name}: was trained on {learnt.score.title!r}"
-        if learnt.plan is not None:
+        if learnt.residual:
             raise CadenzaError(f"{what} with residual learning, so it can play nothing else")
         warnings.warn(f"{what}, not {casting.song}", CadenzaWarning, stacklevel=4)
     # A plan is made for fingers that are found.
-    score = casting.score if learnt.plan is None else casting.score.without_fingers()
+    score = casting.score.without_fingers() if learnt.residual else casting.score
     return replace(casting, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
 
 

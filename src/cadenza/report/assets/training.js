@@ -12,6 +12,9 @@ function valueAt(x, y, index) {
   return y[before] + (before === after ? 0 : ((x[index] - x[before]) / (x[after] - x[before])) * (y[after] - y[before]));
 }
 
+/** Round numbers below and above, which uPlot's ranges of logarithmic axes go far beyond. */
+const roundly = (chart, low, high) => [INCREMENTS.number.findLast((n) => n < low), INCREMENTS.number.find((n) => n > high)];
+
 function drawCurves(element) {
   const { along, end, x, y, lines } = JSON.parse(element.querySelector("script").textContent);
   const tables = lines.map((line) => [line.x, line.y, ...(line.band ?? [])]);
@@ -37,7 +40,7 @@ function drawCurves(element) {
     ...EXPLAINED,
     scales: {
       x: { time: false, range: [0, end] },
-      y: { share: { range: [0, 1] }, log: { distr: 3, range: (chart, low, high) => uPlot.rangeLog(low, high, 10, false) } }[y] ?? {},
+      y: { share: { range: [0, 1] }, log: { distr: 3, range: roundly } }[y] ?? {},
     },
     padding: [8, 20, 0, 0], // half of the last label
     axes: [
