@@ -179,6 +179,16 @@ def test_agents_that_belong_to_a_song() -> None:
             cadenza.make_agent(name)
 
 
+def test_the_environments_of_the_documentation_run(capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = (ROOT / "docs" / "python.md").read_text("utf-8").split("```python")
+    (code,) = (block.split("```")[0] for block in blocks if "make_vec" in block)
+    exec(compile(code, "python.md", "exec"), names := {})
+    assert capsys.readouterr().out.startswith("['Ode to Joy' 'Frère Jacques' ")
+    np.testing.assert_allclose(
+        names["envs"].unwrapped.scale_action(names["actions"]), names["ctrl"], atol=1e-12
+    )
+
+
 @pytest.mark.slow
 def test_what_the_documentation_shows_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

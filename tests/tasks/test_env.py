@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import cadenza
 from cadenza.errors import CadenzaError
@@ -320,8 +320,7 @@ def test_info_names_the_song(env_id: str) -> None:
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_infos_name_the_song_of_each_environment(mode: AutoresetMode) -> None:
-    other = Score((Note(0.0, 0.1, 64),), title="other")
-    envs = PianoVectorEnv([SHORT, other], num_envs=8, autoreset_mode=mode)
+    envs = PianoVectorEnv([SHORT, OTHER], num_envs=8, autoreset_mode=mode)
     _, infos = envs.reset(seed=0)
     assert set(infos["song"]) == {"short", "other"}
     for _ in range(12):
@@ -334,6 +333,78 @@ def test_infos_name_the_song_of_each_environment(mode: AutoresetMode) -> None:
         if mode == AutoresetMode.DISABLED and (ended := terminated | truncated).any():
             _, infos = envs.reset(options={"reset_mask": ended})
             assert_array_equal(infos["_song"], ended)
+
+
+OTHER = Score((Note(0.0, 0.1, 64),), title="other")
+BOTH = {"short", "other"}
+
+
+def test_songs_are_assigned_or_drawn() -> None:
+    envs = PianoVectorEnv([SHORT, OTHER], num_envs=4, autoreset_mode=AutoresetMode.SAME_STEP)
+    drawn = np.array([envs.reset(seed=seed)[1]["song"] for seed in range(8)])
+    assert [set(titles) for titles in drawn.T] == [BOTH] * 4
+    for song, titles in (
+        ("other", ["other"] * 4),
+        (0, ["short"] * 4),
+        ([1, "short", np.int64(1), 0], ["other", "short", "other", "short"]),
+    ):
+        observation, infos = envs.reset(seed=0, options={"song": song})
+        assert infos["song"].tolist() == titles
+        goal = observation[:, envs.observation_layout["goal"]].reshape(4, -1, 89)
+        assert (goal[:, 0, 39] == [title == "short" for title in titles]).all()
+    some = {"song": ["other", None, 0, None]}
+    partly = np.array([envs.reset(seed=seed, options=some)[1]["song"] for seed in range(8)])
+    assert [set(titles) for titles in partly.T] == [{"other"}, BOTH, {"short"}, BOTH]
+
+
+def test_an_assignment_is_for_one_episode_of_the_environments_that_are_reset() -> None:
+    envs = PianoVectorEnv([SHORT, OTHER], num_envs=8, autoreset_mode=AutoresetMode.SAME_STEP)
+    envs.reset(seed=0, options={"song": "short"})
+    last_four = np.arange(8) >= 4
+    _, infos = envs.reset(options={"song": "other", "reset_mask": last_four})
+    assert infos["song"].tolist() == ["short"] * 4 + ["other"] * 4
+    for _ in range(SHORT_STEPS):
+        *_, infos = envs.step(np.zeros((8, 39)))
+    assert set(infos["song"][:4]) == {"short", "other"}
+
+
+def test_a_single_environment_is_assigned_a_song() -> None:
+    env = gym.make("cadenza/Piano-v0", song=[SHORT, OTHER])
+    for song, title in ((0, "short"), ("other", "other"), (1, "other")):
+        for seed in range(3):
+            assert env.reset(seed=seed, options={"song": song})[1] == {"song": title}
+    first, _ = env.reset(seed=0, options={"song": "short"})
+    assert_array_equal(first, PianoEnv(SHORT).reset(seed=0)[0])
+
+
+@pytest.mark.parametrize(
+    ("song", "message"),
+    [
+        ("shrt", "song 'shrt': choose an index from 0 to 2, or a title: 'short', 'other', 'other'"),
+        (3, "song 3: choose an index from 0 to 2"),
+        (-1, "song -1: choose"),
+        (True, "song True: choose"),
+        (1.0, "song 1.0: choose"),
+        (SHORT, "song Score.*: choose"),
+        ([0, "x"], "song 'x': choose"),
+        ([0], "1 songs for 2 environments: give one for each"),
+        ("other", r"song 'other': 2 have this title; give an index: \[1, 2\]"),
+    ],
+)
+def test_songs_that_there_are_not(song: object, message: str) -> None:
+    envs = PianoVectorEnv([SHORT, OTHER, OTHER], num_envs=2)
+    with pytest.raises(CadenzaError, match=message) as error:
+        envs.reset(seed=0, options={"song": song})
+    assert "\n" not in str(error.value)
+
+
+def test_scaling_actions_there_and_back() -> None:
+    rng = np.random.default_rng(0)
+    for env in (PianoEnv(SHORT), PianoVectorEnv(SHORT, num_envs=3), PianoTask([SHORT])):
+        action = rng.uniform(-1.0, 1.0, (5, 3, 39))
+        assert_allclose(env.unscale_action(env.scale_action(action)), action, atol=1e-12)
+        outside = np.full(39, 1e3)  # in actuator units
+        assert_array_equal(env.unscale_action([-outside, outside]), [[-1.0] * 39, [1.0] * 39])
 
 
 def near_middle_c(outcome: Outcome) -> np.ndarray:

@@ -173,6 +173,14 @@ class PianoVectorEnv(VectorEnv):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.observation_layout
 
+    def scale_action(self, action: NDArray[Any]) -> NDArray[np.float64]:
+        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
+        return self.task.scale_action(action)
+
+    def unscale_action(self, ctrl: NDArray[Any]) -> NDArray[np.float64]:
+        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
+        return self.task.unscale_action(ctrl)
+
     def _observation_space(self) -> spaces.Space:
         low = np.zeros(self.task.observation_size, np.float32)
         high = np.ones(self.task.observation_size, np.float32)
@@ -196,15 +204,32 @@ class PianoVectorEnv(VectorEnv):
 
         Args:
             seed: of the first environment, the others' follow; or one for each.
-            options: {"reset_mask": (N,) bool} to reset some of the environments only.
+            options: "reset_mask", (N,) bool, resets some of the environments only; "song", an index
+                or a title among the environment's songs, or a list with one for each environment,
+                is what they play in this episode, drawn where it is None.
+
+        Raises:
+            CadenzaError: a seed or an option makes no sense.
         """
-        self._seed(seed)
-        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)), bool)
+        options = options or {}
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if mask.shape != (self.num_envs,):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
-        self._restart(np.flatnonzero(mask))
+        songs = self._assigned(options.get("song"))
+        self._seed(seed)
+        self._restart(np.flatnonzero(mask), songs)
         self._finished = self._finished & ~mask
         return self._observe(), self._songs(mask)
+
+    def _assigned(self, song: Any) -> list[int | None]:
+        """(N,) indices of songs, None where they are drawn."""
+        several = isinstance(song, list | tuple | np.ndarray)
+        songs = list(song) if several else [song] * self.num_envs
+        if len(songs) != self.num_envs:
+            raise CadenzaError(
+                f"{len(songs)} songs for {self.num_envs} environments: give one for each"
+            )
+        return [None if each is None else self.task.find_song(each) for each in songs]
 
     def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
         titles = np.array([score.title for score in self.task.sheets.songs], object)
@@ -229,9 +254,13 @@ class PianoVectorEnv(VectorEnv):
             )
         self._rngs = [seeding.np_random(s)[0] for s in seed]
 
-    def _restart(self, env_ids: NDArray[np.intp]) -> None:
+    def _restart(
+        self, env_ids: NDArray[np.intp], songs: Sequence[int | None] | None = None
+    ) -> None:
         if len(env_ids):
-            self.task.reset([self._rngs[i] for i in env_ids], env_ids.tolist())
+            rngs = [self._rngs[i] for i in env_ids]
+            assigned = [songs[i] for i in env_ids] if songs else None
+            self.task.reset(rngs, env_ids.tolist(), assigned)
 
     @one_at_a_time
     def step(
@@ -351,14 +380,30 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.observation_layout
 
+    def scale_action(self, action: NDArray[Any]) -> NDArray[np.float64]:
+        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
+        return self.task.scale_action(action)
+
+    def unscale_action(self, ctrl: NDArray[Any]) -> NDArray[np.float64]:
+        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
+        return self.task.unscale_action(ctrl)
+
     @one_at_a_time
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts a new episode."""
+        """Starts a new episode.
+
+        Args:
+            seed: what is random follows from it.
+            options: "song", an index or a title among the environment's songs, is what it plays.
+
+        Raises:
+            CadenzaError: there is no such song.
+        """
         super().reset(seed=seed)
         self._batch._rngs = [self.np_random]
-        observation, infos = self._batch.reset()
+        observation, infos = self._batch.reset(options=options)
         return _row(observation), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

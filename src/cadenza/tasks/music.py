@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,9 +95,38 @@ def _check_longest(seconds: float, config: TaskConfig) -> None:
     check_steps(seconds / config.control_timestep)
 
 
-def draw(scores: Sequence[Score], config: TaskConfig, rng: np.random.Generator) -> Score:
-    """The score of one episode; draws from `rng` only what the configuration leaves open."""
-    score = scores[int(rng.integers(len(scores)))] if len(scores) > 1 else scores[0]
+def find_song(scores: Sequence[Score], song: Any) -> int:
+    """The index of the score that `song` names, by index or title.
+
+    Raises:
+        CadenzaError: that is none of them, or several.
+    """
+    if isinstance(song, str):
+        found = [i for i, score in enumerate(scores) if score.title == song]
+    else:
+        is_number = isinstance(song, int | np.integer) and not isinstance(song, bool)
+        found = [int(song)] if is_number and 0 <= song < len(scores) else []
+    if len(found) > 1:
+        raise CadenzaError(f"song {song!r}: {len(found)} have this title; give an index: {found}")
+    if not found:
+        titles = ", ".join(repr(score.title) for score in scores)
+        raise CadenzaError(
+            f"song {song!r:.100}: choose an index from 0 to {len(scores) - 1}, or a title: "
+            f"{titles:.300}"
+        )
+    return found[0]
+
+
+def draw(
+    scores: Sequence[Score],
+    config: TaskConfig,
+    rng: np.random.Generator,
+    song: int | None = None,
+) -> Score:
+    """The score of one episode; draws from `rng` only what song and configuration leave open."""
+    if song is None:
+        song = int(rng.integers(len(scores))) if len(scores) > 1 else 0
+    score = scores[song]
     if config.random_stretch and _happens(config, rng):
         score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
     if config.random_pitch_shift and _happens(config, rng):

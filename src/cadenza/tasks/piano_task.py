@@ -138,6 +138,12 @@ class PianoTask:
         """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
         return to_range(action, self.action_low, self.action_high)
 
+    def unscale_action(self, ctrl: NDArray[Any]) -> Array:
+        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
+        low, high = self.action_low, self.action_high
+        action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
+        return np.minimum(np.maximum(action, -1.0), 1.0)
+
     def _steps_lookahead(self) -> int:
         seconds = self.config.n_seconds_lookahead
         steps = self.config.n_steps_lookahead
@@ -175,11 +181,32 @@ class PianoTask:
 
     # Episodes
 
-    def reset(self, rngs: Sequence[np.random.Generator], env_ids: Sequence[int]) -> None:
-        """Starts new episodes in `env_ids`, each with a generator of its own."""
+    def find_song(self, song: int | str) -> int:
+        """The index among `scores` of a song, given by index or title.
+
+        Raises:
+            CadenzaError: that is none of them, or several.
+        """
+        return music.find_song(self.scores, song)
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        env_ids: Sequence[int],
+        songs: Sequence[int | None] | None = None,
+    ) -> None:
+        """Starts new episodes.
+
+        Args:
+            rngs: a generator for each of `env_ids`.
+            env_ids: which environments.
+            songs: the index of each one's song among `scores`, None where it is drawn; all are
+                drawn by default.
+        """
         start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
-        for row, (env, rng) in enumerate(zip(env_ids, rngs, strict=True)):
-            self.sheets.put(env, music.draw(self.scores, self.config, rng), self.config)
+        songs = [None] * len(env_ids) if songs is None else songs
+        for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
+            self.sheets.put(env, music.draw(self.scores, self.config, rng, song), self.config)
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
