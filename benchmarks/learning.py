@@ -42,7 +42,7 @@ from cadenza.learning.observation import (
     Scores,
     pruned,
 )
-from cadenza.learning.replay_buffer import Batch, Replay
+from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
 from cadenza.music.library import load_score
@@ -54,7 +54,7 @@ BATCH = 256  # transitions an update
 UPDATES_PER_CALL = 16  # where there are several
 PLAYED = 1_000  # control steps of random play
 TRANSITIONS = 100_000  # that are sampled from: more than fit in a cache
-SEED_STEPS = 500  # control steps before training learns
+LEARNING_STARTS = 500  # control steps before training learns
 NEVER = 10**12  # control steps
 
 Sample = Callable[[], Batch]
@@ -73,9 +73,9 @@ class Experience(NamedTuple):
     """The same random play in each of the ways to keep it."""
 
     plain: PlainBuffer
-    complete: Replay
+    complete: ReplayBuffer
     """With all inputs."""
-    short: Replay
+    short: ReplayBuffer
     """Without those that are always zero."""
     inputs: Inputs
     short_inputs: Inputs
@@ -95,7 +95,7 @@ def gather(score: Score) -> Experience:
     inputs, short_inputs = spec.inputs, pruned(spec, scores)
     observer = Observer(task, scores, inputs)
     actions = task.action_size
-    played = Replay(observer, 1, 2 * PLAYED, actions)
+    played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
     collector = Collector(task, scores, observer, played, task.scale_action, rng)
     collector.begin()
     collector.collect(None, PLAYED)
@@ -106,8 +106,8 @@ def gather(score: Score) -> Experience:
     many = {n: np.tile(a, (copies, *(1,) * (a.ndim - 1))) for n, a in frames.items()}
     many |= {"from": start, "to": to * copies}
 
-    def filled(observer: Observer) -> Replay:
-        replay = Replay(observer, 1, int(to[0]) * copies, actions)
+    def filled(observer: Observer) -> ReplayBuffer:
+        replay = ReplayBuffer(observer, 1, int(to[0]) * copies, actions)
         replay.restore(many)
         return replay
 
@@ -176,7 +176,7 @@ def training(config: TrainingConfig, score: Score, folder: Path, rounds: int) ->
     """Trains, without evaluations and checkpoints."""
     config = replace(
         config,
-        seed_steps=SEED_STEPS,
+        learning_starts=LEARNING_STARTS,
         num_steps=NEVER,
         eval_interval=NEVER,
         log_interval=NEVER,
@@ -196,7 +196,7 @@ def training(config: TrainingConfig, score: Score, folder: Path, rounds: int) ->
         (start, first), (end, last) = seen[0], seen[-1]
         return (last - first) / (end - start)
 
-    run_for(SEED_STEPS + 1)  # compiles
+    run_for(LEARNING_STARTS + 1)  # compiles
     return partial(run_for, rounds)
 
 
@@ -325,10 +325,10 @@ def whole_training(
 ) -> dict[str, Contestant]:
     """One environment, an update a control step."""
     loop = PlainLoop(score)
-    loop.play(SEED_STEPS)
+    loop.play(LEARNING_STARTS)
     loop.learn(1)  # compiles
-    paper = TrainingConfig(replay_capacity=TRANSITIONS, keep_zero_inputs=True)
-    fewer = replace(paper, keep_zero_inputs=False)
+    paper = TrainingConfig(buffer_size=TRANSITIONS, prune_inputs=False)
+    fewer = replace(paper, prune_inputs=True)
     entered: dict[str, Contestant] = {
         "plain": lambda: loop.learn(number),
         "ours, all inputs": training(paper, score, folder / "complete", number),

@@ -19,7 +19,7 @@ best = cadenza.train(
     song,
     "run",  # metrics.jsonl has the learning curve; "cadenza curves run" draws it
     num_steps=steps,
-    seed_steps=min(5_000, steps // 2),  # with random actions
+    learning_starts=min(5_000, steps // 2),  # with random actions
     eval_interval=min(10_000, steps // 2),
 )
 performance = cadenza.play(best)

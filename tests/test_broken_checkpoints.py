@@ -32,8 +32,8 @@ CONFIG = TrainingConfig(
     scene=SceneConfig(hands="right", physics="fast"),
     num_steps=64,
     num_envs=2,
-    seed_steps=16,
-    steps_per_round=4,
+    learning_starts=16,
+    train_freq=4,
     eval_interval=1000,
     log_interval=20,
 )

@@ -68,8 +68,8 @@ def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> N
 
 def test_a_learner(follow: Follow) -> None:
     follow("learner")
-    options = ["--num-steps", "200", "--seed-steps", "64", "--log-interval", "50"]
-    options += ["--steps-per-round", "8", "--batch-size", "16", "--no-video"]
+    options = ["--num-steps", "200", "--learning-starts", "64", "--log-interval", "50"]
+    options += ["--train-freq", "8", "--batch-size", "16", "--no-video"]
     train = ["train", "tune.mid", "--learner", "regression", "--step-size", "0.05", *options]
     main([*train, "-o", "run"])
     rows = [json.loads(line) for line in Path("run/metrics.jsonl").read_text().splitlines()]

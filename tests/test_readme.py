@@ -28,7 +28,7 @@ def shortened(arguments: list[str]) -> list[str]:
     """What to add, so that a command does not take long: the video has tests of its own."""
     added = ["--no-video"] if arguments[0] in ("play", "train") else []
     learns = arguments[0] == "train" and "--resume" not in arguments
-    return [*added, *(["--num-steps", "600", "--seed-steps", "300"] if learns else [])]
+    return [*added, *(["--num-steps", "600", "--learning-starts", "300"] if learns else [])]
 
 
 def test_the_python_examples_run(

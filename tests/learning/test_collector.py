@@ -15,7 +15,7 @@ from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.control import control_of
 from cadenza.learning.observation import Observer, Scores
 from cadenza.learning.policy import Policy
-from cadenza.learning.replay_buffer import Batch, Replay
+from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -68,7 +68,7 @@ class Run:
         self.scores.add_all(self.task)
         control = control_of(self.task, reference_of(self.task) if residual else None, None)
         self.observer = Observer(self.task, self.scores, reference=control.reference)
-        self.replay = Replay(self.observer, 3, capacity, self.task.action_size)
+        self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.action_size)
         rng = np.random.default_rng(0)
         self.collector = Collector(
             self.task, self.scores, self.observer, self.replay, control.ctrl, rng
@@ -141,7 +141,7 @@ def test_the_policy_acts_on_what_is_shown() -> None:
     seen = []
 
     class Spy:
-        def draw(self, observation: Any, rng: Any) -> Any:
+        def sample(self, observation: Any, rng: Any) -> Any:
             seen.append((observation.copy(), run.task.shown()))
             return np.zeros((3, run.task.action_size), np.float32)
 
@@ -156,7 +156,7 @@ def test_a_residual_policy_corrects_the_plan() -> None:
     run = Run(FIXED, residual=True)
 
     class Nothing:
-        def draw(self, observation: Any, rng: Any) -> Any:
+        def sample(self, observation: Any, rng: Any) -> Any:
             return np.zeros((3, run.task.action_size), np.float32)
 
     run.collector.begin()

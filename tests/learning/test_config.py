@@ -35,19 +35,19 @@ def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
     assert (config.adam_beta1, config.adam_beta2) == (0.9, 0.999)
     assert config.discount == 0.99
     assert config.batch_size == 256
-    assert config.actor_update_period == 1
-    assert config.actor_average == 1.0  # none: the actor itself is evaluated
+    assert config.policy_delay == 1
+    assert config.actor_ema == 1.0  # none: the actor itself is evaluated
 
 
 def test_the_defaults_of_training_are_the_table_of_the_paper() -> None:
     config = TrainingConfig()
     assert config.learner == DroQConfig()
-    assert config.seed_steps == 5_000
+    assert config.learning_starts == 5_000
     assert config.num_steps == 5_000_000
-    assert config.replay_capacity == 1_000_000
+    assert config.buffer_size == 1_000_000
     assert config.eval_interval == 10_000
     # One environment, one update a step, as in the published code.
-    assert (config.num_envs, config.steps_per_round, config.updates_per_round) == (1, 1, 1)
+    assert (config.num_envs, config.train_freq, config.gradient_steps) == (1, 1, 1)
     assert (config.parallel, config.residual, config.song_range) == (False, False, False)
     assert config.task.n_steps_lookahead == 10
     assert config.task.control_timestep == 0.05
@@ -102,9 +102,9 @@ def test_the_presets_make_sense(name: str) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        *({name: 0} for name in ("eval_interval", "log_interval", "steps_per_round")),
-        *({name: 0} for name in ("updates_per_round", "num_envs", "num_steps")),
-        *({name: -1} for name in ("seed", "seed_steps", "checkpoint_interval")),
+        *({name: 0} for name in ("eval_interval", "log_interval", "train_freq")),
+        *({name: 0} for name in ("gradient_steps", "num_envs", "num_steps")),
+        *({name: -1} for name in ("seed", "learning_starts", "checkpoint_interval")),
     ],
 )
 def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int]) -> None:
@@ -116,7 +116,7 @@ def test_options_that_make_no_sense_are_refused_by_name(options: dict[str, int])
 @pytest.mark.parametrize(
     "options",
     [
-        *({name: 0} for name in ("batch_size", "num_critics", "actor_update_period")),
+        *({name: 0} for name in ("batch_size", "num_critics", "policy_delay")),
         *({name: 0.0} for name in ("initial_temperature", "actor_learning_rate")),
         *({"hidden_sizes": sizes} for sizes in ((), (256, 0))),
         *({"dropout": 1.0}, {"discount": float("nan")}),

@@ -35,8 +35,8 @@ CONFIG = DroQConfig(
     critic_learning_rate=3e-3,
     temperature_learning_rate=3e-3,
     tau=0.05,
-    actor_update_period=2,
-    actor_average=0.2,
+    policy_delay=2,
+    actor_ema=0.2,
 )
 
 
@@ -156,7 +156,7 @@ class Reference:
         for i, critic in enumerate(self.critics):
             critic.step(lambda params: loss(params) / len(self.critics))
             self.targets[i] += config.tau * (critic.x - self.targets[i])
-        if self.updates % config.actor_update_period == 0:
+        if self.updates % config.policy_delay == 0:
             figures |= self._update_actor(batch, temperature)
         self.updates += 1
         return figures | {"temperature": np.exp(self.log_temperature.x[0])}
@@ -208,7 +208,7 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
     """By a share `tau` at every update; and so does the averaged actor follow the actor."""
     state, batch = learner.init(0), batches(4)
-    targets, averaged = flat(state.targets), flat(state.averaged_actor)
+    targets, averaged = flat(state.targets), flat(state.actor_ema)
     assert_array_equal(targets, flat(state.critics))
     assert_array_equal(averaged, flat(state.actor))
     assert (flat(state.critics[0]) != flat(state.critics[1])).any()
@@ -218,11 +218,11 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
         assert_allclose(flat(state.targets), targets, atol=1e-6)
         if i % 2 == 0:
             averaged += 0.2 * (flat(state.actor) - averaged)
-        assert_allclose(flat(state.averaged_actor), averaged, atol=1e-6)
+        assert_allclose(flat(state.actor_ema), averaged, atol=1e-6)
 
 
 def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
-    """At an `actor_update_period` of 2."""
+    """At an `policy_delay` of 2."""
     state, changed = learner.init(0), []
     for i in range(4):
         before = numbers(state)
@@ -232,7 +232,7 @@ def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
             {parts[n] for n, array in numbers(state).items() if (before[n] != array).any()}
         )
     always = {"key", "updates", "critics", "targets", "critic_optimiser"}
-    actor = {"actor", "averaged_actor", "actor_optimiser"}
+    actor = {"actor", "actor_ema", "actor_optimiser"}
     actor |= {"log_temperature", "temperature_optimiser"}
     assert changed == [always | actor, always] * 2
 
@@ -347,7 +347,7 @@ def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
         )
         state, _ = learner.update(state, batch)
     observation = rng.standard_normal((200, INPUTS)).astype(np.float32)
-    best = Policy(weights_of(state.actor), "relu", (-20, 2)).best(observation)
+    best = Policy(weights_of(state.actor), "relu", (-20, 2)).mode(observation)
     clear = np.abs(observation[:, 0]) > 0.5
     target = np.array([0.6, -0.5, 0.0]) * np.sign(observation[:, :1])
     assert np.abs(best - target)[clear].mean() < 0.2
@@ -383,8 +383,8 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
     for name, array in ours.items():
         assert_allclose(array, theirs[name], atol=1e-4, err_msg=name)
     shown = np.asarray(batch.observation[0])
-    best = Policy(weights_of(state.actor), "relu", (-20, 2)).best(shown)
-    assert_allclose(Policy(theirs, "relu", (-20, 2)).best(shown[:, kept]), best, atol=1e-4)
+    best = Policy(weights_of(state.actor), "relu", (-20, 2)).mode(shown)
+    assert_allclose(Policy(theirs, "relu", (-20, 2)).mode(shown[:, kept]), best, atol=1e-4)
 
 
 # Learning rates that fall

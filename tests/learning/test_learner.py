@@ -71,8 +71,8 @@ class Regression:
 class NoLearner:
     pass
 """
-OPTIONS = ["--no-video", "--num-steps", "200", "--seed-steps", "64", "--eval-interval", "100"]
-OPTIONS += ["--log-interval", "50", "--steps-per-round", "8", "--batch-size", "16"]
+OPTIONS = ["--no-video", "--num-steps", "200", "--learning-starts", "64", "--eval-interval", "100"]
+OPTIONS += ["--log-interval", "50", "--train-freq", "8", "--batch-size", "16"]
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ class Acting:
     def seen_by(self, observer: Observer) -> np.ndarray:
         return observer.observation(
             self.first_row + self.task.sheets.row,
-            observer.rest(self.task),
+            observer.proprioception(self.task),
             self.action,
             self.reward,
             self.task.sheets.steps_done == 0,
@@ -183,7 +183,7 @@ def test_scores_of_many_rows_are_looked_up_together() -> None:
     observer = Observer(task, scores, pruned(ObservationSpec.of(task), scores))
     rng = np.random.default_rng(0)
     rows = rng.integers(8, size=(2, 5))
-    rest = rng.random((2, 5, observer.rest_size), np.float32)
+    rest = rng.random((2, 5, observer.proprioception_size), np.float32)
     action = rng.random((2, 5, task.action_size), np.float32)
     reward, first = rng.random((2, 5), np.float32), rng.random((2, 5)) < 0.5
     together = observer.observation(rows, rest, action, reward, first)

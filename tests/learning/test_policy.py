@@ -38,10 +38,10 @@ class Both:
 
 
 @pytest.mark.parametrize("activation", ["relu", "gelu"])
-def test_best_is_the_squashed_mean_of_the_actor(activation: str) -> None:
+def test_the_mode_is_the_squashed_mean_of_the_actor(activation: str) -> None:
     both = Both(activation)
     observation = both.observations(100)
-    best = both.policy.best(observation)
+    best = both.policy.mode(observation)
     assert best.dtype == np.float32
     assert_allclose(best, np.tanh(both.actor(observation)[0]), atol=1e-5)
     assert np.ptp(best) > 0.3
@@ -57,7 +57,7 @@ def test_draws_come_from_the_distribution_of_the_actor(
     """What was squashed is normal, with the actor's mean and deviation for each observation."""
     both = Both(activation, **limits)
     observation = np.repeat(both.observations(4), 3000, axis=0)
-    drawn = both.policy.draw(observation, np.random.default_rng(1))
+    drawn = both.policy.sample(observation, np.random.default_rng(1))
     assert drawn.dtype == np.float32
     assert np.abs(drawn).max() <= 1
     mean, log_std = both.actor(observation)
@@ -71,6 +71,6 @@ def test_draws_come_from_the_distribution_of_the_actor(
 def test_draws_follow_their_generator() -> None:
     both = Both("relu")
     observation = both.observations(5)
-    draws = [both.policy.draw(observation, np.random.default_rng(seed)) for seed in (1, 1, 2)]
+    draws = [both.policy.sample(observation, np.random.default_rng(seed)) for seed in (1, 1, 2)]
     assert_array_equal(draws[0], draws[1])
     assert (draws[0] != draws[2]).all()

@@ -15,7 +15,7 @@ from rl_examples import melody
 
 from cadenza.errors import CadenzaError
 from cadenza.learning.observation import Observer, Scores
-from cadenza.learning.replay_buffer import Batch, Replay
+from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.tasks.piano_task import PianoTask
 
 REST, ACTIONS = 2, 3
@@ -25,7 +25,7 @@ Floats = np.ndarray
 class PlainObserver:
     """Shows all that it is given: row, rest, previous action and reward (0 at first)."""
 
-    rest_size = REST
+    proprioception_size = REST
 
     def observation(
         self, rows: Any, rest: Floats, action: Floats, reward: Floats, first: Any
@@ -82,7 +82,7 @@ class Playing:
     length: int
     seed: int
     ending: float = 0.2
-    replay: Replay = field(init=False)
+    replay: ReplayBuffer = field(init=False)
     envs: list[Twin] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -93,9 +93,9 @@ class Playing:
         self.newest: tuple[Any, ...] = ()
         self.observe(np.arange(self.num_envs))
 
-    def new_replay(self) -> Replay:
+    def new_replay(self) -> ReplayBuffer:
         capacity = self.length * self.num_envs
-        return Replay(PlainObserver(), self.num_envs, capacity, ACTIONS)  # type: ignore[arg-type]
+        return ReplayBuffer(PlainObserver(), self.num_envs, capacity, ACTIONS)  # type: ignore[arg-type]
 
     def observe(self, ids: np.ndarray) -> None:
         rest = self.rng.standard_normal((len(ids), REST)).astype(np.float32)
@@ -287,7 +287,7 @@ def test_what_is_left_of_much_is_found() -> None:
     [
         {"row": np.zeros((6, 2), np.int32)},
         {"row": np.zeros(5, np.int32)},
-        {"rest": np.zeros((6, REST + 1), np.float32)},
+        {"proprioception": np.zeros((6, REST + 1), np.float32)},
         {"reward": np.array(["x"] * 6)},
         {"complete": np.ones(6, np.float32)},
         {"from": np.array([-1])},
@@ -304,8 +304,8 @@ def test_a_chunk_of_something_else_is_refused(change: dict[str, np.ndarray]) -> 
     chunk = playing.replay.since(0)
     with pytest.raises(CadenzaError, match="experience"):
         playing.new_replay().restore(chunk | change)
-    with pytest.raises(CadenzaError, match="no array named rest"):
-        playing.new_replay().restore({n: a for n, a in chunk.items() if n != "rest"})
+    with pytest.raises(CadenzaError, match="no array named proprioception"):
+        playing.new_replay().restore({n: a for n, a in chunk.items() if n != "proprioception"})
 
 
 def test_chunks_that_the_ring_has_overwritten_are_not_needed() -> None:
@@ -326,7 +326,7 @@ def test_a_transition_of_the_full_observation_takes_less_than_1200_bytes() -> No
     """Two observations of 1,100 numbers, as others keep them, take 9,300."""
     task = PianoTask([melody(60)], num_envs=2)
     observer = Observer(task, Scores(task))
-    replay = Replay(observer, 2, 1000, task.action_size)
+    replay = ReplayBuffer(observer, 2, 1000, task.action_size)
     room = sum(array.nbytes for array in replay._frames.values())
     assert 4 * (2 * len(observer.inputs.kept) + task.action_size) > 9000
     assert room / 1000 < 1200

@@ -18,6 +18,7 @@ from cadenza.cli import about, compare, plan, play, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Performing
 from cadenza.cli.progress import QUIET
+from cadenza.cli.renamed import with_new_names
 from cadenza.errors import CadenzaError, CadenzaWarning
 
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
@@ -54,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> None:
+    arguments = with_new_names(arguments)
     name, *rest = arguments or [""]
     if name not in _COMMANDS:
         _run_without_command(arguments)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cadenza.learning.observation import Floats, Observer, Scores
 from cadenza.learning.policy import Policy
-from cadenza.learning.replay_buffer import Replay, Rows
+from cadenza.learning.replay_buffer import ReplayBuffer, Rows
 from cadenza.tasks.piano_task import PianoTask, Transition
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Collector:
         task: PianoTask,
         scores: Scores,
         observer: Observer,
-        replay: Replay,
+        replay: ReplayBuffer,
         ctrl: Callable[[Floats], Array],
         rng: np.random.Generator,
     ) -> None:
@@ -76,7 +76,7 @@ class Collector:
             if policy is None:
                 action = self._rng.uniform(-1, 1, self._action.shape).astype(np.float32)
             else:
-                action = policy.draw(self.observation, self._rng)
+                action = policy.sample(self.observation, self._rng)
             finished += self._step(action)
         return finished
 
@@ -119,9 +119,11 @@ class Collector:
     def _observe(self, env_ids: Rows) -> None:
         sheets = self._task.sheets
         row, first = self._first_row + sheets.row, sheets.steps_done == 0
-        rest = self._observer.rest(self._task)
-        self._replay.observe(env_ids, rest[env_ids], row[env_ids], first[env_ids])
-        self.observation = self._observer.observation(row, rest, self._action, self._reward, first)
+        proprioception = self._observer.proprioception(self._task)
+        self._replay.observe(env_ids, proprioception[env_ids], row[env_ids], first[env_ids])
+        self.observation = self._observer.observation(
+            row, proprioception, self._action, self._reward, first
+        )
 
     # To go on later
 

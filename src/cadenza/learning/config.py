@@ -22,18 +22,19 @@ class TrainingConfig:
     """Environment steps of the run, summed over all environments."""
     num_envs: int = 1
     """Parallel environments."""
-    seed_steps: int = 5_000
+    learning_starts: int = 5_000
     """Environment steps with uniformly random actions before the first update."""
-    steps_per_round: int = 1
+    train_freq: int = 1
     """Rollout length: control steps per environment between policy updates."""
-    updates_per_round: int = 1
+    gradient_steps: int = 1
     """Gradient updates per rollout."""
     parallel: bool = False
     """Update while the next rollout is collected, with a policy one rollout old."""
-    replay_capacity: int = 1_000_000
+    buffer_size: int = 1_000_000
     """Size of the replay buffer, in transitions."""
-    keep_zero_inputs: bool = False
-    """Keep observations that are always zero for this song. Slower, with the same result."""
+    prune_inputs: bool = True
+    """Leave out observations that are always zero for this song. Faster, with the same result.
+    Without it, the policy observes the same shape for every song."""
     song_range: bool = False
     """Restrict the forearms to the keys of the song, and normalise joint positions and actions by
     their ranges."""
@@ -50,8 +51,8 @@ class TrainingConfig:
 
     def updates_by(self, step: int) -> int:
         """Updates that a run makes until it has done so many steps."""
-        rounds = (step - self.seed_steps) / (self.steps_per_round * self.num_envs)
-        return max(math.ceil(rounds * self.updates_per_round), 0)
+        rounds = (step - self.learning_starts) / (self.train_freq * self.num_envs)
+        return max(math.ceil(rounds * self.gradient_steps), 0)
 
 
 def preset(name: Preset, residual: bool = False, learner: str = DROQ) -> TrainingConfig:
@@ -82,8 +83,8 @@ def _fast() -> TrainingConfig:
         task=TaskConfig(initial_buffer_time=0.5),
         num_steps=1_000_000,
         num_envs=2,
-        steps_per_round=64,
-        updates_per_round=20,
+        train_freq=64,
+        gradient_steps=20,
         parallel=True,
         song_range=True,
     )
@@ -94,9 +95,9 @@ def _fast_residual() -> TrainingConfig:
         _fast(),
         num_steps=500_000,
         num_envs=16,
-        seed_steps=2_000,
-        steps_per_round=8,
-        updates_per_round=10,
+        learning_starts=2_000,
+        train_freq=8,
+        gradient_steps=10,
         song_range=False,
     )
 
@@ -104,10 +105,10 @@ def _fast_residual() -> TrainingConfig:
 _RANGES: dict[str, tuple[float, float]] = {
     "num_steps": (1, MOST_COUNT),
     "num_envs": (1, 10_000),
-    "seed_steps": (0, MOST_COUNT),
-    "steps_per_round": (1, MOST_COUNT),
-    "updates_per_round": (1, MOST_COUNT),
-    "replay_capacity": (1, MOST_COUNT),
+    "learning_starts": (0, MOST_COUNT),
+    "train_freq": (1, MOST_COUNT),
+    "gradient_steps": (1, MOST_COUNT),
+    "buffer_size": (1, MOST_COUNT),
     "eval_interval": (1, MOST_COUNT),
     "checkpoint_interval": (0, math.inf),
     "log_interval": (1, MOST_COUNT),

@@ -217,29 +217,29 @@ class Observer:
             self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
             low, high = ranges.joints.astype(np.float32)
             self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
-        goals, rest = spec.goal, task.observation_layout["key_state"]
+        goals, shown = spec.goal, task.observation_layout["key_state"].start
         kept = np.array(self.inputs.kept)
         self._goal = kept[kept < goals]
-        self._fingers = kept[(kept >= goals) & (kept < rest.start)] - goals
-        self._rest = slice(rest.start, task.observation_size)
+        self._fingers = kept[(kept >= goals) & (kept < shown)] - goals
+        self._proprioception = slice(shown, task.observation_size)
 
-    def rest(self, task: PianoTask) -> Floats:
+    def proprioception(self, task: PianoTask) -> Floats:
         """(N, S) what the task shows that does not follow from the score."""
         shown = task.observation()
         if self._joints:
             joints, centre, scale = self._joints
             shown[:, joints] = (shown[:, joints] - centre) / scale
-        return shown[:, self._rest]
+        return shown[:, self._proprioception]
 
     @property
-    def rest_size(self) -> int:
+    def proprioception_size(self) -> int:
         """S."""
-        return self._rest.stop - self._rest.start
+        return self._proprioception.stop - self._proprioception.start
 
     def observation(
         self,
         rows: NDArray[np.integer],
-        rest: Floats,
+        proprioception: Floats,
         previous_action: Floats,
         previous_reward: Floats,
         first: NDArray[np.bool_],
@@ -248,7 +248,7 @@ class Observer:
 
         Args:
             rows: (...) of the scores, that are played next.
-            rest: (..., S)
+            proprioception: (..., S)
             previous_action: (..., A) in [-1, 1].
             previous_reward: (...)
             first: (...) whether there was none, and both count as 0.
@@ -258,7 +258,7 @@ class Observer:
         parts = [
             self._scores.goals(rows, self._goal),
             self._scores.fingers(rows, self._fingers),
-            rest,
+            proprioception,
             np.where(first[..., None], np.float32(0), before),
         ]
         if self._reference is not None:

@@ -24,14 +24,44 @@ from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
+Arrays = dict[str, NDArray[Any]]
+
+RENAMED = {
+    "seed_steps": "learning_starts",
+    "steps_per_round": "train_freq",
+    "updates_per_round": "gradient_steps",
+    "replay_capacity": "buffer_size",
+    "actor_average": "actor_ema",
+    "actor_update_period": "policy_delay",
+    "final_learning_rates": "final_learning_rate_fraction",
+}
+"""Options of training, as they were called and as they are called."""
+
+_KEPT, _PRUNED = "keep_zero_inputs", "prune_inputs"  # the one is not the other
 _UPDATES = "learner:.updates"
 
 
-def renewed_checkpoint(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The facts of a checkpoint: the number of updates was the learner's own."""
-    if "updates" in facts or _UPDATES not in arrays or arrays[_UPDATES].shape:
-        return facts
-    return facts | {"updates": int(arrays[_UPDATES])}
+def renewed_config(config: Any) -> Any:
+    """The options of a run, if they are some."""
+    if not isinstance(config, dict):
+        return config
+    renewed = {RENAMED.get(name, name): value for name, value in config.items()}
+    if isinstance(renewed.get(_KEPT), bool):
+        renewed[_PRUNED] = not renewed.pop(_KEPT)
+    return renewed
+
+
+def renewed_checkpoint(facts: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+    """The number of updates was the learner's own, and the averaged actor had another name."""
+    if "updates" not in facts and _UPDATES in arrays and not arrays[_UPDATES].shape:
+        facts = facts | {"updates": int(arrays[_UPDATES])}
+    old, new = "learner:.averaged_actor", "learner:.actor_ema"
+    return facts, {name.replace(old, new): array for name, array in arrays.items()}
+
+
+def renewed_chunk(arrays: Arrays) -> Arrays:
+    """What the simulation showed had another name."""
+    return {"proprioception" if name == "rest" else name: a for name, a in arrays.items()}
 
 
 def is_old_policy(folder: Path, facts: dict[str, Any]) -> bool:
@@ -48,8 +78,8 @@ def is_old_policy(folder: Path, facts: dict[str, Any]) -> bool:
 
 
 def renewed_policy(
-    facts: dict[str, Any], arrays: dict[str, NDArray[Any]], where: Path
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    facts: dict[str, Any], arrays: Arrays, where: Path
+) -> tuple[dict[str, Any], Arrays]:
     """What it observes was only known by its size; a reference was called a plan.
 
     Raises:

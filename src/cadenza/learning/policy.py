@@ -49,11 +49,11 @@ class Policy:
         """A."""
         return len(self.weights["mean/bias"])
 
-    def best(self, observation: Floats) -> Floats:
+    def mode(self, observation: Floats) -> Floats:
         """(N, A) the mean, squashed."""
         return np.tanh(self._layer("mean", self._features(observation)))
 
-    def draw(self, observation: Floats, rng: np.random.Generator) -> Floats:
+    def sample(self, observation: Floats, rng: np.random.Generator) -> Floats:
         """(N, A) drawn from the distribution."""
         features = self._features(observation)
         mean, log_std = self._layer("mean", features), self._layer("log_std", features)

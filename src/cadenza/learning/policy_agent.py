@@ -72,10 +72,10 @@ class PolicyAgent:
         task = self._task
         observation = self._observer.observation(
             task.sheets.row,
-            self._observer.rest(task),
+            self._observer.proprioception(task),
             self._action,
             task.reward.astype(np.float32),
             task.sheets.steps_done == 0,
         )
-        self._action = self._policy.best(observation)
+        self._action = self._policy.mode(observation)
         return self._control.ctrl(self._action)[0]

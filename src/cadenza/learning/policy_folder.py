@@ -223,7 +223,7 @@ def _fits_together(learnt: LearntPolicy) -> bool:
     observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
     actions = observation.previous_action
     try:
-        action = learnt.policy.best(np.zeros((1, len(learnt.inputs.kept)), np.float32))
+        action = learnt.policy.mode(np.zeros((1, len(learnt.inputs.kept)), np.float32))
     except (KeyError, ValueError):  # layers that do not fit
         return False
     return (

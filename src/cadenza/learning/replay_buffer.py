@@ -31,7 +31,7 @@ class Batch(NamedTuple):
     next_observation: Floats
 
 
-class Replay:
+class ReplayBuffer:
     """A ring of frames for each of N environments, in the order in which they came.
 
     A frame is what was observed, the action taken then, its reward, and whether it ended the
@@ -49,17 +49,15 @@ class Replay:
         length = max(-(-capacity // num_envs), 4)
         self._shape = (num_envs, length)
         try:
-            self._frames = self._empty(observer.rest_size, action_size)
+            self._frames = self._empty(observer.proprioception_size, action_size)
         except MemoryError as error:
-            raise CadenzaError(
-                f"replay_capacity {capacity}: not enough memory; choose less"
-            ) from error
+            raise CadenzaError(f"buffer_size {capacity}: not enough memory; choose less") from error
         self._count = np.zeros(num_envs, np.int64)  # frames ever added
         self._size = 0  # transitions
 
-    def _empty(self, rest_size: int, action_size: int) -> dict[str, NDArray[Any]]:
+    def _empty(self, proprioception_size: int, action_size: int) -> dict[str, NDArray[Any]]:
         return {
-            "rest": np.zeros((*self._shape, rest_size), np.float32),
+            "proprioception": np.zeros((*self._shape, proprioception_size), np.float32),
             "action": np.zeros((*self._shape, action_size), np.float32),
             "reward": np.zeros(self._shape, np.float32),
             "row": np.zeros(self._shape, np.int32),
@@ -72,12 +70,15 @@ class Replay:
         """How many transitions there are to learn from."""
         return self._size
 
-    def observe(self, env_ids: Rows, rest: Floats, row: Rows, first: NDArray[np.bool_]) -> None:
+    def observe(
+        self, env_ids: Rows, proprioception: Floats, row: Rows, first: NDArray[np.bool_]
+    ) -> None:
         """Adds a frame (E, ...) to each of these environments."""
         frames, (_, length) = self._frames, self._shape
         at = (env_ids, self._count[env_ids] % length)
         self._size -= int(frames["complete"][at].sum())
-        frames["rest"][at], frames["row"][at], frames["first"][at] = rest, row, first
+        frames["proprioception"][at] = proprioception
+        frames["row"][at], frames["first"][at] = row, first
         frames["complete"][at] = False
         self._count[env_ids] += 1
         # What came before the next frame is gone.
@@ -130,7 +131,7 @@ class Replay:
         return Batch(
             observation=observe(
                 frames["row"][here],
-                frames["rest"][here],
+                frames["proprioception"][here],
                 action[before],
                 reward[before],
                 frames["first"][here],
@@ -140,7 +141,7 @@ class Replay:
             discount=np.where(frames["terminated"][here], np.float32(0), np.float32(1)),
             next_observation=observe(
                 frames["row"][after],
-                frames["rest"][after],
+                frames["proprioception"][after],
                 action[here],
                 reward[here],
                 np.zeros(len(env), bool),

@@ -46,8 +46,8 @@ from cadenza.files import (
 )
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import DROQ, learner_config, name_of
-from cadenza.learning.old_formats import renewed_checkpoint
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
+from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
+from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
 from cadenza.music.score import Score
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
@@ -186,10 +186,10 @@ class RunFolder:
         if not self._about.exists():
             raise CadenzaError(f"{self.path}: holds no run to resume")
         about = read_json(self._about, dict[str, Any])
-        config = about.get("config")
+        config = renewed_config(about.get("config"))
         options = config.pop("learner", {}) if isinstance(config, dict) else {}
-        read = checked(about, _About, self._about)
-        learner = checked(options, learner_config(read.learner), self._about)
+        read = checked(about | {"config": config}, _About, self._about)
+        learner = checked(renewed_config(options), learner_config(read.learner), self._about)
         return replace(read, config=replace(read.config, learner=learner))
 
     def settings(self) -> tuple[TrainingConfig, Score]:
@@ -294,6 +294,12 @@ class RunFolder:
             print(f"{self.path}: going back to step {int(best.name)}", file=sys.stderr)
         if lost := _lost(found[best]):
             print(f"{self.path}: up to {lost} transitions are lost", file=sys.stderr)
+        if is_old(best):
+            print(
+                f"{self.path}: begun by an older version; this version continues it, and the next "
+                "one will not",
+                file=sys.stderr,
+            )
         self._cut_rows(found[best].facts.metrics_size)
         return found[best]
 
@@ -316,7 +322,7 @@ class RunFolder:
 
     def _chunk(self, name: str) -> Arrays | None:
         try:
-            return read_arrays(self._replay / name, ANY)
+            return renewed_chunk(read_arrays(self._replay / name, ANY))
         except CadenzaError as error:
             print(error, file=sys.stderr)
             return None
@@ -361,7 +367,8 @@ def _versions() -> dict[str, str]:
 
 def _facts(folder: Path, expected: Expected = MappingProxyType({})) -> tuple[Facts, Arrays]:
     plain, arrays = read_sealed(folder, _KIND, expected)
-    return checked(renewed_checkpoint(plain, arrays), Facts, folder / "facts.json"), arrays
+    plain, arrays = renewed_checkpoint(plain, arrays)
+    return checked(plain, Facts, folder / "facts.json"), arrays
 
 
 def _lost(checkpoint: Checkpoint) -> int:

@@ -23,7 +23,7 @@ from cadenza.learning.control import control_of
 from cadenza.learning.observation import ObservationSpec, Observer, Scores, pruned
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
-from cadenza.learning.replay_buffer import Replay
+from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite
 from cadenza.music.score import Score
@@ -74,12 +74,12 @@ class Training:
         self._ranges = ranges_of(self._task) if narrowed else None
         control = control_of(self._task, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task, config.residual)
-        prune = self._has_known_scores() and not config.keep_zero_inputs
+        prune = self._has_known_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._scores) if prune else self._observation.inputs
         observer = Observer(self._task, self._scores, inputs, control.reference, self._ranges)
         actions = self._task.action_size
         self._inputs = inputs
-        self._replay = Replay(observer, config.num_envs, config.replay_capacity, actions)
+        self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
         self._collector = Collector(
             self._task, self._scores, observer, self._replay, control.ctrl, rng
@@ -150,8 +150,8 @@ class Training:
 
     def _round(self) -> None:
         config = self.config
-        if self.step < config.seed_steps or not len(self._replay):
-            self._collect(random=self.step < config.seed_steps)
+        if self.step < config.learning_starts or not len(self._replay):
+            self._collect(random=self.step < config.learning_starts)
         elif config.parallel:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
@@ -165,19 +165,19 @@ class Training:
     def _collect(self, random: bool) -> None:
         config = self.config
         policy = None if random else self._policy
-        self._finished += self._collector.collect(policy, config.steps_per_round)
-        self.step += config.steps_per_round * config.num_envs
+        self._finished += self._collector.collect(policy, config.train_freq)
+        self.step += config.train_freq * config.num_envs
 
     def _batches(self) -> Any:
         config = self.config
         return self._replay.sample(
-            self._sample_rng, (config.updates_per_round, config.learner.batch_size)
+            self._sample_rng, (config.gradient_steps, config.learner.batch_size)
         )
 
     def _learn(self, batches: Any) -> None:
         self._state, figures = self._learner.update(self._state, batches)
         self._figures.append({name: np.asarray(values) for name, values in figures.items()})
-        self._updates += self.config.updates_per_round
+        self._updates += self.config.gradient_steps
 
     def _learnt(self) -> LearntPolicy:
         config = self.config

@@ -44,7 +44,7 @@ class DroQConfig(LearnerConfig):
     """Learning rate of the critics (Adam)."""
     temperature_learning_rate: float = 3e-4
     """Learning rate of the log temperature (Adam)."""
-    final_learning_rates: float = 1.0
+    final_learning_rate_fraction: float = 1.0
     """Fraction of the learning rates that is left at the end of a run. They decay linearly. If a
     resumed run gets another end, they decay from their current values."""
     adam_beta1: float = 0.9
@@ -55,9 +55,9 @@ class DroQConfig(LearnerConfig):
     """Discount factor per control step."""
     tau: float = 0.005
     """Soft update rate of the target critics."""
-    actor_update_period: int = 1
+    policy_delay: int = 1
     """Critic updates per update of the actor and the temperature."""
-    actor_average: float = 1.0
+    actor_ema: float = 1.0
     """Update rate of the exponential moving average of the actor, which is evaluated and saved.
     With 1 it is the latest actor."""
 
@@ -79,7 +79,7 @@ class DroQConfig(LearnerConfig):
             temperature_learning_rate=1e-3,
             initial_temperature=0.05,
             discount=0.84,
-            actor_average=0.01,
+            actor_ema=0.01,
             batch_size=128,
         )
         if not residual:
@@ -89,7 +89,7 @@ class DroQConfig(LearnerConfig):
             actor_learning_rate=3e-4,
             critic_learning_rate=3e-4,
             initial_temperature=0.01,
-            final_learning_rates=0.1,
+            final_learning_rate_fraction=0.1,
             batch_size=256,
         )
 
@@ -121,11 +121,11 @@ class DroQConfig(LearnerConfig):
 
 _RANGES = {
     "num_critics": (1, MOST_COUNT),
-    "actor_update_period": (1, MOST_COUNT),
+    "policy_delay": (1, MOST_COUNT),
     "discount": (0, 1),
     "tau": (0, 1),
-    "actor_average": (0, 1),
-    "final_learning_rates": (0, 1),
+    "actor_ema": (0, 1),
+    "final_learning_rate_fraction": (0, 1),
 }
 _BELOW_ONE = ("dropout", "adam_beta1", "adam_beta2")
 _ABOVE_ZERO = (

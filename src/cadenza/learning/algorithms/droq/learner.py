@@ -33,7 +33,7 @@ class DroQState(NamedTuple):
     key: jax.Array
     updates: jax.Array
     actor: Params
-    averaged_actor: Params
+    actor_ema: Params
     """What is evaluated and kept."""
     critics: tuple[Params, ...]
     targets: tuple[Params, ...]
@@ -118,7 +118,7 @@ class DroQ:
             key=jax.random.key_data(key),
             updates=jnp.zeros((), jnp.int32),
             actor=actor,
-            averaged_actor=jax.tree.map(jnp.copy, actor),
+            actor_ema=jax.tree.map(jnp.copy, actor),
             critics=critics,
             targets=jax.tree.map(jnp.copy, critics),
             log_temperature=log_temperature,
@@ -139,7 +139,7 @@ class DroQ:
 
     def policy(self, state: DroQState) -> Policy:
         """That of the averaged actor."""
-        return self._policy(state.averaged_actor)
+        return self._policy(state.actor_ema)
 
     def behavior_policy(self, state: DroQState) -> Policy:
         """That of the latest actor."""
@@ -164,14 +164,14 @@ class DroQ:
 
     def _adam(self, learning_rate: float) -> optax.GradientTransformation:
         config = self._config
-        rate = falling(learning_rate, config.final_learning_rates, self._ends)
+        rate = falling(learning_rate, config.final_learning_rate_fraction, self._ends)
         return optax.adam(rate, config.adam_beta1, config.adam_beta2)
 
     def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, dict[str, Any]]:
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
         state, about_critics = self._update_critics(state, batch, critic_key)
         state, about_actor = jax.lax.cond(
-            state.updates % self._config.actor_update_period == 0,
+            state.updates % self._config.policy_delay == 0,
             partial(self._update_actor, batch=batch, key=actor_key),
             self._keep_actor,
             state,
@@ -225,10 +225,10 @@ class DroQ:
             too_much, state.temperature_optimiser
         )
         actor = optax.apply_updates(state.actor, change)
-        averaged = optax.incremental_update(actor, state.averaged_actor, config.actor_average)
+        averaged = optax.incremental_update(actor, state.actor_ema, config.actor_ema)
         state = state._replace(
             actor=actor,
-            averaged_actor=averaged,
+            actor_ema=averaged,
             log_temperature=optax.apply_updates(state.log_temperature, cooler),
             actor_optimiser=actor_optimiser,
             temperature_optimiser=temperature_optimiser,
