@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.fingering.playable import playable
-from cadenza.fingering.players import Players, seated
+from cadenza.fingering.players import Forearm, Players, seated
 from cadenza.fingering.presses import Press, onsets, outer_first
 from cadenza.fingering.search import solve
 from cadenza.fingers import hand_of, place_of
@@ -101,6 +101,14 @@ everyone = st.builds(
     sides=sides,
     hand_spacing=st.sampled_from([0.0, 0.16, 0.3]),
     slides=st.booleans(),
+) | st.builds(
+    Players,
+    reach=st.just(REACH),
+    keyboard=st.just(PIANO),
+    forearms=st.tuples(
+        st.sampled_from([Forearm(0.1, 0.0, 0.2), Forearm(0.3, 0.3, 0.6)]),
+        st.sampled_from([Forearm(-0.1, -0.3, 0.05), None]),
+    ),
 )
 
 
@@ -110,6 +118,18 @@ def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
     found = playable(score, players)
     played = {i for i in range(len(score.notes)) if i not in found.reasons | found.unheeded}
     assert played == written_out(score, players)
+
+
+@settings(deadline=None)
+@given(score=st.one_of(crowded, scores()), players=everyone)
+def test_what_can_be_played_is_played(score: Score, players: Players) -> None:
+    """By one of the fingers that there are, and without breaking a limit."""
+    found = solve(score, players)
+    there = {f for f in players.fingers if players.forearms[hand_of(f)]}
+    reasons = playable(score, players).reasons
+    for i, note in enumerate(found.score.notes):
+        assert note.finger == -1 if i in reasons else note.finger in there or note in found.unheeded
+    assert 0 <= found.cost < 1e6
 
 
 @settings(deadline=None)

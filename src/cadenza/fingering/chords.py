@@ -175,27 +175,24 @@ class Chords:
         return self._players.reach
 
     def at_home(self) -> Chord:
-        """Without notes, each hand where its forearm is mounted."""
-        right, left = self._hands
-        return self._chord(right.states((), right.home), left.states((), left.home))
+        """Without notes, each hand where its forearm is mounted, however close to the other's."""
+        right, left = (hand.states((), hand.home) for hand in self._hands)
+        return Chord((right, left), ((slice(0, 1), slice(0, 1)),), np.zeros((1, 1)))
 
     def _of(self, asked: tuple[Asked, ...]) -> Chord:
         """The notes that the hands are `asked` for, from the lowest."""
-        right, left = self._hands
-        return self._chord(
-            right.states(asked, right.stands), left.states(asked[::-1], left.stands), len(asked)
-        )
-
-    def _chord(self, right: States, left: States, notes: int = 0) -> Chord:
+        hands = self._hands
+        right = hands[0].states(asked, hands[0].stands)
+        left = hands[1].states(asked[::-1], hands[1].stands)
         close = self._closeness(right, left)
-        all_played = right.count[:, None] + left.count == notes
+        all_played = right.count[:, None] + left.count == len(asked)
         fits = all_played & (close + right.cost[:, None] + left.cost < NEVER)
         in_right, in_left = fits.any(axis=1), fits.any(axis=0)
         right, left = right.only(in_right), left.only(in_left)
         return Chord(
             hands=(right, left),
             shared=tuple(
-                (right.that_play(count), left.that_play(notes - count))
+                (right.that_play(count), left.that_play(len(asked) - count))
                 for count in sorted(set(right.count.tolist()))
             ),
             close=close[np.ix_(in_right, in_left)],
