@@ -60,6 +60,8 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
     tracker = ReferenceTracker(task, reference_of(task))
+    wrist = [a for a, name in enumerate(task.scene.actuator_names) if "WRJ" in name]
+    assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
         tracker.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
     )

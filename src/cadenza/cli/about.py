@@ -10,6 +10,7 @@ import tyro
 
 from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -155,4 +156,6 @@ def _installation_facts() -> dict[str, Any]:
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
         "can render video": drawing,
-    } | {f"agent {name}": agent.about for name, agent in AGENTS.entries().items()}
+        **{f"agent {name}": agent.about for name, agent in AGENTS.entries().items()},
+        **{f"learner {name}": learner.about for name, learner in LEARNERS.entries().items()},
+    }

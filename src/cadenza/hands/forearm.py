@@ -46,8 +46,8 @@ JOINTS: dict[str, ForearmJoint] = {
 
 _STIFF = Servo(ease=0.05, change=0.05, stride=0.05)  # planners leave them where they are
 SERVOS: dict[str, Servo] = {
-    "forearm_tx": Servo(0.0, 1000.0, 0.005, 0.05, noise=0.01),
-    "forearm_ty": Servo(0.01, 0.05, 0.02, 0.05, noise=0.005),
+    "forearm_tx": Servo(0.0, 1000.0, 0.005, 0.05, noise=0.01, correction=0.03),
+    "forearm_ty": Servo(0.01, 0.05, 0.02, 0.05, noise=0.005, correction=0.015),
 } | {f"forearm_{name}": _STIFF for name in ("tz", "roll", "pitch", "yaw")}
 
 

@@ -1,4 +1,4 @@
-"""How planners use a servo."""
+"""How planners and residual policies use a servo."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Servo:
-    """A servo as inverse kinematics and sampling see it; in its own units [m, rad]."""
+    """A servo as inverse kinematics, sampling and learning see it; in its own units [m, rad]."""
 
     rest: float = 0.0
     """Where it is while its hand is at ease over the keys."""
@@ -19,6 +19,8 @@ class Servo:
     """The most that an iteration of inverse kinematics moves it."""
     noise: float = 0.08
     """Standard deviation of the candidates that a planner tries around its plan."""
+    correction: float = 0.25
+    """The most that a residual policy corrects it."""
     lift: float = 0.0
     """What frees a hand that is caught between keys, if it is added for a moment."""
     finger: int | None = None

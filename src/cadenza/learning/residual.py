@@ -16,10 +16,6 @@ from cadenza.tasks.piano_task import PianoTask
 
 Array = NDArray[np.float64]
 
-# How far a correction may go, about three times what the planner's own search draws [m, rad].
-_REACH = {"forearm_tx": 0.03, "forearm_ty": 0.015, "WRJ2": 0.1, "WRJ1": 0.1}
-_FINGER_REACH = 0.25
-
 
 class Reference(NamedTuple):
     """How the hands are to play T steps with A servos, and how far that may be corrected."""
@@ -45,7 +41,7 @@ def reference_of(task: PianoTask) -> Reference:
     check_one_score(task.config)
     (score,) = task.scores
     plan = plan_song(task, score)
-    reach = [_REACH.get(name, _FINGER_REACH) for name in servos_of(task.scene).names]
+    reach = [task.scene.hand.servo(name).correction for name in servos_of(task.scene).names]
     arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
     return Reference._make(array.astype(np.float32) for array in arrays)
 

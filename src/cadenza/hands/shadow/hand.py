@@ -38,8 +38,8 @@ def _stiff(finger: int) -> Servo:
 
 _THUMB, _LITTLE = 0, 4
 _SERVOS = {
-    "WRJ2": Servo(0.0, 0.3, 0.1, noise=0.03),
-    "WRJ1": Servo(-0.05, 0.3, 0.1, noise=0.03, lift=-0.35),
+    "WRJ2": Servo(0.0, 0.3, 0.1, noise=0.03, correction=0.1),
+    "WRJ1": Servo(-0.05, 0.3, 0.1, noise=0.03, correction=0.1, lift=-0.35),
     "THJ5": _stiff(_THUMB),
     "THJ4": Servo(0.72, finger=_THUMB),
     "THJ3": Servo(0.15, finger=_THUMB),
