@@ -41,7 +41,7 @@ def replayed_f1(plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene
     """F1 of each variation of the plan, (1 + NUM_NOISY,)."""
     ctrl = variations(plan, scene)[..., :-1]
     simulation = PlanningSimulation(scene, len(ctrl), num_threads=available_cores())
-    played = key_activation(simulation.rollout(ctrl).key_qpos)
+    played = key_activation(simulation.rollout(ctrl).key_qpos, scene.keyboard.sounds_from)
     simulation.close()
     return np.array([step_metrics(keys, goal)[2].mean() for keys in played])
 

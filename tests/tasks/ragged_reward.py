@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.tasks.reward import PRESS_OFFSET
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
@@ -47,19 +45,23 @@ def score_pairs(fingers: NDArray[np.int8]) -> Pairs:
     return Pairs(row, fingers[row, key].astype(np.intp), key)
 
 
-def transport_pairs(fingertips: Array, key_xpos: Array, goal: Mask, there: Ids) -> Pairs:
+def transport_pairs(
+    fingertips: Array, key_xpos: Array, press: Array, goal: Mask, there: Ids
+) -> Pairs:
     pairs = [np.zeros((3, 0), np.intp)]
     for row in np.flatnonzero(goal.any(axis=1)):
         key = np.flatnonzero(goal[row])
-        points = key_xpos[row, key] + PRESS_OFFSET[key]
+        points = key_xpos[row, key] + press[key]
         offsets = fingertips[row, there][:, None] - points
         finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
         pairs.append(np.array([np.full(len(of_key), row), there[finger], key[of_key]]))
     return Pairs(*np.concatenate(pairs, axis=1))
 
 
-def nearness(fingertips: Array, key_xpos: Array, pairs: Pairs, otherwise: float) -> Array:
+def nearness(
+    fingertips: Array, key_xpos: Array, press: Array, pairs: Pairs, otherwise: float
+) -> Array:
     row, finger, key = pairs
-    offset = fingertips[row, finger] - key_xpos[row, key] - PRESS_OFFSET[key]
+    offset = fingertips[row, finger] - key_xpos[row, key] - press[key]
     near = tolerance(np.sqrt(np.vecdot(offset, offset)), 0.01, 0.1)
     return _mean_by_row(row, near, len(fingertips), otherwise)

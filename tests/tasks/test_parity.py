@@ -39,7 +39,7 @@ class Recording:
             )
         )
         self.score = load_score(str(self["song"]))
-        (prepared,) = prepare([self.score], self.config, self.scene.sides)
+        (prepared,) = prepare([self.score], self.config, self.scene)
         self.goals = goals_of(prepared, self.config)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -88,13 +88,16 @@ def test_names_and_ranges_of_actions(recording: Recording) -> None:
 def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     goals = recording.goals
     key_qpos = recording["key_qpos"]
-    state, activation = reward.key_state(key_qpos), reward.key_activation(key_qpos)
+    keyboard = recording.scene.keyboard
+    state = reward.key_state(key_qpos, keyboard.travel)
+    activation = reward.key_activation(key_qpos, keyboard.sounds_from)
+    press = reward.press_offset(keyboard.half_size)
     assert_array_equal(activation, recording["key_activation"])
     force, velocity = servo_force_and_velocity(recording)
     tips, centres = recording["fingertip_xpos"], key_centres(recording)
     terms = {
         "key_press": reward.key_press(state, activation, goals.keys),
-        "fingering": reward.score_fingering(tips, centres, goals.fingers),
+        "fingering": reward.score_fingering(tips, centres, press, goals.fingers),
         "energy": reward.energy(force, velocity, recording.config.energy_coefficient),
         "sustain": reward.sustain(recording["sustain_activation"], goals.sustain),
         "forearm": reward.forearm(np.zeros(goals.num_steps, bool)),

@@ -22,6 +22,7 @@ from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
 NUM_KEYS = PIANO.num_keys
+PRESS = reward.press_offset(PIANO.half_size)
 few = settings(max_examples=25, deadline=None)
 sizes = st.integers(1, 4)
 
@@ -52,7 +53,8 @@ def gaussian(x: float, low: float, high: float, margin: float) -> float:
 @few
 @given(sizes.flatmap(key_angles))
 def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
-    state, sounds = reward.key_state(key_qpos), reward.key_activation(key_qpos)
+    state = reward.key_state(key_qpos, PIANO.travel)
+    sounds = reward.key_activation(key_qpos, PIANO.sounds_from)
     for index, angle in np.ndenumerate(key_qpos):
         most = PIANO.travel[index[1]]
         clipped = min(max(angle, 0.0), most)
@@ -65,7 +67,7 @@ def test_state_and_sounding_of_keys(key_qpos: np.ndarray) -> None:
 def test_key_press(data: st.DataObject, n: int) -> None:
     key_qpos, goal = data.draw(key_angles(n)), data.draw(masks(n, NUM_KEYS))
     sounds = data.draw(masks(n, NUM_KEYS))
-    state = reward.key_state(key_qpos)
+    state = reward.key_state(key_qpos, PIANO.travel)
     ours = reward.key_press(state, sounds, goal)
     for env in range(n):
         near = [
@@ -109,7 +111,7 @@ def fingerings(n: int, fingers: int = 10) -> st.SearchStrategy[np.ndarray]:
 def test_fingering_of_the_score(data: st.DataObject, n: int) -> None:
     tips, centres = data.draw(fingertips(n)), data.draw(key_centres(n))
     fingers = data.draw(fingerings(n))
-    ours = reward.score_fingering(tips, centres, fingers)
+    ours = reward.score_fingering(tips, centres, PRESS, fingers)
     for env in range(n):
         distances = [
             math.dist(tips[env, fingers[env, k]], point(k, centres[env, k]))
@@ -127,9 +129,9 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
     fingers[0, key] = 7
     tips[0, 7] = point(key, PIANO.centre[key])
     centres = PIANO.centre[None]
-    assert_allclose(reward.score_fingering(tips, centres, fingers), [1.0])
+    assert_allclose(reward.score_fingering(tips, centres, PRESS, fingers), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
-    assert_allclose(reward.score_fingering(tips, centres, fingers), [0.1], rtol=1e-6)
+    assert_allclose(reward.score_fingering(tips, centres, PRESS, fingers), [0.1], rtol=1e-6)
 
 
 @few
@@ -139,7 +141,7 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    (assigned,) = keys_by_transport_on_host(tips, centres, goal, np.arange(num_fingers))
+    (assigned,) = keys_by_transport_on_host(tips, centres, PRESS, goal, np.arange(num_fingers))
     given_away = assigned[assigned >= 0].tolist()
     assert len(set(given_away)) == len(given_away) == min(num_fingers, len(keys))
     assert set(given_away) <= set(keys)
@@ -165,23 +167,25 @@ def test_optimal_transport_row_by_row() -> None:
     goal[1, [3, 50]] = True
     tips[1, 2], tips[1, 8] = point(50, PIANO.centre[50]), point(3, PIANO.centre[3])
     tips[1, 8, 1] += 0.11
-    keys = keys_by_transport_on_host(tips, centres, goal, np.array([2, 5, 8]))
+    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, np.array([2, 5, 8]))
     assert np.argwhere(keys >= 0).tolist() == [[1, 2], [1, 8]]
     assert keys[1, [2, 8]].tolist() == [50, 3]
-    assert_allclose(reward.transport_fingering(tips, centres, keys), [1.0, 0.55, 1.0], rtol=1e-6)
+    ours = reward.transport_fingering(tips, centres, PRESS, keys)
+    assert_allclose(ours, [1.0, 0.55, 1.0], rtol=1e-6)
 
 
 @few
 @given(st.data(), sizes)
 def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -> None:
     """Also with more keys to press than a plain sum adds up one after the other."""
-    state, centres = reward.key_state(data.draw(key_angles(n))), data.draw(key_centres(n))
+    state = reward.key_state(data.draw(key_angles(n)), PIANO.travel)
+    centres = data.draw(key_centres(n))
     goal, sounds = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
     goal[:, :40:2] |= data.draw(st.booleans())
     tips, fingers = data.draw(fingertips(n)), data.draw(fingerings(n))
     there = np.array(data.draw(st.sampled_from([range(10), range(5), range(5, 10)])))
-    keys = keys_by_transport_on_host(tips, centres, goal, there)
-    pairs = ragged_reward.transport_pairs(tips, centres, goal, there)
+    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, there)
+    pairs = ragged_reward.transport_pairs(tips, centres, PRESS, goal, there)
     row, finger = (keys >= 0).nonzero()
     assert_array_equal([row, finger, keys[row, finger]], pairs)
     for dense, ragged in (
@@ -190,12 +194,12 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -
             ragged_reward.key_press(state, sounds, goal),
         ),
         (
-            reward.score_fingering(tips, centres, fingers),
-            ragged_reward.nearness(tips, centres, ragged_reward.score_pairs(fingers), 0.0),
+            reward.score_fingering(tips, centres, PRESS, fingers),
+            ragged_reward.nearness(tips, centres, PRESS, ragged_reward.score_pairs(fingers), 0.0),
         ),
         (
-            reward.transport_fingering(tips, centres, keys),
-            ragged_reward.nearness(tips, centres, pairs, 1.0),
+            reward.transport_fingering(tips, centres, PRESS, keys),
+            ragged_reward.nearness(tips, centres, PRESS, pairs, 1.0),
         ),
     ):
         assert_array_equal(dense, ragged)
@@ -204,10 +208,10 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -
 def test_jax_compiles_the_terms() -> None:
     """All that a step is rewarded for, in single precision."""
     n, rng = 3, np.random.default_rng(0)
-    down = rng.random(n) < 0.5
+    down, angles = rng.random(n) < 0.5, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))
     for term, *arguments in (
-        (reward.key_state, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))),
-        (reward.key_activation, rng.uniform(-0.01, 0.1, (n, NUM_KEYS))),
+        (reward.key_state, angles, PIANO.travel),
+        (reward.key_activation, angles, PIANO.sounds_from),
         (
             reward.key_press,
             rng.random((n, NUM_KEYS)),
@@ -227,9 +231,9 @@ def test_jax_compiles_the_terms() -> None:
         assert_allclose(compiled, term(*arguments), rtol=1e-4, atol=1e-6, err_msg=term.__name__)
 
 
-def around_keys(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fingertips and centres of keys."""
-    return rng.uniform(-0.1, 0.1, (n, 10, 3)), np.tile(PIANO.centre, (n, 1, 1))
+def around_keys(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
+    """Fingertips, centres of keys, and where from there fingers are wanted."""
+    return rng.uniform(-0.1, 0.1, (n, 10, 3)), np.tile(PIANO.centre, (n, 1, 1)), PRESS
 
 
 @few

@@ -6,14 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.tasks.reward import PRESS_OFFSET
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 
 def keys_by_transport_on_host(
-    fingertips: Array, key_xpos: Array, goal: NDArray[np.bool_], there: Ids
+    fingertips: Array, key_xpos: Array, press: Array, goal: NDArray[np.bool_], there: Ids
 ) -> Ids:
     """(N, F) the key of each finger, -1 for none, so that the ways are the least in sum.
 
@@ -22,14 +20,15 @@ def keys_by_transport_on_host(
 
     Args:
         fingertips: (N, F, 3) [m].
-        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        goal: (N, 88) the keys to press.
+        key_xpos: (N, K, 3) centres of the keys' boxes [m].
+        press: (K, 3) from there to where fingers are wanted, see `reward.press_offset` [m].
+        goal: (N, K) the keys to press.
         there: the fingers of 0..F-1 that there are.
     """
     keys = np.full(fingertips.shape[:2], -1)
     for row in np.flatnonzero(goal.any(axis=1)):
         key = np.flatnonzero(goal[row])
-        points = key_xpos[row, key] + PRESS_OFFSET[key]
+        points = key_xpos[row, key] + press[key]
         offsets = fingertips[row, there][:, None] - points
         finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
         keys[row, there[finger]] = key[of_key]

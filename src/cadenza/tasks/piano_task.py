@@ -114,6 +114,9 @@ class PianoTask:
             num_threads=num_threads,
             watch_forearms=self.config.forearm_term,
         )
+        keyboard = self.scene.keyboard
+        self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
+        self._press = reward.press_offset(keyboard.half_size)
         self.action_low = self.scene.action_low
         self.action_high = self.scene.action_high
         lookahead = self._steps_lookahead()
@@ -218,8 +221,8 @@ class PianoTask:
 
     def _look(self) -> None:
         self.state = self.simulation.state
-        self.key_state = reward.key_state(self.state.key_qpos)
-        self.sounding = reward.key_activation(self.state.key_qpos)
+        self.key_state = reward.key_state(self.state.key_qpos, self._travel)
+        self.sounding = reward.key_activation(self.state.key_qpos, self._sounds_from)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Takes one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
@@ -302,11 +305,12 @@ class PianoTask:
         return values
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
-        tips, key_xpos = self.state.fingertip_xpos, self.state.key_xpos
+        tips, key_xpos, press = self.state.fingertip_xpos, self.state.key_xpos, self._press
         if self.config.fingering == "transport":
-            assigned = keys_by_transport_on_host(tips, key_xpos, keys, self.scene.fingers)
-            return reward.transport_fingering(tips, key_xpos, assigned)
-        return reward.score_fingering(tips, key_xpos, fingers)
+            there = self.scene.fingers
+            assigned = keys_by_transport_on_host(tips, key_xpos, press, keys, there)
+            return reward.transport_fingering(tips, key_xpos, press, assigned)
+        return reward.score_fingering(tips, key_xpos, press, fingers)
 
     # What is seen
 

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.keyboards.piano import PIANO
 from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
@@ -27,10 +26,7 @@ Ids = NDArray[np.integer]
 _LOG_VALUE_AT_MARGIN = math.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
 _FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
-PRESS_OFFSET = np.stack(
-    [0.35 * PIANO.half_size[:, 0], np.zeros(PIANO.num_keys), 0.5 * PIANO.half_size[:, 2]], axis=1
-)
-"""(88, 3) where on a key a finger is wanted, from the centre of its box [m]."""
+_PRESS_AT = np.array((0.35, 0.0, 0.5))  # of half a key's size, from the centre of its box
 
 
 class Outcome(NamedTuple):
@@ -39,17 +35,17 @@ class Outcome(NamedTuple):
     state: State
     """The simulations after the step."""
     key_state: Array
-    """(N, 88) how far the keys are down, 0..1."""
+    """(N, K) how far the keys are down, 0..1."""
     sounding: Mask
-    """(N, 88) which keys sound."""
+    """(N, K) which keys sound."""
     pedal_down: Mask
     """(N,)"""
     goal_keys: Mask
-    """(N, 88) which keys should sound."""
+    """(N, K) which keys should sound."""
     goal_sustain: Mask
     """(N,) whether the pedal should be down."""
     fingers: NDArray[np.int8]
-    """(N, 88) which fingers should press the keys, -1 for none."""
+    """(N, K) which fingers should press the keys, -1 for none."""
     ctrl: Array
     """(N, A) the action in actuator units, the pedal last."""
 
@@ -58,50 +54,62 @@ RewardTerm = Callable[[Outcome], Array]
 """A term of the reward, (N,)."""
 
 
-def key_state(key_qpos: Array) -> Array:
-    """How far the keys are down, 0..1, of the same shape `(..., 88)` as their angles [rad]."""
+def press_offset(key_half_size: Array) -> Array:
+    """(K, 3) where on a key a finger is wanted, from the centre of its box (K, 3) [m]."""
+    return _PRESS_AT * key_half_size
+
+
+def key_state(key_qpos: Array, travel: Array) -> Array:
+    """`(..., K)` how far the keys are down, 0..1.
+
+    Args:
+        key_qpos: (..., K) angles of the keys [rad].
+        travel: (K,) from rest to stop [rad].
+    """
     xp = key_qpos.__array_namespace__()
-    return xp.minimum(xp.maximum(key_qpos / PIANO.travel, 0.0), 1.0)
+    return xp.minimum(xp.maximum(key_qpos / travel, 0.0), 1.0)
 
 
-def key_activation(key_qpos: Array) -> Mask:
-    """Which keys sound, `(..., 88)`: those within half a degree of their stop."""
-    return key_qpos >= PIANO.sounds_from
+def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
+    """(..., K) which keys sound: those at an angle (K,), near their stop, or beyond it [rad]."""
+    return key_qpos >= sounds_from
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """Half for goal keys that are down, half for no other key sounding; arrays (N, 88) to (N,)."""
+    """Half for goal keys that are down, half for no other key sounding; arrays (N, K) to (N,)."""
     xp = state.__array_namespace__()
     down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
     wrong = (activation > goal).any(-1)
     return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
 
 
-def score_fingering(fingertips: Array, key_xpos: Array, fingers: Ids) -> Array:
+def score_fingering(fingertips: Array, key_xpos: Array, press: Array, fingers: Ids) -> Array:
     """(N,) mean nearness of fingers to the keys that the score gives them, 0 where it gives none.
 
     Args:
         fingertips: (N, F, 3) [m].
-        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        fingers: (N, 88) for the keys, of 0..F-1, -1 for none.
+        key_xpos: (N, K, 3) centres of the keys' boxes [m].
+        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
+        fingers: (N, K) for the keys, of 0..F-1, -1 for none.
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(fingers))[:, None]
-    offset = fingertips[rows, fingers] - key_xpos - PRESS_OFFSET
+    offset = fingertips[rows, fingers] - key_xpos - press
     return _masked_mean(xp, _nearness(xp, offset), fingers >= 0)
 
 
-def transport_fingering(fingertips: Array, key_xpos: Array, keys: Ids) -> Array:
+def transport_fingering(fingertips: Array, key_xpos: Array, press: Array, keys: Ids) -> Array:
     """(N,) mean nearness of fingers to the keys assigned to them, 1 where none is (RP1M).
 
     Args:
         fingertips: (N, F, 3) [m].
-        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
+        key_xpos: (N, K, 3) centres of the keys' boxes [m].
+        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
         keys: (N, F) for the fingers, -1 for none, see `optimal_transport`.
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(keys))[:, None]
-    offset = fingertips - key_xpos[rows, keys] - xp.asarray(PRESS_OFFSET)[keys]
+    offset = fingertips - key_xpos[rows, keys] - press[keys]
     assigned = keys >= 0
     mean = _masked_mean(xp, _nearness(xp, offset), assigned)
     return xp.where(assigned.any(-1), mean, 1.0)

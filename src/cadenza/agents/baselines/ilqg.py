@@ -239,7 +239,8 @@ class _Cost:
     def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
         wanted = self._wanted[steps]
         pairs = pairs_of(self._task, tips, centres, wanted, self._fingers[steps])
-        return _Misses(reward.key_state(key_qpos) - wanted, pairs)
+        travel = self._task.scene.keyboard.travel
+        return _Misses(reward.key_state(key_qpos, travel) - wanted, pairs)
 
 
 def _norm(residual: Array, radius: float) -> Array:

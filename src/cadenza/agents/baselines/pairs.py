@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array
 from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 from cadenza.tasks.piano_task import PianoTask
-from cadenza.tasks.reward import PRESS_OFFSET
+from cadenza.tasks.reward import press_offset
 
 Ids = NDArray[np.intp]
 
@@ -40,16 +40,17 @@ def pairs_of(
     Args:
         task: with hands.
         fingertips: (N, 10, 3) [m].
-        key_xpos: (N, 88, 3) centres of the keys' boxes [m].
-        keys: (N, 88) to press.
-        fingers: (N, 88) that the score gives them, -1 for none.
+        key_xpos: (N, K, 3) centres of the keys' boxes [m].
+        keys: (N, K) to press.
+        fingers: (N, K) that the score gives them, -1 for none.
     """
+    press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers
     if task.config.fingering == "transport":
-        of_fingers = keys_by_transport_on_host(fingertips, key_xpos, keys, task.scene.fingers)
+        of_fingers = keys_by_transport_on_host(fingertips, key_xpos, press, keys, there)
         row, finger = (of_fingers >= 0).nonzero()
         key = of_fingers[row, finger]
     else:
         row, key = (fingers >= 0).nonzero()
         finger = fingers[row, key].astype(np.intp)
-    offset = fingertips[row, finger] - key_xpos[row, key] - PRESS_OFFSET[key]
+    offset = fingertips[row, finger] - key_xpos[row, key] - press[key]
     return Pairs(row, finger, key, offset)

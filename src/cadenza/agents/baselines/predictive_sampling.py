@@ -99,7 +99,8 @@ class PredictiveSampling:
         goals, fingers = sheets.part(0, now, now + int(rows[-1]) + 1)
         shape = states.key_qpos.shape[:2]
         wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
-        keys = np.linalg.norm(reward.key_state(_flat(states.key_qpos)) - wanted, axis=1)
+        depth = reward.key_state(_flat(states.key_qpos), self._task.scene.keyboard.travel)
+        keys = np.linalg.norm(depth - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
         by_score = np.tile(fingers[rows], (shape[0], 1))
         pairs = pairs_of(self._task, tips, centres, wanted, by_score)

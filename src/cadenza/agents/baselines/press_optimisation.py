@@ -104,6 +104,7 @@ class PressOptimisation:
         self._part, self._tracking, self._config = part, tracking, config
         self._starts = _starts(onsets)
         self._servos, self._travel = servos_of(scene), scene.keyboard.travel
+        self._sounds_from = scene.keyboard.sounds_from
         self._to_posture = np.linalg.pinv(self._servos.joints)
         joint_unit = _units(scene.hand_joint_names)
         self._state_unit = np.concatenate([joint_unit, _PER_SECOND * joint_unit])
@@ -224,7 +225,7 @@ class PressOptimisation:
     # Cost
 
     def _mistakes(self, state: State, step: int) -> NDArray[np.intp]:
-        sounding = reward.key_activation(state.key_qpos)
+        sounding = reward.key_activation(state.key_qpos, self._sounds_from)
         mine, wrong = self._part.mine[step], self._part.wrong[step]
         return ((mine & ~sounding) | (wrong & sounding)).sum(axis=1)
 
@@ -234,7 +235,7 @@ class PressOptimisation:
 
     def _misses(self, state: State, step: int) -> tuple[Array, Array]:
         """Weighted residuals (N, 88), (N, 5, 3) of the states after `step`."""
-        part, depth = self._part, reward.key_state(state.key_qpos)
+        part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
         lacking = np.where(part.mine[step], depth - 1.0, 0.0)
         harm = np.where(part.wrong[step], np.maximum(depth - _NO_HARM, 0.0), 0.0)
         offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]

@@ -120,7 +120,7 @@ class _Inquiry:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
         self._dt, self._steps = episode.dt, episode.num_steps
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
-        self._depth = key_state(episode["key_qpos"])
+        self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
         self._tips = episode["fingertip_xpos"]
         self._there = self._tips.any(axis=(0, 2))
         self._planned = np.zeros((len(nominal.fingertips), NUM_FINGERS, 3))

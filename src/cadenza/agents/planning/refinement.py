@@ -14,6 +14,7 @@ from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.fingers import SIDES, Side, finger_number, hand_of, place_of
+from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
@@ -104,7 +105,7 @@ class HandRefinement:
         """
         self.follow(part, tracking)
         self._rng = rng
-        self._servos = servos_of(scene)
+        self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._to_posture = np.linalg.pinv(self._servos.joints)
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._candidates, self._iterations = config.num_candidates, config.iterations
@@ -234,7 +235,7 @@ class HandRefinement:
             simulation.step(ctrl[:, k], going.tolist())
             self._savings -= len(going)
             state = State._make(values[going] for values in simulation.state)
-            more, wrong = _cost(state, self._part, row, last=k == inside - 1)
+            more, wrong = _cost(state, self._keyboard, self._part, row, last=k == inside - 1)
             cost[going] += np.where(state.unstable, np.inf, more)
             mistakes[going] += wrong
             given_up = cost[going] >= most
@@ -245,13 +246,15 @@ class HandRefinement:
         return cost, mistakes
 
 
-def _cost(state: State, part: HandPart, row: int, last: bool) -> tuple[Array, NDArray[np.intp]]:
+def _cost(
+    state: State, keyboard: Keyboard, part: HandPart, row: int, last: bool
+) -> tuple[Array, NDArray[np.intp]]:
     """Cost (N,) and mistakes (N,) of states (N, ...) after step `row`.
 
     A key that the plan lets go early is no mistake to search for, though it costs.
     """
-    depth = reward.key_state(state.key_qpos)
-    sounding = reward.key_activation(state.key_qpos)
+    depth = reward.key_state(state.key_qpos, keyboard.travel)
+    sounding = reward.key_activation(state.key_qpos, keyboard.sounds_from)
     mine, wrong = part.mine[row], part.wrong[row]
     missing, sounds_wrong = mine & ~sounding, wrong & sounding
     mistakes = ((missing & part.planned[row]) | sounds_wrong).sum(axis=1)
