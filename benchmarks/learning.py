@@ -34,6 +34,7 @@ from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig
+from cadenza.learning.control import control_of
 from cadenza.learning.observation import (
     Floats,
     Inputs,
@@ -89,14 +90,15 @@ class Experience(NamedTuple):
 def gather(score: Score) -> Experience:
     """`PLAYED` control steps, over and over."""
     task, rng = PianoTask([score]), np.random.default_rng(0)
-    scores = Scores(task)
+    scores = Scores(task.spec)
     scores.add_all(task)
-    spec = ObservationSpec.of(task)
+    spec = ObservationSpec.of(task.spec)
     inputs, short_inputs = spec.inputs, pruned(spec, scores)
-    observer = Observer(task, scores, inputs)
+    observer = Observer(task.spec, scores, inputs)
     actions = task.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
-    collector = Collector(task, scores, observer, played, task.scale_action, rng)
+    ctrl = control_of(task.spec, None, None).ctrl
+    collector = Collector(task, scores, observer, played, ctrl, rng)
     collector.begin()
     collector.collect(None, PLAYED)
 
@@ -119,7 +121,7 @@ def gather(score: Score) -> Experience:
     return Experience(
         plain=plain,
         complete=complete,
-        short=filled(Observer(task, scores, short_inputs)),
+        short=filled(Observer(task.spec, scores, short_inputs)),
         inputs=inputs,
         short_inputs=short_inputs,
         action_size=actions,

@@ -49,17 +49,18 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
     task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
     task.reset([task_rng], [0])
     started = time.perf_counter()
-    agent.reset(task, agent_rng)
+    agent.reset([0], [agent_rng])
+    action = agent.act(task.view())
     beforehand = time.perf_counter() - started
     planning = beforehand * num_steps / int(task.sheets.num_steps[0])
     fingering = 0.0
     for _ in range(num_steps):
+        fingering += float(task.step(action).terms["fingering"][0])
         started = time.perf_counter()
-        action = agent.act()
+        action = agent.act(task.view())
         planning += time.perf_counter() - started
-        fingering += float(task.step(action[None]).terms["fingering"][0])
     music = num_steps * task.config.control_timestep
-    parts = getattr(agent, "seconds", {})
+    parts = agent.players[0].seconds if isinstance(agent, ILQG) else {}
     return Result(
         task.episode_metrics(0)["f1"],
         fingering / num_steps,

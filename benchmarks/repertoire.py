@@ -16,7 +16,7 @@ import numpy as np
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.music.library import load_score, songs
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -32,7 +32,7 @@ def measure(
     played = []
     started = time.perf_counter()
     for seed in range(seeds):
-        played.append(play(task, ScorePlanner(config), seed).metrics)
+        played.append(play_episode(task, ScorePlanner(config), seed).metrics)
     took = time.perf_counter() - started
     task.close()
     music = sum(metrics["steps"] for metrics in played) * task.config.control_timestep

@@ -9,7 +9,7 @@ loop: what it plays when nothing is amiss, recorded and replayed.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,14 +18,15 @@ from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.playback import ReplayAgent
-from cadenza.agents.rollout import play
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import play_episode
 from cadenza.music.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 AGENTS: dict[str, Callable[[], Agent]] = {
     "refined": ScorePlanner,
@@ -56,23 +57,23 @@ TROUBLES = (
 )
 
 
-class Noisy:
+class Noisy(Agent):
     """Another agent's actions with noise on all but the pedal."""
 
     def __init__(self, agent: Agent, noise: float, seed: int) -> None:
         """`noise` is its standard deviation in units of half the control range."""
         self._agent, self._noise, self._seed = agent, noise, seed
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self._agent.reset(task, rng)
-        self._low, self._high = task.action_low, task.action_high
-        self._sigma = self._noise * (self._high - self._low) / 2
-        self._sigma[-1] = 0.0
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._agent.reset(env_ids, rngs)
         self._rng = np.random.default_rng([self._seed, 1])  # not that of starts and models
 
-    def act(self) -> Array:
-        noise = self._sigma * self._rng.standard_normal(len(self._sigma))
-        return np.clip(self._agent.act() + noise, self._low, self._high)
+    def act(self, view: View) -> Array:
+        low, high = view.task.action_low, view.task.action_high
+        sigma = self._noise * (high - low) / 2
+        sigma[-1] = 0.0
+        noise = sigma * self._rng.standard_normal(len(sigma))
+        return np.clip(self._agent.act(view) + noise, low, high)
 
 
 def troubled_task(score: Score, config: TaskConfig, trouble: Trouble, seed: int) -> PianoTask:
@@ -89,7 +90,7 @@ def f1_in_trouble(
     """F1, and the actions (T, A) that the agent chose and noise changed."""
     task = troubled_task(score, config, trouble, seed)
     player = Noisy(agent, trouble.noise, seed) if trouble.noise else agent
-    performance = play(task, player, seed)
+    performance = play_episode(task, player, seed)
     return performance.metrics["f1"], performance.episode.arrays["action"]
 
 
@@ -102,7 +103,7 @@ def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: in
             [
                 [
                     f1_in_trouble(score, config, trouble, player, seed)[0]
-                    for player in (agent(), ReplayAgent(plan))
+                    for player in (agent(), Playback(plan))
                 ]
                 for seed, plan in enumerate(plans)
             ]

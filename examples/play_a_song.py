@@ -6,25 +6,27 @@ python examples/play_a_song.py [SONG]
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 import numpy as np
 
 import cadenza
 
 
-class Clumsy:
-    """The planner with trembling hands: any class with these two methods is an agent."""
+class Clumsy(cadenza.Agent):
+    """The planner with trembling hands."""
 
     def __init__(self) -> None:
         self._planner = cadenza.make_agent("planner")
 
-    def reset(self, task, rng: np.random.Generator) -> None:
-        self._planner.reset(task, rng)
-        self._task, self._rng = task, rng
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._planner.reset(env_ids, rngs)
+        self._rng = rngs[0]
 
-    def act(self) -> np.ndarray:
-        action = self._planner.act() + self._rng.normal(0, 0.02, self._task.action_size)
-        return np.clip(action, self._task.action_low, self._task.action_high)
+    def act(self, view: cadenza.View) -> np.ndarray:
+        action = self._planner.act(view)
+        action = action + self._rng.normal(0, 0.02, action.shape)
+        return np.clip(action, view.task.action_low, view.task.action_high)
 
 
 song = sys.argv[1] if len(sys.argv) > 1 else "CMajorScaleOneHand"

@@ -25,19 +25,16 @@ ROOT = Path(__file__).parents[1]
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)), title="A tune")
 
 
-class Still:
+class Still(cadenza.Agent):
     """Does nothing."""
 
-    def reset(self, task, rng) -> None:
-        self._action = np.zeros(task.action_size)
-
-    def act(self) -> np.ndarray:
-        return self._action
+    def act(self, view: cadenza.View) -> np.ndarray:
+        return np.zeros((len(view.env_ids), view.task.action_size))
 
 
 class OneFinger(Still):
-    def act(self) -> np.ndarray:
-        return self._action[:1]
+    def act(self, view: cadenza.View) -> np.ndarray:
+        return super().act(view)[:, :1]
 
 
 def test_importing_is_quick_and_all_names_are_there() -> None:
@@ -132,7 +129,7 @@ def test_an_agent_of_ones_own_plays() -> None:
     np.testing.assert_array_equal(
         performance.episode["key_qpos"], cadenza.play(TUNE, "zero").episode["key_qpos"]
     )
-    with pytest.raises(cadenza.CadenzaError, match=r"shape \(1,\), but the task .* \(39,\)"):
+    with pytest.raises(cadenza.CadenzaError, match=r"shape \(1, 1\), but the task .* \(1, 39\)"):
         cadenza.play(TUNE, OneFinger())
 
 

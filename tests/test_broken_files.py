@@ -16,7 +16,7 @@ import safetensors.numpy
 import mutations
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.playback import check_options, load_plan, options_of, physics_of, save_plan
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
@@ -37,7 +37,7 @@ TASK, SCENE = TaskConfig(), SceneConfig(hands="right")
 @pytest.fixture(scope="module")
 def performance() -> Any:
     with closing(PianoTask([SONG], TASK, SCENE)) as task:
-        return play(task, ZeroAgent())
+        return play_episode(task, ZeroAgent())
 
 
 def draws(number: int) -> Iterator[tuple[int, np.random.Generator]]:
@@ -122,9 +122,9 @@ def test_policies(number: int, song: str, tmp_path: Path) -> None:
             with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
                 task.reset([np.random.default_rng(0)], [0])
                 agent = learnt.agent
-                agent.reset(task, np.random.default_rng(0))
+                agent.reset([0], [np.random.default_rng(0)])
                 for _ in range(3):
-                    task.step(agent.act()[None])
+                    task.step(agent.act(task.view()))
 
 
 @many(100, 3000)

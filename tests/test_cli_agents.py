@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cadenza.cli import main
@@ -23,15 +24,15 @@ OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
 # Presses Ctrl-C, or twice, when it begins or in the third step.
 OWN_AGENTS = """
 import os, signal
+import cadenza
 import numpy as np
 
-class Still:
-    def reset(self, task, rng):
-        self._action, self._step = np.zeros(task.action_size), 0
-    def act(self):
+class Still(cadenza.Agent):
+    _step = 0
+    def act(self, view):
         self._step += 1
         self.at_step()
-        return self._action
+        return np.zeros((1, view.task.action_size))
     def at_step(self):
         pass
 
@@ -45,12 +46,18 @@ class MoreImpatient(Impatient):
     times = 2
 
 class NeverBegins(Still):
-    def reset(self, task, rng):
+    def reset(self, env_ids, rngs):
         os.kill(os.getpid(), signal.SIGINT)
 
 class OnlyResets:
-    def reset(self, task, rng):
+    def reset(self, env_ids, rngs):
         pass
+
+class OfOneEnvironment:
+    def reset(self, task, rng):
+        self._task, self._rng = task, rng
+    def act(self):
+        return self._rng.uniform(self._task.action_low, self._task.action_high)
 
 not_a_class = 3
 """
@@ -261,6 +268,17 @@ def test_an_agent_of_ones_own(here: Path) -> None:
     assert settings(here / "played")["agent"] == "own:Still"
 
 
+def test_an_agent_of_one_environment_plays_as_it_did(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for agent in ("own:OfOneEnvironment", "random"):
+        main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", agent[-6:]])
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("agent OfOneEnvironment: reset(task, rng) and act() will not be ")
+    ours, theirs = (load_episode(here / name / "episode.npz") for name in ("random", "onment"))
+    np.testing.assert_array_equal(ours["action"], theirs["action"])
+
+
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("name", "said"),
@@ -272,7 +290,10 @@ def test_an_agent_of_ones_own(here: Path) -> None:
         (":Still", "agent :Still: cannot import ''"),
         ("own:Moving", "agent own:Moving: there is no 'Moving' in own"),
         ("own:not_a_class", "agent own:not_a_class: own:not_a_class is of type int; give a class"),
-        ("own:OnlyResets", "agent own:OnlyResets: has no method act; it needs reset(task, rng)"),
+        (
+            "own:OnlyResets",
+            "agent own:OnlyResets: has no method act; derive its class from cadenza.Agent",
+        ),
         ("planer", "no agent 'planer': did you mean planner? choose from planner, "),
         ("xyz", "no agent 'xyz': choose from planner, "),
     ],

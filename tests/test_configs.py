@@ -119,11 +119,11 @@ BROKEN = {
     "exits": "import sys; sys.exit(0)",
     "raises": "raise RuntimeError('two\\nlines')",
     "wants": "class A:\n    def __init__(self, more): pass",
-    "reset": "class A:\n    def reset(self, task, rng): 1 / 0\n    def act(self): pass",
-    "act": "class A:\n    def reset(self, task, rng): pass\n    def act(self): raise SystemExit",
-    "text": "class A:\n    def reset(self, task, rng): pass\n    def act(self): return 'x'",
-    "nan": "class A:\n    def reset(self, t, rng): self.n = t.action_size\n"
-    "    def act(self): return [float('nan')] * self.n",
+    "reset": "class A:\n    def reset(self, envs, rngs): 1 / 0\n    def act(self, view): pass",
+    "act": "class A:\n    def reset(self, envs, rngs): pass\n    def act(self,v): raise SystemExit",
+    "text": "class A:\n    def reset(self, envs, rngs): pass\n    def act(self, view): return 'x'",
+    "nan": "class A:\n    def reset(self, envs, rngs): pass\n"
+    "    def act(self, view): return [[float('nan')] * view.task.action_size]",
 }
 
 
@@ -143,10 +143,10 @@ def test_agents_of_others_that_break(
 
 def test_an_agent_s_own_error_is_the_cause() -> None:
     class Breaks:
-        def reset(self, task: Any, rng: Any) -> None:
+        def reset(self, env_ids: Any, rngs: Any) -> None:
             raise KeyError("here")
 
-        def act(self) -> Any: ...
+        def act(self, view: Any) -> Any: ...
 
     with pytest.raises(CadenzaError, match=r"Breaks: reset\(\): KeyError") as error:
         cadenza.play(TUNE, Breaks())

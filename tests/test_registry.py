@@ -22,10 +22,10 @@ AGENT = """
 import numpy as np
 
 class Still:
-    def reset(self, task, rng):
-        self._action = np.zeros(task.action_size)
-    def act(self):
-        return self._action
+    def reset(self, env_ids, rngs):
+        pass
+    def act(self, view):
+        return np.zeros((len(view.env_ids), view.task.action_size))
 
 still = Still()
 """

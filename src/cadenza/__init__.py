@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cadenza.tasks.config import TaskConfig
     from cadenza.tasks.env import PianoEnv, PianoVectorEnv
     from cadenza.tasks.reward import Outcome
+    from cadenza.tasks.view import TaskSpec, View
 
 __version__ = "0.2.0"
 
@@ -48,7 +49,9 @@ __all__ = [
     "Score",
     "ScorePlannerConfig",
     "TaskConfig",
+    "TaskSpec",
     "TrainingConfig",
+    "View",
     "load_episode",
     "load_song",
     "make_agent",
@@ -76,6 +79,7 @@ _MODULES = {
     "tasks.config": ("TaskConfig",),
     "tasks.env": ("PianoEnv", "PianoVectorEnv"),
     "tasks.reward": ("Outcome",),
+    "tasks.view": ("TaskSpec", "View"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

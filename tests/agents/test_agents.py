@@ -12,11 +12,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
-from cadenza.agents.baselines import predictive_sampling
-from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlayer
 from cadenza.agents.planning.config import PredictiveSamplingConfig
-from cadenza.agents.playback import ReplayAgent, load_plan
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.playback import Playback, load_plan
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
 from cadenza.music.library import load_score
@@ -25,6 +24,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 RECORDING = Path(__file__).parents[1] / "data/episode_d.npz"
 
@@ -38,7 +38,7 @@ STEPS = 19
 AGENTS: dict[str, Callable[[], Agent]] = {
     "zero": ZeroAgent,
     "random": RandomAgent,
-    "replay": lambda: ReplayAgent(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
+    "replay": lambda: Playback(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
     "planning": lambda: PredictiveSampling(PredictiveSamplingConfig(num_candidates=3)),
 }
 
@@ -48,8 +48,8 @@ def right_hand() -> Scene:
     return build_scene(SceneConfig(hands="right"))
 
 
-def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> Performance:
-    return play(PianoTask([score], CONFIG, scene), agent, seed)
+def perform(agent: Agent, scene: Scene, seed: int = 0, score: Score = TUNE) -> EpisodeResult:
+    return play_episode(PianoTask([score], CONFIG, scene), agent, seed)
 
 
 def without_seconds(metrics: dict[str, float]) -> dict[str, float]:
@@ -57,12 +57,8 @@ def without_seconds(metrics: dict[str, float]) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", AGENTS)
-def test_same_seed_same_bits_for_any_number_of_cores(
-    name: str, right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first, *others = [
-        played_on(cores, AGENTS[name](), right_hand, monkeypatch) for cores in (1, 1, 2, 5)
-    ]
+def test_same_seed_same_bits_for_any_number_of_threads(name: str, right_hand: Scene) -> None:
+    first, *others = [played_with(n, AGENTS[name](), right_hand) for n in (1, 1, 2, 5)]
     for other in others:
         assert first.episode.arrays.keys() == other.episode.arrays.keys()
         for array in first.episode.arrays.keys() - {"metrics"}:
@@ -70,10 +66,8 @@ def test_same_seed_same_bits_for_any_number_of_cores(
         assert without_seconds(first.metrics) == without_seconds(other.metrics)
 
 
-def played_on(
-    cores: int, agent: Agent, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> Performance:
-    monkeypatch.setattr(predictive_sampling, "available_cores", lambda: cores)
+def played_with(num_threads: int, agent: Agent, scene: Scene) -> EpisodeResult:
+    agent.num_threads = num_threads
     return perform(agent, scene)
 
 
@@ -89,7 +83,7 @@ def test_actions_keep_within_their_ranges(name: str, hands: Any) -> None:
     scene = build_scene(SceneConfig(hands=hands))
     agent = AGENTS[name]()
     if name == "replay":
-        agent = ReplayAgent(np.zeros((STEPS, len(scene.action_low))))
+        agent = Playback(np.zeros((STEPS, len(scene.action_low))))
     action = perform(agent, scene).episode["action"]
     assert action.shape == (STEPS, len(scene.action_low))
     assert (action >= scene.action_low).all()
@@ -103,14 +97,19 @@ def test_the_planner_presses_the_pedal_as_the_score_has_it(right_hand: Scene) ->
 
 
 class WatchedPlanner(PredictiveSampling):
+    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlayer:
+        return WatchedPlayer(view, rng, self.config, self.threads)
+
+
+class WatchedPlayer(SamplingPlayer):
     """Writes down what was compared."""
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        super().reset(task, rng)
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self.compared: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def _roll_out(self, candidates: np.ndarray) -> np.ndarray:
-        cost = super()._roll_out(candidates)
+    def _roll_out(self, candidates: np.ndarray, view: View) -> np.ndarray:
+        cost = super()._roll_out(candidates, view)
         self.compared.append((self._nominal, candidates, cost))
         return cost
 
@@ -121,9 +120,10 @@ def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
     config = PredictiveSamplingConfig(num_candidates=4, iterations=3)
     planner = WatchedPlanner(config)
     perform(planner, right_hand)
-    assert len(planner.compared) == STEPS * config.iterations
+    compared = planner.players[0].compared
+    assert len(compared) == STEPS * config.iterations
     best = np.zeros(0)
-    for i, (nominal, candidates, cost) in enumerate(planner.compared):
+    for i, (nominal, candidates, cost) in enumerate(compared):
         assert_array_equal(candidates[0], nominal)
         assert (candidates[1:] != nominal).any(axis=(1, 2)).all()
         if i % config.iterations:  # the winner is compared again, and costs the same again
@@ -136,21 +136,21 @@ def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None
     alone = WatchedPlanner(PredictiveSamplingConfig(num_candidates=1))
     task = PianoTask([TUNE], CONFIG, right_hand)
     task.reset([np.random.default_rng(0)], [0])
-    planner.reset(task, np.random.default_rng(0))
-    alone.reset(task, np.random.default_rng(0))
-    planner.act()
-    ((_, candidates, cost),) = planner.compared
+    for agent in (planner, alone):
+        agent.reset([0], [np.random.default_rng(0)])
+        agent.act(task.view())
+    ((_, candidates, cost),) = planner.players[0].compared
     for candidate, expected in zip(candidates, cost, strict=True):
-        assert alone._roll_out(candidate[None])[0] == expected
+        assert alone.players[0]._roll_out(candidate[None], task.view())[0] == expected
 
 
 def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
     task = PianoTask([TUNE], CONFIG, right_hand)
     task.reset([np.random.default_rng(0)], [0])
     planner = AGENTS["planning"]()
-    planner.reset(task, np.random.default_rng(0))
+    planner.reset([0], [np.random.default_rng(0)])
     before = task.observation()
-    planner.act()
+    planner.act(task.view())
     assert_array_equal(task.observation(), before)
     assert task.sheets.steps_done.tolist() == [0]
 
@@ -195,7 +195,9 @@ def test_the_record_of_an_episode(right_hand: Scene, tmp_path: Path) -> None:
 
 def test_progress_counts_the_steps(right_hand: Scene) -> None:
     told: list[tuple[str, int, int]] = []
-    play(PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step))
+    play_episode(
+        PianoTask([TUNE], CONFIG, right_hand), ZeroAgent(), 0, lambda *step: told.append(step)
+    )
     assert told == [("playing", step, STEPS) for step in range(1, STEPS + 1)]
 
 
@@ -204,7 +206,7 @@ def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:
     plan = np.zeros((STEPS, len(scene.action_low)))
     plan[4:, 0] = scene.action_high[0]
     config = TaskConfig(initial_buffer_time=0.3, wrong_press_termination=True)
-    performance = play(PianoTask([TUNE], config, scene), ReplayAgent(plan))
+    performance = play_episode(PianoTask([TUNE], config, scene), Playback(plan))
     assert performance.metrics["steps"] == performance.episode.num_steps == 5
     assert {len(performance.episode[n]) for n in ("goal_keys", "key_qpos", "goal_obs")} == {5}
 
@@ -217,7 +219,7 @@ def test_replaying_a_recorded_performance() -> None:
         published = json.loads(str(file["metrics"]))
         song, trim = str(file["song"]), bool(file["trim_silence"])
     task = PianoTask([load_score(song)], TaskConfig(trim_silence=trim))
-    performance = play(task, ReplayAgent(load_plan(RECORDING)))
+    performance = play_episode(task, Playback(load_plan(RECORDING)))
     for name, value in published.items():
         assert abs(performance.metrics[name] - value) < 0.005, name
 
@@ -230,7 +232,7 @@ def test_a_plan_of_another_size_is_refused(
     right_hand: Scene, shape: tuple[int, int], sizes: str
 ) -> None:
     with pytest.raises(CadenzaError, match=sizes):
-        perform(ReplayAgent(np.zeros(shape)), right_hand)
+        perform(Playback(np.zeros(shape)), right_hand)
 
 
 def write(path: Path, content: bytes) -> Path:
@@ -323,5 +325,5 @@ def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> N
 
 
 def test_a_negative_seed_is_refused(right_hand: Scene) -> None:
-    with pytest.raises(CadenzaError, match="seed -1: choose 0 to"):
+    with pytest.raises(CadenzaError, match="seed -1: choose 0 or more"):
         perform(ZeroAgent(), right_hand, seed=-1)

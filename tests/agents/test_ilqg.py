@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,10 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.baselines import ilqg
-from cadenza.agents.baselines.box_ddp import Model, Policy, backward_pass, box_qp
-from cadenza.agents.baselines.ilqg import ILQG
+from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass, box_qp
+from cadenza.agents.baselines.ilqg import ILQG, ILQGPlayer
 from cadenza.agents.planning.config import ILQGConfig
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
@@ -26,6 +26,7 @@ from cadenza.sim.linearisation import Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 # Under the right hand where it starts.
 TUNE = Score(
@@ -79,7 +80,7 @@ def linear_quadratic(steps: int, n: int = 5, m: int = 3) -> Model:
     return Model(transitions, rng.standard_normal((steps, n + m)), hessians)
 
 
-def unlimited(model: Model, steps: int, m: int = 3) -> Policy:
+def unlimited(model: Model, steps: int, m: int = 3) -> FeedbackLaw:
     nowhere = np.full(m, np.inf)
     return backward_pass(model, np.zeros((steps, m)), -nowhere, nowhere, 0.0)
 
@@ -217,10 +218,15 @@ def test_sleeping_keys_have_no_derivatives(right_hand: Scene) -> None:
 
 
 class WatchedPlanner(ILQG):
+    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlayer:
+        return WatchedPlayer(view, self.config, self.threads)
+
+
+class WatchedPlayer(ILQGPlayer):
     """Writes down what was approximated and compared."""
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        super().reset(task, rng)
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self.models: list[Model] = []
         self.costs: list[np.ndarray] = []
 
@@ -228,7 +234,7 @@ class WatchedPlanner(ILQG):
         self.models.append(super()._approximate(start))
         return self.models[-1]
 
-    def _search(self, policy: Policy, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         controls, cost = super()._search(policy, start)
         self.costs.append(cost)
         return controls, cost
@@ -238,7 +244,7 @@ def begun(planner: Agent, scene: Scene, silent: bool = False, **options: Any) ->
     config = TaskConfig(initial_buffer_time=0.3 if silent else 0.0, **options)
     task = PianoTask([TUNE], config, scene)
     task.reset([np.random.default_rng(0)], [0])
-    planner.reset(task, np.random.default_rng(0))
+    planner.reset([0], [np.random.default_rng(0)])
     return task
 
 
@@ -246,7 +252,8 @@ def begun(planner: Agent, scene: Scene, silent: bool = False, **options: Any) ->
 def test_the_gradient_is_that_of_the_cost(right_hand: Scene, fingering: Any) -> None:
     planner = WatchedPlanner(ILQGConfig(horizon=0.05, centred=True))
     task = begun(planner, right_hand, fingering=fingering)
-    planner.act()
+    planner.act(task.view())
+    planner = planner.players[0]
     start = task.simulation.physics_state(0)
     planner._nominal = nominal = 0.9 * planner._nominal  # away from the limits
     gradient = planner._approximate(start).gradient[0, -nominal.shape[1] :]
@@ -256,7 +263,7 @@ def test_the_gradient_is_that_of_the_cost(right_hand: Scene, fingering: Any) -> 
         costs = []
         for sign in (-1, 1):
             planner._nominal = nominal + sign * change
-            still = Policy(np.zeros(nominal.shape), np.zeros((1, nominal.shape[1], 2 * 111)))
+            still = FeedbackLaw(np.zeros(nominal.shape), np.zeros((1, nominal.shape[1], 2 * 111)))
             costs.append(planner._search(still, start)[1][0])
         assert_allclose((costs[1] - costs[0]) / 2, gradient @ change[0], rtol=1e-3, atol=1e-9)
 
@@ -264,18 +271,18 @@ def test_the_gradient_is_that_of_the_cost(right_hand: Scene, fingering: Any) -> 
 # The agent
 
 
-def perform(agent: Agent, scene: Scene, **options: Any) -> Performance:
+def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
     config = TaskConfig(initial_buffer_time=0.1, **options)
-    return play(PianoTask([TUNE], config, scene), agent)
+    return play_episode(PianoTask([TUNE], config, scene), agent)
 
 
 def test_planning_lowers_its_cost(right_hand: Scene) -> None:
     planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
-    begun(planner, right_hand)
-    planner.act()
-    first, *_, last = planner.costs
+    planner.act(begun(planner, right_hand).view())
+    costs = planner.players[0].costs
+    first, *_, last = costs
     assert last.min() < 0.9 * first[0]
-    for before, after in zip(planner.costs, planner.costs[1:], strict=False):
+    for before, after in pairwise(costs):
         assert after[0] == before.min()  # what was chosen costs the same again
 
 
@@ -288,18 +295,16 @@ def test_planning_pays_and_keeps_within_limits(right_hand: Scene) -> None:
     assert_array_equal(action[:, -1], [0] * 6 + [1] * 9)  # the pedal as the score has it
 
 
-def test_same_bits_for_any_number_of_threads(
-    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_same_bits_for_any_number_of_threads(right_hand: Scene) -> None:
     actions = []
-    for cores in (1, 2):
-        monkeypatch.setattr(ilqg, "available_cores", lambda cores=cores: cores)
+    for threads in (1, 2):
         planner = ILQG(SHORT)
+        planner.num_threads = threads
         task = begun(planner, right_hand)
         actions.append([])
         for _ in range(4):
-            actions[-1].append(planner.act())
-            task.step(actions[-1][-1][None])
+            actions[-1].append(planner.act(task.view()))
+            task.step(actions[-1][-1])
     assert_array_equal(*actions)
 
 
@@ -307,7 +312,7 @@ def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
     planner = ILQG(SHORT)
     task = begun(planner, right_hand)
     before = task.simulation.physics_state(0)
-    planner.act()
+    planner.act(task.view())
     assert_array_equal(task.simulation.physics_state(0), before)
 
 
@@ -316,8 +321,8 @@ def test_plans_for_other_hands(hands: Any) -> None:
     scene = build_scene(SceneConfig(hands=hands, physics="fast"))
     planner = ILQG(SHORT)
     task = begun(planner, scene)
-    task.step(planner.act()[None])
-    action = planner.act()
+    task.step(planner.act(task.view()))
+    (action,) = planner.act(task.view())
     assert action.shape == (task.action_size,)
     assert (action >= task.action_low).all()
     assert (action <= task.action_high).all()
@@ -325,10 +330,10 @@ def test_plans_for_other_hands(hands: Any) -> None:
 
 def test_keeps_account_of_its_time(right_hand: Scene) -> None:
     planner = ILQG(SHORT)
-    begun(planner, right_hand)
-    planner.act()
-    assert set(planner.seconds) == {"derivatives", "backward pass", "line search"}
-    assert min(planner.seconds.values()) > 0
+    planner.act(begun(planner, right_hand).view())
+    seconds = planner.players[0].seconds
+    assert set(seconds) == {"derivatives", "backward pass", "line search"}
+    assert min(seconds.values()) > 0
 
 
 @pytest.mark.parametrize(
@@ -345,4 +350,4 @@ def test_keeps_account_of_its_time(right_hand: Scene) -> None:
 )
 def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> None:
     with pytest.raises(CadenzaError, match=message):
-        begun(ILQG(ILQGConfig(**options)), right_hand)
+        perform(ILQG(ILQGConfig(**options)), right_hand)

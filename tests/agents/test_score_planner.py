@@ -24,7 +24,7 @@ from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import Tracking, track
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.music.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
@@ -44,9 +44,9 @@ def melody(*pitches: int, length: float = 0.4) -> Score:
 
 def perform(
     score: Score, config: ScorePlannerConfig | None = None, seed: int = 0, hands: str = "both"
-) -> Performance:
+) -> EpisodeResult:
     task = PianoTask([score], BUFFER, SceneConfig(hands=hands))  # type: ignore[arg-type]
-    return play(task, ScorePlanner(config), seed)
+    return play_episode(task, ScorePlanner(config), seed)
 
 
 # What is heard
@@ -71,7 +71,7 @@ def test_one_hand_plays_alone(hands: str) -> None:
 def test_black_keys_and_chords_with_the_full_hand() -> None:
     chord = Score(tuple(Note(0.0, 1.0, p) for p in (48, 54, 66, 70, 73)))
     task = PianoTask([chord], BUFFER, SceneConfig(reduced_action_space=False))
-    assert play(task, ScorePlanner()).metrics["recall"] > 0.7
+    assert play_episode(task, ScorePlanner()).metrics["recall"] > 0.7
 
 
 def test_the_pedal_follows_the_score() -> None:
@@ -79,17 +79,36 @@ def test_the_pedal_follows_the_score() -> None:
     assert perform(replace(melody(60, 62), pedal=pedal)).metrics["sustain_f1"] == 1.0
 
 
-def test_same_seed_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_same_bits_for_any_number_of_threads_and_of_environments() -> None:
     score = melody(60, 72, 61, 70, length=0.2)  # too fast, so that it samples
-    actions = []
-    for threads in (1, 2):
-        monkeypatch.setattr(
-            "cadenza.agents.planning.score_planner.available_cores", lambda count=threads: count
-        )
-        actions.append(perform(score, seed=3).episode["action"])
-    np.testing.assert_array_equal(actions[0], actions[1])
-    other = perform(score, seed=4).episode["action"]
-    assert (other != actions[0]).any()
+    agent = ScorePlanner()
+    agent.num_threads = 1
+    scene = build_scene(SceneConfig(hands="right"))
+    alone = [play_episode(PianoTask([score], BUFFER, scene), agent, seed) for seed in (3, 4)]
+    agent.num_threads = 2
+    task = PianoTask([score], BUFFER, scene, num_envs=3)
+    together = play_episodes(task, agent, [3, 4, 3])
+    actions = [result.episode["action"] for result in (*alone, *together)]
+    for ours, theirs in ((2, 0), (3, 1), (4, 0)):
+        np.testing.assert_array_equal(actions[ours], actions[theirs])
+        assert_same_metrics(together[ours - 2], alone[theirs])
+    assert (actions[0] != actions[1]).any()
+
+
+def assert_same_metrics(a: EpisodeResult, b: EpisodeResult) -> None:
+    for name in a.metrics.keys() - {"planning_seconds", "playing_seconds"}:
+        assert a.metrics[name] == b.metrics[name], name
+
+
+def test_episodes_of_several_songs_end_when_their_songs_do() -> None:
+    short, long = melody(72), melody(72, 76, 74)
+    task = PianoTask([short, long], BUFFER, SceneConfig(hands="right"), num_envs=3)
+    results = play_episodes(task, ScorePlanner(ScorePlannerConfig(method="none")), [0, 1, 2])
+    steps = {result.metrics["steps"] for result in results}
+    assert steps == {19, 35}
+    for result in results:
+        assert result.episode.num_steps == len(result.episode["goal_keys"])
+        assert result.metrics["f1"] > 0.85
 
 
 def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,8 +129,9 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     task = PianoTask([cluster], BUFFER)
     agent = ScorePlanner()
     task.reset([np.random.default_rng(0)], [0])
-    agent.reset(task, np.random.default_rng(0))
-    plan = agent.plan
+    agent.reset([0], [np.random.default_rng(0)])
+    agent.act(task.view())
+    plan = agent.players[0].plan
     assert len(plan.dropped) == sum(note.finger < 0 for note in plan.score.notes) > 9
 
 
@@ -122,8 +142,9 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
     task = PianoTask([score], BUFFER)
     task.reset([np.random.default_rng(0)], [0])
     agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
-    agent.reset(task, np.random.default_rng(0))
-    assert [press.finger for press in agent.plan.nominal.presses] == [2, 1]
+    agent.reset([0], [np.random.default_rng(0)])
+    agent.act(task.view())
+    assert [press.finger for press in agent.players[0].plan.nominal.presses] == [2, 1]
 
 
 @pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])
@@ -134,19 +155,18 @@ def test_options_without_sense_are_refused(options: dict[str, float]) -> None:
 
 def test_a_piano_without_hands_is_refused() -> None:
     task = PianoTask([melody(60)], BUFFER, SceneConfig(hands="none"))
-    task.reset([np.random.default_rng(0)], [0])
     with pytest.raises(CadenzaError, match="hands"):
-        ScorePlanner().reset(task, np.random.default_rng(0))
+        play_episode(task, ScorePlanner())
 
 
 def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     task = PianoTask([melody(60, 72, 61, length=0.2)], BUFFER, SceneConfig(hands="right"))
     agent = ScorePlanner()
     task.reset([np.random.default_rng(0)], [0])
-    agent.reset(task, np.random.default_rng(0))
-    while agent._step < 8:
-        task.step(agent.act()[None])
-    ((hand, *_),) = agent._hands
+    agent.reset([0], [np.random.default_rng(0)])
+    while task.sheets.steps_done[0] < 8:
+        task.step(agent.act(task.view()))
+    ((hand, *_),) = agent.players[0]._hands
     rows = np.arange(8, 15)
     middle = hand._clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
@@ -202,7 +222,7 @@ def test_planning_can_be_interrupted() -> None:
 
     task = PianoTask([melody(60, 62, 64)], BUFFER, SceneConfig(hands="right"))
     with pytest.raises(KeyboardInterrupt):
-        play(task, ScorePlanner(), progress=interrupt)
+        play_episode(task, ScorePlanner(), progress=interrupt)
     assert task.sheets.steps_done[0] == 0
 
 
@@ -219,7 +239,7 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
 def whole_plan(score: Score) -> SongPlan:
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
-    return plan_song(task, score)
+    return plan_song(task.spec, score, task.state.hand_qpos[0])
 
 
 def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:
@@ -247,13 +267,13 @@ def test_a_long_song_is_planned_as_it_is_played() -> None:
 
     def progress(stage: str, done: int, _: int) -> None:
         if stage == "playing":
-            planned.append(agent.plan.nominal.num_steps - done)
+            planned.append(agent.players[0].plan.nominal.num_steps - done)
 
-    performance = play(task, agent, progress=progress)
+    performance = play_episode(task, agent, progress=progress)
     assert planned[0] == 19  # the first window is shorter
     assert min(planned[:-10]) > 7  # what the search looks ahead
     assert max(planned) < 60
-    assert agent.plan.complete
+    assert agent.players[0].plan.complete
     assert performance.metrics["f1"] > 0.9
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,14 @@ from cadenza.agents.baselines.press_optimisation import regulator
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planning.config import ScorePlannerConfig, TrackedPressesConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.playback import ReplayAgent
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 TUNE = Score((Note(0.0, 0.3, 72), Note(0.3, 0.6, 76), Note(0.6, 0.8, 74)), (), "A tune")
 
@@ -32,17 +34,15 @@ def task_of(score: Score = TUNE) -> PianoTask:
 class Kept(TrackedPresses):
     """Plans once, for all episodes of one score."""
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        if self.trajectories:
-            self._task, self._step = task, 0
-        else:
-            super().reset(task, rng)
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        if not self.players:
+            super().reset(env_ids, rngs)
 
 
 @pytest.fixture(scope="module")
-def planned() -> tuple[Kept, Performance]:
+def planned() -> tuple[Kept, EpisodeResult]:
     agent = Kept()
-    return agent, play(task_of(), agent)
+    return agent, play_episode(task_of(), agent)
 
 
 def test_gains_are_those_of_the_linear_quadratic_regulator() -> None:
@@ -59,35 +59,35 @@ def test_gains_are_those_of_the_linear_quadratic_regulator() -> None:
     assert_allclose(gain[0], -np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a), rtol=1e-8)
 
 
-def test_a_press_that_goes_wrong_is_mended(planned: tuple[Kept, Performance]) -> None:
-    nominal = play(task_of(), ScorePlanner(ScorePlannerConfig(method="none")))
+def test_a_press_that_goes_wrong_is_mended(planned: tuple[Kept, EpisodeResult]) -> None:
+    nominal = play_episode(task_of(), ScorePlanner(ScorePlannerConfig(method="none")))
     assert planned[1].metrics["f1"] > nominal.metrics["f1"]
     assert planned[1].metrics["f1"] > 0.95
 
 
-def test_nothing_is_corrected_where_all_goes_as_planned(planned: tuple[Kept, Performance]) -> None:
+def test_nothing_is_corrected_where_all_goes_as_planned(
+    planned: tuple[Kept, EpisodeResult],
+) -> None:
     agent, performance = planned
     action = performance.episode.arrays["action"][:, :-1]
-    assert_allclose(action, agent.trajectories[0].ctrl, atol=1e-6)
+    assert_allclose(action, agent.players[0].trajectories[0].ctrl, atol=1e-6)
 
 
-class Pushed:
+class Pushed(Agent):
     """Another agent, whose actions are off by a push in one step."""
 
     def __init__(self, agent: Agent, push: Array, at: int) -> None:
         self._agent, self._push, self._at = agent, push, at
+        self.reset = agent.reset
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self._agent.reset(task, rng)
-        self._step, self._limits = 0, (task.action_low, task.action_high)
-
-    def act(self) -> Array:
-        action = self._agent.act()
-        self._step += 1
-        return np.clip(action + self._push, *self._limits) if self._step == self._at else action
+    def act(self, view: View) -> Array:
+        action, task = self._agent.act(view), view.task
+        if view.steps[0] != self._at:
+            return action
+        return np.clip(action + self._push, task.action_low, task.action_high)
 
 
-def test_tracking_brings_pushed_hands_back(planned: tuple[Kept, Performance]) -> None:
+def test_tracking_brings_pushed_hands_back(planned: tuple[Kept, EpisodeResult]) -> None:
     """Sooner than the servos by themselves, which the recorded actions leave it to."""
     agent, performance = planned
     expected, actions = (performance.episode.arrays[n] for n in ("fingertip_xpos", "action"))
@@ -95,14 +95,14 @@ def test_tracking_brings_pushed_hands_back(planned: tuple[Kept, Performance]) ->
     for seed in range(4):
         push = 0.3 * np.random.default_rng(seed).standard_normal(actions.shape[1])
         push[-1], push[-3:-1] = 0.0, 0.1 * push[-3:-1]
-        for player, found in ((agent, tracked), (ReplayAgent(actions), replayed)):
-            episode = play(task_of(), Pushed(player, push, at=4)).episode
+        for player, found in ((agent, tracked), (Playback(actions), replayed)):
+            episode = play_episode(task_of(), Pushed(player, push, at=3)).episode
             found.append(np.linalg.norm(episode.arrays["fingertip_xpos"] - expected, axis=-1)[5:9])
     assert np.mean(tracked) < 0.8 * np.mean(replayed)
 
 
-def test_the_same_bits_again(planned: tuple[Kept, Performance]) -> None:
-    again = play(task_of(), TrackedPresses(), seed=5)  # nothing is random
+def test_the_same_bits_again(planned: tuple[Kept, EpisodeResult]) -> None:
+    again = play_episode(task_of(), TrackedPresses(), seed=5)  # nothing is random
     assert_array_equal(again.episode.arrays["action"], planned[1].episode.arrays["action"])
 
 
@@ -115,4 +115,4 @@ def test_iterations_that_make_no_sense_are_refused(iterations: Any) -> None:
 def test_without_hands_there_is_nothing_to_plan() -> None:
     task = PianoTask([TUNE], TaskConfig(), SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="hands"):
-        play(task, TrackedPresses())
+        play_episode(task, TrackedPresses())

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.robustness import TROUBLES, Noisy, Trouble, f1_in_trouble, rows, troubled_task
 from cadenza.agents.agent import ZeroAgent
-from cadenza.agents.playback import ReplayAgent
+from cadenza.agents.playback import Playback
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -20,9 +20,9 @@ def test_noise_is_of_that_size_and_spares_the_pedal() -> None:
     task.reset([np.random.default_rng(0)], [0])
     centre = (task.action_low + task.action_high) / 2
     steps = int(task.sheets.num_steps[0])
-    agent = Noisy(ReplayAgent(np.tile(centre, (steps, 1))), 0.05, 0)
-    agent.reset(task, np.random.default_rng(0))
-    noise = np.array([agent.act() for _ in range(steps)]) - centre
+    agent = Noisy(Playback(np.tile(centre, (steps, 1))), 0.05, 0)
+    agent.reset([0], [np.random.default_rng(0)])
+    noise = np.array([agent.act(task.view())[0] for _ in range(steps)]) - centre
     half_range = (task.action_high - task.action_low) / 2
     assert_allclose((noise / half_range)[:, :-1].std(), 0.05, rtol=0.1)
     assert_array_equal(noise[:, -1], 0.0)
@@ -44,7 +44,7 @@ def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None
         task.reset([np.random.default_rng(seed)], [0])
         starts.append(task.state.hand_qpos[0].copy())
     assert np.abs(starts[0] - starts[1]).max() > 1e-3
-    _, replayed = f1_in_trouble(TUNE, TaskConfig(), trouble, ReplayAgent(plan), 0)
+    _, replayed = f1_in_trouble(TUNE, TaskConfig(), trouble, Playback(plan), 0)
     assert_array_equal(replayed, plan)
 
 

@@ -50,7 +50,7 @@ class Acting:
     def seen_by(self, observer: Observer) -> np.ndarray:
         return observer.observation(
             self.first_row + self.task.sheets.row,
-            observer.proprioception(self.task),
+            observer.proprioception(self.task.observation()),
             self.action,
             self.reward,
             self.task.sheets.steps_done == 0,

@@ -16,7 +16,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from rl_examples import melody
 
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning import old_formats
 from cadenza.learning.observation import ObservationSpec, Scores, pruned
@@ -71,8 +71,8 @@ def some_policy(
     return LearntPolicy(policy, observation, inputs, reference, ranges, config, scene, SONG)
 
 
-def played(learnt: LearntPolicy) -> Performance:
-    return play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent)
+def played(learnt: LearntPolicy) -> EpisodeResult:
+    return play_episode(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent)
 
 
 @pytest.mark.parametrize("kind", ["plain", "residual", "ranged"])
@@ -152,10 +152,10 @@ import sys
 from pathlib import Path
 from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import load_policy
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.tasks.piano_task import PianoTask
 learnt = load_policy(Path({str(tmp_path / "policy")!r}))
-metrics = play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
+metrics = play_episode(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
 learning = {{"jax", "jaxlib", "flax", "optax", "orbax", "tensorboardX", "wandb"}}
 print(metrics["steps"], sorted(learning & {{name.split(".")[0] for name in sys.modules}}))
 """
@@ -231,7 +231,7 @@ def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 def test_a_task_that_shows_something_else_is_refused() -> None:
     learnt = some_policy()
     with pytest.raises(CadenzaError, match="use the task and scene"):
-        play(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
+        play_episode(PianoTask([SONG], learnt.task, SceneConfig()), learnt.agent)
 
 
 def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:

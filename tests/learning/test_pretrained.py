@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.learning import pretrained
 from cadenza.learning.policy_folder import load_policy
 from cadenza.music.library import songs
@@ -30,4 +30,4 @@ def test_one_of_them_was_learnt_from_nothing() -> None:
 def test_they_play_what_they_have_learnt(folder: Path) -> None:
     learnt = load_policy(folder)
     task = PianoTask([learnt.score], learnt.task, learnt.scene)
-    assert play(task, learnt.agent).metrics["f1"] >= 0.95
+    assert play_episode(task, learnt.agent).metrics["f1"] >= 0.95

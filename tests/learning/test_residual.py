@@ -9,38 +9,43 @@ import pytest
 from numpy.testing import assert_allclose
 from rl_examples import melody
 
+from cadenza.agents.agent import Agent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.rollout import Performance, play
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.residual import ReferenceTracker, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 from players import find_fingering
 
 SONG = melody(60, 64, 67, 55, length=0.4, pedal=True)
 BUFFER = {"initial_buffer_time": 0.5}
 
 
-class Following:
+class Following(Agent):
     """Plays the plan with the same correction at every step."""
 
     def __init__(self, correction: float = 0.0) -> None:
         self.correction = correction
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self.task, self.tracker = task, ReferenceTracker(task, reference_of(task))
+    def act(self, view: View) -> Any:
+        if view.steps[0] == 0:
+            self.tracker = ReferenceTracker(view.task, self.reference)
+        correction = np.full((1, view.task.action_size), self.correction, np.float32)
+        return self.tracker.ctrl(correction, view.steps, view.state)
 
-    def act(self) -> Any:
-        correction = np.full((1, self.task.action_size), self.correction, np.float32)
-        return self.tracker.ctrl(correction)[0]
 
-
-def performance(agent: Any, score: Score = SONG, **options: Any) -> Performance:
+def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResult:
     scene = SceneConfig(hands=options.pop("hands", "both"))
-    return play(PianoTask([score], TaskConfig(**BUFFER, **options), scene), agent)
+    task = PianoTask([score], TaskConfig(**BUFFER, **options), scene)
+    if isinstance(agent, Following):
+        task.reset([np.random.default_rng(0)], [0])
+        agent.reference = reference_of(task)
+    return play_episode(task, agent)
 
 
 @pytest.mark.parametrize(
@@ -59,11 +64,12 @@ def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, An
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:
     task = PianoTask([SONG], TaskConfig(**BUFFER))
     task.reset([np.random.default_rng(0)], [0])
-    tracker = ReferenceTracker(task, reference_of(task))
+    tracker = ReferenceTracker(task.spec, reference_of(task))
     wrist = [a for a, name in enumerate(task.scene.actuator_names) if "WRJ" in name]
     assert_allclose(reference_of(task).reach[wrist], 0.1)
     plain, moved = (
-        tracker.ctrl(np.full((1, task.action_size), c, np.float32))[0] for c in (0.0, 1.0)
+        tracker.ctrl(np.full((1, task.action_size), c, np.float32), np.zeros(1, int), task.state)[0]
+        for c in (0.0, 1.0)
     )
     change = moved - plain
     assert change[-1] == 0
@@ -79,7 +85,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.scale_action(ReferenceTracker(task, reference_of(task)).actions)
+    plan = task.scale_action(ReferenceTracker(task.spec, reference_of(task)).actions)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.action_high - task.action_low

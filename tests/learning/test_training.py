@@ -24,7 +24,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from rl_examples import TINY, melody
 
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
@@ -152,7 +152,8 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     assert about["eval_step"] == best["eval_step"]
     learnt = load_policy(run.path / "best")
     assert learnt.residual == WAYS[way].residual
-    metrics = play(PianoTask([learnt.score], learnt.task, learnt.scene), learnt.agent).metrics
+    task = PianoTask([learnt.score], learnt.task, learnt.scene)
+    metrics = play_episode(task, learnt.agent).metrics
     for name in ("f1", "precision", "return", "reward/key_press", "steps"):
         assert metrics[name] == best[f"eval/{name}"]
 

@@ -88,6 +88,6 @@ def test_a_wrong_key_and_a_diverged_simulation_end_it() -> None:
 def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner: Any) -> None:
     task = make_task()
     task.reset([np.random.default_rng(0)], [0])
-    planner.reset(task, np.random.default_rng(0))
+    planner.reset([0], [np.random.default_rng(0)])
     with pytest.raises(CadenzaError, match="plans in MuJoCo and cannot start from a SelfPlaying"):
-        planner.act()
+        planner.act(task.view())

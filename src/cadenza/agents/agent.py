@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.sim.threads import available_cores
+from cadenza.tasks.view import View
 
 Array = NDArray[np.float64]
 
@@ -20,42 +22,104 @@ def silent(stage: str, done: int, total: int) -> None:
     """Tells nobody."""
 
 
-class Agent(Protocol):
-    """Chooses the actions of a task with one environment."""
+class Agent(ABC):
+    """Chooses the actions of N environments at once.
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        """An episode of `task` begins; all that is random comes from `rng`."""
-
-    def act(self) -> Array:
-        """(A,) the next action in actuator units, the pedal last."""
-
-
-@runtime_checkable
-class ReportingAgent(Agent, Protocol):
-    """One that thinks for long, in `reset` or in `act`, and says how far it has come.
-
-    `cadenza.agents.rollout` puts its own `progress` there before it resets the agent.
+    Attributes:
+        num_threads: how many threads it may use, if it can use several; one per core by default.
+        progress: is told how far its long work is, if it has any. Whoever has the agent play sets
+            both before.
     """
 
-    progress: Progress
+    num_threads: int | None = None
+    progress: Progress = staticmethod(silent)
+
+    def reset(  # noqa: B027 - not all have anything to begin
+        self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
+    ) -> None:
+        """Episodes begin in some environments; the next view is of their first step.
+
+        Args:
+            env_ids: which.
+            rngs: for each of them, where all that is random in its episode comes from.
+        """
+
+    @abstractmethod
+    def act(self, view: View) -> Array:
+        """(N, A) the next actions in actuator units, the pedal last.
+
+        What it returns for environments that are not `view.playing` does not matter.
+        """
+
+    def close(self) -> None:  # noqa: B027 - nor to end
+        """Lets go of what the episodes needed, such as threads. A reset may follow."""
 
 
-class ZeroAgent:
+class Player(Protocol):
+    """Plays one episode of one environment."""
+
+    def act(self, view: View) -> Array:
+        """(A,) the next action; `view` is of this environment alone."""
+
+
+P = TypeVar("P", bound=Player)
+
+
+class PlayerEach(Agent, Generic[P]):
+    """Has a player of its own for every environment, as those need who plan a song.
+
+    Attributes:
+        players: environment -> who plays its episode, from its first step on.
+    """
+
+    def __init__(self) -> None:
+        self.players: dict[int, P] = {}
+        self._rngs: dict[int, np.random.Generator] = {}
+
+    @abstractmethod
+    def begin(self, view: View, rng: np.random.Generator) -> P:
+        """Who plays the episode that begins in the only environment of `view`."""
+
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        for env, rng in zip(env_ids, rngs, strict=True):
+            self.players.pop(env, None)
+            self._rngs[env] = rng
+
+    def act(self, view: View) -> Array:
+        action = np.zeros((len(view.env_ids), view.task.action_size))
+        for row in np.flatnonzero(view.playing).tolist():
+            env, alone = int(view.env_ids[row]), view.of(row)
+            if env not in self.players:
+                self.players[env] = self.begin(alone, self._rngs[env])
+            action[row] = self.players[env].act(alone)
+        return action
+
+    def close(self) -> None:
+        self.players.clear()
+
+    @property
+    def threads(self) -> int:
+        """How many it uses."""
+        return self.num_threads or available_cores()
+
+
+class ZeroAgent(Agent):
     """Leaves all servos at zero, as the hands start unless that is drawn, and the pedal up."""
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        start = np.zeros(task.action_size)
-        self._action = np.clip(start, task.action_low, task.action_high)
-
-    def act(self) -> Array:
-        return self._action
+    def act(self, view: View) -> Array:
+        low, high = view.task.action_low, view.task.action_high
+        return np.clip(np.zeros((len(view.env_ids), len(low))), low, high)
 
 
-class RandomAgent:
+class RandomAgent(Agent):
     """Draws every action anew, uniformly over the actuators' ranges."""
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        self._low, self._high, self._rng = task.action_low, task.action_high, rng
+    def __init__(self) -> None:
+        self._rngs: dict[int, np.random.Generator] = {}
 
-    def act(self) -> Array:
-        return self._rng.uniform(self._low, self._high)
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._rngs |= dict(zip(env_ids, rngs, strict=True))
+
+    def act(self, view: View) -> Array:
+        low, high = view.task.action_low, view.task.action_high
+        return np.array([self._rngs[env].uniform(low, high) for env in view.env_ids.tolist()])

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Agent, Array
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import (
@@ -27,7 +27,7 @@ from cadenza.files import (
 from cadenza.music.score import Score
 from cadenza.scene.config import Physics, SceneConfig
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec, View
 
 _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "n_steps_lookahead",
@@ -47,36 +47,31 @@ _ABOUT = {
 _MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
 
 
-class ReplayAgent:
+class Playback(Agent):
     """Plays `plan` (T, A), actions in actuator units, the pedal last."""
 
     def __init__(self, plan: Array) -> None:
         self._plan = plan
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+    def act(self, view: View) -> Array:
         """Raises:
-        CadenzaError: the plan is not as wide as the actions or not as long as the episode.
+        CadenzaError: the plan is not as wide as the actions or not as long as an episode.
         """
         steps, width = self._plan.shape
-        if width != task.action_size:
+        if width != view.task.action_size:
             raise CadenzaError(
-                f"the plan has {width} actions per step, but this task has {task.action_size}: "
-                f"{_other_space(task)}"
+                f"the plan has {width} actions per step, but this task has "
+                f"{view.task.action_size}: {_other_space(view.task)}"
             )
-        if steps != task.sheets.num_steps[0]:
+        if len(others := view.num_steps[view.num_steps != steps]):
             raise CadenzaError(
-                f"the plan has {steps} steps, but the song has {task.sheets.num_steps[0]}: "
+                f"the plan has {steps} steps, but the song has {others[0]}: "
                 "was it made for another song, tempo or initial silence?"
             )
-        self._step = 0
-
-    def act(self) -> Array:
-        action = self._plan[self._step]
-        self._step += 1
-        return action
+        return self._plan[np.minimum(view.steps, steps - 1)]
 
 
-def _other_space(task: PianoTask) -> str:
+def _other_space(task: TaskSpec) -> str:
     flag = "no-reduced" if task.scene.config.reduced_action_space else "reduced"
     return f"was it made for other hands or the other action space (--{flag}-action-space)?"
 

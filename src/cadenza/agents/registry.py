@@ -50,7 +50,7 @@ AGENTS = Registry(
         PRETRAINED: Entry(
             "cadenza.learning.policy_agent:PolicyAgent", "the policy that comes with the song"
         ),
-        REPLAY: Entry("cadenza.agents.playback:ReplayAgent", "the actions of a plan"),
+        REPLAY: Entry("cadenza.agents.playback:Playback", "the actions of a plan"),
     },
     otherwise="the folder of a policy or module:Class",
 )
@@ -95,6 +95,6 @@ def checked_agent(agent: Any, place: str) -> Agent:
     if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
         raise CadenzaError(
             f"agent {place}: has no method {' and no method '.join(lacking)}; "
-            "it needs reset(task, rng) and act(), see cadenza.Agent"
+            "derive its class from cadenza.Agent"
         )
     return agent

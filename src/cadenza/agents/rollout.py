@@ -1,28 +1,30 @@
-"""Has an agent play one episode and keeps everything that happened."""
+"""Has an agent play episodes, and keeps everything that happened."""
 
 from __future__ import annotations
 
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Agent, Progress, ReportingAgent, silent
+from cadenza.agents.agent import Agent, Progress, silent
+from cadenza.agents.one_environment import AgentOfOneEnvironment, of_many
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.music.score import NUM_KEYS
 from cadenza.scene.drawing import body_poses, drawing
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.piano_task import PianoTask, Transition
+from cadenza.tasks.view import View
 
 
 @dataclass(frozen=True)
-class Performance:
+class EpisodeResult:
     """An episode and how it went."""
 
     episode: Episode
@@ -32,119 +34,157 @@ class Performance:
     `playing_seconds` by the simulation, and whether the simulation became `unstable`."""
 
 
-def play(
+def play_episode(
     task: PianoTask,
-    agent: Agent,
+    agent: Agent | AgentOfOneEnvironment,
     seed: int = 0,
     progress: Progress = silent,
     stop: Callable[[], bool] = lambda: False,
-) -> Performance:
-    """Plays one episode of `task`, which has one environment, from the beginning.
+) -> EpisodeResult:
+    """Plays one episode of a task with one environment, see `play_episodes`."""
+    (result,) = play_episodes(task, agent, [seed], progress, stop)
+    return result
+
+
+def play_episodes(
+    task: PianoTask,
+    agent: Agent | AgentOfOneEnvironment,
+    seeds: Sequence[int],
+    progress: Progress = silent,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[EpisodeResult]:
+    """Plays an episode in every environment of `task`, all at once, from the beginning.
 
     Args:
         task: what to play.
         agent: who plays.
-        seed: of everything random, in the task and in the agent.
-        progress: is told of "playing" after every step, with the steps done and in all, and before
-            and between of what else a `ReportingAgent` does.
-        stop: is asked after every step whether that was the last; the episode is what was played.
+        seeds: of everything random in the task and in the agent, one for each environment. What
+            happens in one does not depend on the others.
+        progress: is told of "playing" after every step, with the steps done and in all, and of what
+            else the agent does for long.
+        stop: is asked after every step whether that was the last; the episodes are what was played.
 
     Raises:
-        CadenzaError: the agent cannot play this task, or the seed is negative.
+        CadenzaError: the agent cannot play this task, or a seed is negative.
     """
-    seed = whole_number(seed, "seed", 0, MOST_SEED)
+    if len(seeds) != task.num_envs:
+        raise CadenzaError(
+            f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
+        )
+    seeds = [whole_number(seed, "seed", 0, MOST_SEED) for seed in seeds]
+    spawned = [np.random.default_rng(seed).spawn(2) for seed in seeds]
+    env_ids = list(range(task.num_envs))
+    task.reset([task_rng for task_rng, _ in spawned], env_ids)
     name = type(agent).__name__
-    task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
-    task.reset([task_rng], [0])
-    if isinstance(agent, ReportingAgent):
-        agent.progress = progress
+    player = of_many(agent, task)
+    if hasattr(player, "progress"):
+        player.progress = progress
     started = time.perf_counter()
     with by_others(f"agent {name}: reset()"):
-        agent.reset(task, agent_rng)
-    planning, playing = time.perf_counter() - started, 0.0
-    record = _Record(task)
-    ended = unstable = False
-    while not ended:
+        player.reset(env_ids, [agent_rng for _, agent_rng in spawned])
+    planning = (time.perf_counter() - started) / task.num_envs
+    view = task.view()
+    records = [_Record(task, env, view.observation[env], planning) for env in env_ids]
+    while view.playing.any():
         started = time.perf_counter()
         with by_others(f"agent {name}: act()"):
-            action = np.asarray(agent.act(), np.float64)
+            action = np.asarray(player.act(view), np.float64)
         decided = time.perf_counter()
-        _check_action(action, task, name)
-        transition = task.step(action[None])
-        playing += time.perf_counter() - decided
-        planning += decided - started
-        record.add(action, transition.reward[0], {k: v[0] for k, v in transition.terms.items()})
-        ended = bool(transition.terminated[0] or transition.truncated[0]) or stop()
-        unstable = bool(transition.unstable[0])
-        progress("playing", int(task.sheets.steps_done[0]), int(task.sheets.num_steps[0]))
-    scores = task.episode_metrics(0)  # JSON has no NaN
-    metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
-    metrics |= record.sums()
-    metrics |= {
-        "steps": int(task.sheets.steps_done[0]),
-        "planning_seconds": planning,
-        "playing_seconds": playing,
-        "unstable": unstable,
-    }
-    return Performance(record.episode(metrics), metrics)
+        _check_action(action, view, name)
+        moving = np.flatnonzero(view.playing).tolist()
+        transition = task.step(action, None if view.playing.all() else moving)
+        stepped = time.perf_counter()
+        view = task.view(view.playing & ~(transition.terminated | transition.truncated))
+        for env in moving:
+            record = records[env]
+            record.planning_seconds += (decided - started) / len(moving)
+            record.playing_seconds += (stepped - decided) / len(moving)
+            record.add(action[env], transition, view.observation[env])
+        progress("playing", int(view.steps.sum()), int(view.num_steps.sum()))
+        if stop():
+            break
+    return [record.result() for record in records]
 
 
-def _check_action(action: NDArray[np.float64], task: PianoTask, agent: str) -> None:
-    if action.shape != (task.action_size,):
+def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
+    wanted = (len(view.env_ids), view.task.action_size)
+    if action.shape != wanted:
         raise CadenzaError(
-            f"agent {agent}: act() returned an action of shape {action.shape}, "
-            f"but the task needs ({task.action_size},)"
+            f"agent {agent}: act() returned actions of shape {action.shape}, "
+            f"but the task needs {wanted}"
         )
-    if not np.isfinite(action).all():
+    if not np.isfinite(action[view.playing]).all():
         raise CadenzaError(f"agent {agent}: act() returned an action that is not finite")
 
 
 class _Record:
     """Collects the rows of an episode's arrays (see `cadenza.episode`)."""
 
-    def __init__(self, task: PianoTask) -> None:
-        self._task = task
+    def __init__(
+        self, task: PianoTask, env: int, observation: NDArray[np.float32], planning: float
+    ) -> None:
+        self._task, self._env = task, env
+        self.planning_seconds, self.playing_seconds = planning, 0.0
+        self._unstable = False
         self._rows: dict[str, NDArray[Any]] = {}
-        self._done, self._most = 0, int(task.sheets.num_steps[0])
-        self._start = {"hand_qpos0": task.state.hand_qpos[0]} | {
-            f"{name}0": part for name, part in self._score_observations().items()
+        self._done, self._most = 0, int(task.sheets.num_steps[env])
+        self._start = {"hand_qpos0": task.state.hand_qpos[env]} | {
+            f"{name}0": part for name, part in self._of_the_score(observation).items()
         }
 
-    def _score_observations(self) -> dict[str, Any]:
-        observation, layout = self._task.observation()[0], self._task.observation_layout
+    def _of_the_score(self, observation: NDArray[np.float32]) -> dict[str, Any]:
+        layout = self._task.observation_layout
         names = [name for name in ("goal", "fingering") if name in layout]
         return {f"{name}_obs": observation[layout[name]].astype(np.uint8) for name in names}
 
-    def add(self, action: Any, total: float, terms: dict[str, float]) -> None:
-        task, state = self._task, self._task.state
+    def add(
+        self,
+        action: NDArray[np.float64],
+        transition: Transition,
+        observation: NDArray[np.float32],
+    ) -> None:
+        task, state, env = self._task, self._task.state, self._env
         row = {
-            "action": np.asarray(action, np.float64),
-            "hand_qpos": state.hand_qpos[0],
-            "hand_qvel": state.hand_qvel[0],
-            "key_qpos": state.key_qpos[0],
-            "key_activation": task.sounding[0],
-            "sustain_activation": task.pedal_down[0],
-            "fingertip_xpos": state.fingertip_xpos[0],
-            "reward_total": total,
+            "action": action,
+            "hand_qpos": state.hand_qpos[env],
+            "hand_qvel": state.hand_qvel[env],
+            "key_qpos": state.key_qpos[env],
+            "key_activation": task.sounding[env],
+            "sustain_activation": task.pedal_down[env],
+            "fingertip_xpos": state.fingertip_xpos[env],
+            "reward_total": transition.reward[env],
         }
-        row |= {f"reward_{name}": value for name, value in terms.items()}
-        for name, value in {**row, **self._score_observations()}.items():
+        row |= {f"reward_{name}": values[env] for name, values in transition.terms.items()}
+        self._unstable = bool(transition.unstable[env])
+        for name, value in {**row, **self._of_the_score(observation)}.items():
             if name not in self._rows:
                 values = np.asarray(value)
                 self._rows[name] = np.zeros((self._most, *values.shape), values.dtype)
             self._rows[name][self._done] = value
         self._done += 1
 
-    def sums(self) -> dict[str, float]:
+    def result(self) -> EpisodeResult:
+        scores = self._task.episode_metrics(self._env)  # JSON has no NaN
+        metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
+        metrics |= self._sums()
+        metrics |= {
+            "steps": self._done,
+            "planning_seconds": self.planning_seconds,
+            "playing_seconds": self.playing_seconds,
+            "unstable": self._unstable,
+        }
+        return EpisodeResult(self._episode(metrics), metrics)
+
+    def _sums(self) -> dict[str, float]:
         rewards = {n: rows for n, rows in self._rows.items() if n.startswith("reward_")}
         terms = {name: float(np.sum(rows[: self._done])) for name, rows in rewards.items()}
         total = terms.pop("reward_total")
         return {"return": total} | {n.replace("_", "/", 1): value for n, value in terms.items()}
 
-    def episode(self, metrics: dict[str, Any]) -> Episode:
+    def _episode(self, metrics: dict[str, Any]) -> Episode:
         task, scene = self._task, self._task.scene
         rows = {name: values[: self._done] for name, values in self._rows.items()}
-        goal, fingers = task.sheets.part(0, 0, self._done)
+        goal, fingers = task.sheets.part(self._env, 0, self._done)
         xpos, xquat = body_poses(scene, rows["hand_qpos"])
         about = {
             "action_min": task.action_low,
@@ -162,7 +202,7 @@ class _Record:
             "body_xquat": xquat,
             "metrics": np.array(json.dumps(metrics)),
         }
-        title = task.sheets.songs[0].title
+        title = task.sheets.songs[self._env].title
         return Episode(
             title, task.config.control_timestep, self._start | rows | about, drawing(scene)
         )

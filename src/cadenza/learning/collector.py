@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.learning.control import ToActions
 from cadenza.learning.observation import Floats, Observer, Scores
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import ReplayBuffer, Rows
@@ -38,7 +38,7 @@ class Collector:
         scores: Scores,
         observer: Observer,
         replay: ReplayBuffer,
-        ctrl: Callable[[Floats], Array],
+        ctrl: ToActions,
         rng: np.random.Generator,
     ) -> None:
         """Args:
@@ -46,7 +46,7 @@ class Collector:
         scores: where the scores of the episodes are entered.
         observer: what is observed.
         replay: where everything goes.
-        ctrl: turns what the policy does (N, A), in [-1, 1], into actuator units.
+        ctrl: turns what the policy does into actuator units.
         rng: of the actions, and of each environment.
         """
         self._task, self._scores, self._observer = task, scores, observer
@@ -95,7 +95,8 @@ class Collector:
         return finished
 
     def _take(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
-        result = self._task.step(self._ctrl(action), env_ids)
+        task = self._task
+        result = task.step(self._ctrl(action, task.sheets.row, task.state), env_ids)
         moving = self._env_ids if env_ids is None else env_ids
         self._action[moving] = action[moving]
         self._reward[moving] = result.reward[moving]
@@ -119,7 +120,7 @@ class Collector:
     def _observe(self, env_ids: Rows) -> None:
         sheets = self._task.sheets
         row, first = self._first_row + sheets.row, sheets.steps_done == 0
-        proprioception = self._observer.proprioception(self._task)
+        proprioception = self._observer.proprioception(self._task.observation())
         self._replay.observe(env_ids, proprioception[env_ids], row[env_ids], first[env_ids])
         self.observation = self._observer.observation(
             row, proprioception, self._action, self._reward, first

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import INTEGERS, ArrayOf, check_arrays
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
+from cadenza.fingers import NUM_FINGERS
 from cadenza.learning.ranges import Ranges
-from cadenza.music.score import NUM_KEYS
+from cadenza.music.score import NUM_KEYS, Score
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec
 
 Floats = NDArray[np.float32]
 
@@ -47,7 +48,7 @@ class ObservationSpec:
     """The next action of what a residual policy corrects."""
 
     @classmethod
-    def of(cls, task: PianoTask, residual: bool = False) -> ObservationSpec:
+    def of(cls, task: TaskSpec, residual: bool = False) -> ObservationSpec:
         """That of a task."""
         sizes = {name: part.stop - part.start for name, part in task.observation_layout.items()}
         return cls(
@@ -101,7 +102,7 @@ class Scores:
     A score that comes again takes no room again.
     """
 
-    def __init__(self, task: PianoTask) -> None:
+    def __init__(self, task: TaskSpec) -> None:
         """`task` says how far ahead the score is observed."""
         self._ahead = np.arange(task.observation_layout["goal"].stop // _GOAL)
         self._rows = np.zeros((0, -(-_ROW // 8)), np.uint8)  # keys, pedal, fingers wanted, in bits
@@ -121,10 +122,12 @@ class Scores:
     def add_all(self, task: PianoTask) -> None:
         """Adds the scores that `task` draws from."""
         for score in task.scores:
-            goals = goals_of(score, task.config)
-            there = np.isin(goals.fingers, task.scene.fingers)
-            goal = np.concatenate([goals.keys, goals.sustain[:, None]], axis=1)
-            self.add(goal, np.where(there, goals.fingers, np.int8(UNKNOWN_FINGER)))
+            self.add_score(task.spec, score)
+
+    def add_score(self, task: TaskSpec, score: Score) -> int:
+        """The row of the first step of a score as `task` plays it."""
+        goals = goals_of(score, task.config, task.scene.fingers)
+        return self.add(np.concatenate([goals.keys, goals.sustain[:, None]], axis=1), goals.fingers)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
         """(..., len(kept)) of what the task observes as goal, from these rows (...) on."""
@@ -194,7 +197,7 @@ class Observer:
 
     def __init__(
         self,
-        task: PianoTask,
+        task: TaskSpec,
         scores: Scores,
         inputs: Inputs | None = None,
         reference: Floats | None = None,
@@ -223,11 +226,11 @@ class Observer:
         self._fingers = kept[(kept >= goals) & (kept < shown)] - goals
         self._proprioception = slice(shown, task.observation_size)
 
-    def proprioception(self, task: PianoTask) -> Floats:
-        """(N, S) what the task shows that does not follow from the score."""
-        shown = task.observation()
+    def proprioception(self, shown: Floats) -> Floats:
+        """(N, S) what does not follow from the score of what the task has `shown` (N, D)."""
         if self._joints:
             joints, centre, scale = self._joints
+            shown = shown.copy()
             shown[:, joints] = (shown[:, joints] - centre) / scale
         return shown[:, self._proprioception]
 

@@ -93,7 +93,7 @@ def renewed_policy(
     task = checked(facts.get("task"), TaskConfig, where)
     scene = checked(facts.get("scene"), SceneConfig, where)
     with closing(PianoTask([Score((Note(0.0, 1.0, 60),))], task, scene)) as shown:
-        spec = ObservationSpec.of(shown, residual=facts.get("residual") is True)
+        spec = ObservationSpec.of(shown.spec, residual=facts.get("residual") is True)
     named = {re.sub("^plan/", "reference/", name): array for name, array in arrays.items()}
     kept = {name: value for name, value in facts.items() if name != "residual"}
     return kept | {"format": 3, "observation": asdict(spec)}, named

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Agent, Array
 from cadenza.errors import CadenzaError
 from cadenza.learning.control import control_of
 from cadenza.learning.observation import Inputs, ObservationSpec, Observer, Scores
 from cadenza.learning.policy import Policy
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec, View
 
 
-class PolicyAgent:
-    """Does what the policy finds best."""
+class PolicyAgent(Agent):
+    """Does what the policy finds best, in all environments at once."""
 
     def __init__(
         self,
@@ -37,22 +38,51 @@ class PolicyAgent:
         self._policy, self._observation, self._inputs = policy, observation, inputs
         self._reference, self._ranges = reference, ranges
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+        self._task: TaskSpec | None = None
+        self._begun: set[int] = set()
+        self._first_row = np.zeros(0, np.intp)
+        self._action = np.zeros((0, policy.num_actions), np.float32)
+
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._begun.update(env_ids)
+
+    def act(self, view: View) -> Array:
         """Raises:
         CadenzaError: the task shows other things than the policy has learnt to observe, or the
             policy corrects what is for another one.
         """
-        self._task = task
-        self._check_fits(task)
-        self._control = control_of(task, self._reference, self._ranges)
-        sheets, scores = task.sheets, Scores(task)
-        scores.add(*sheets.part(0, 0, int(sheets.num_steps[0])))
-        self._observer = Observer(task, scores, self._inputs, self._control.reference, self._ranges)
-        self._action = np.zeros((1, task.action_size), np.float32)
+        if view.task is not self._task:
+            self._prepare(view)
+        for env in self._begun:
+            self._first_row[env] = self._scores.add_score(view.task, view.scores[env])
+        self._begun.clear()
+        step = np.minimum(view.steps, view.num_steps - 1)
+        observation = self._observer.observation(
+            self._first_row + step,
+            self._observer.proprioception(view.observation),
+            self._action,
+            view.reward.astype(np.float32),
+            view.steps == 0,
+        )
+        self._action = self._policy.mode(observation)
+        return self._control.ctrl(self._action, step, view.state)
 
-    def _check_fits(self, task: PianoTask) -> None:
+    def _prepare(self, view: View) -> None:
+        """For another task."""
+        self._check_fits(view)
+        self._task = task = view.task
+        self._control = control_of(task, self._reference, self._ranges)
+        self._scores = Scores(task)
+        self._observer = Observer(
+            task, self._scores, self._inputs, self._control.reference, self._ranges
+        )
+        self._action = np.zeros((len(view.env_ids), task.action_size), np.float32)
+        self._first_row = np.zeros(len(view.env_ids), np.intp)
+        self._begun = set(range(len(view.env_ids)))
+
+    def _check_fits(self, view: View) -> None:
         reference = self._reference
-        here = ObservationSpec.of(task, residual=reference is not None)
+        here = ObservationSpec.of(view.task, residual=reference is not None)
         for name, size in asdict(self._observation).items():
             if size != getattr(here, name):
                 raise CadenzaError(
@@ -60,22 +90,9 @@ class PolicyAgent:
                     f"that of this task has {getattr(here, name)}: use the task and scene options "
                     "that it was trained with"
                 )
-        steps = int(task.sheets.num_steps[0])
-        if reference is not None and len(reference.ctrl) != steps:
-            raise CadenzaError(
-                f"the policy corrects a plan of {len(reference.ctrl)} steps, but this task has "
-                f"{steps}: it can only play the song that it was trained on"
-            )
-
-    def act(self) -> Array:
-        """(A,) as an `Agent`."""
-        task = self._task
-        observation = self._observer.observation(
-            task.sheets.row,
-            self._observer.proprioception(task),
-            self._action,
-            task.reward.astype(np.float32),
-            task.sheets.steps_done == 0,
-        )
-        self._action = self._policy.mode(observation)
-        return self._control.ctrl(self._action)[0]
+        for steps in view.num_steps.tolist():
+            if reference is not None and len(reference.ctrl) != steps:
+                raise CadenzaError(
+                    f"the policy corrects a plan of {len(reference.ctrl)} steps, but this task has "
+                    f"{steps}: it can only play the song that it was trained on"
+                )

@@ -125,7 +125,7 @@ class LearntPolicy:
             or observes other things than that shows.
         """
         options: tuple[str, ...] = _CHANGE_THE_REFERENCE if self.residual else ()
-        if self.observation != ObservationSpec.of(task, self.residual):
+        if self.observation != ObservationSpec.of(task.spec, self.residual):
             options += _CHANGE_WHAT_IS_OBSERVED
         learnt, here = (
             vars(self.task) | vars(self.scene),

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.music import goals_of
-from cadenza.tasks.piano_task import PianoTask, to_range
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import to_range
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -11,8 +11,10 @@ from cadenza.agents.planning.song_plan import plan_song
 from cadenza.errors import CadenzaError
 from cadenza.learning.observation import Floats
 from cadenza.scene.servos import servos_of
+from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec
 
 Array = NDArray[np.float64]
 
@@ -40,7 +42,7 @@ def reference_of(task: PianoTask) -> Reference:
     """
     check_one_score(task.config)
     (score,) = task.scores
-    plan = plan_song(task, score)
+    plan = plan_song(task.spec, score, task.state.hand_qpos[0])
     reach = [task.scene.hand.servo(name).correction for name in servos_of(task.scene).names]
     arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
     return Reference._make(array.astype(np.float32) for array in arrays)
@@ -49,8 +51,8 @@ def reference_of(task: PianoTask) -> Reference:
 class ReferenceTracker:
     """Turns corrections in [-1, 1] into actions."""
 
-    def __init__(self, task: PianoTask, reference: Reference) -> None:
-        self._task, self._reference = task, reference
+    def __init__(self, task: TaskSpec, reference: Reference) -> None:
+        self._reference = reference
         self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
         self._low, self._high = task.action_low, task.action_high
 
@@ -61,17 +63,17 @@ class ReferenceTracker:
         centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
         return ((action - centre) / scale).astype(np.float32)
 
-    def ctrl(self, correction: Floats) -> Array:
-        """(N, A + 1) actions in actuator units from corrections (N, A + 1) in [-1, 1].
+    def ctrl(self, correction: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
+        """(N, A + 1) actions in actuator units, see `cadenza.learning.control.ToActions`.
 
         The pedal is the score's whatever the correction.
         """
-        row, state, reference = self._task.sheets.row, self._task.state, self._reference
+        reference = self._reference
         position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
         here = np.stack([position, speed], axis=-1)
-        feedback = (reference.gain[row] * (here - reference.expected[row])).sum(axis=-1)
-        hands = reference.ctrl[row] - feedback + reference.reach * correction[:, :-1]
-        both = np.concatenate([hands, reference.pedal[row, None]], axis=1)
+        feedback = (reference.gain[steps] * (here - reference.expected[steps])).sum(axis=-1)
+        hands = reference.ctrl[steps] - feedback + reference.reach * correction[:, :-1]
+        both = np.concatenate([hands, reference.pedal[steps, None]], axis=1)
         return np.clip(both, self._low, self._high)
 
 

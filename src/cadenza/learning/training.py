@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.learning.collector import Collector, Finished
@@ -67,16 +67,16 @@ class Training:
         self._updates = 0
         self._score = score.without_fingers() if config.residual else score
         self._task = self._new_task(config.num_envs)
-        self._scores = Scores(self._task)
+        self._scores = Scores(self._task.spec)
         self._scores.add_all(self._task)
         self._reference = reference_of(self._task) if config.residual else None
         narrowed = config.song_range and self._task.scene.sides
         self._ranges = ranges_of(self._task) if narrowed else None
-        control = control_of(self._task, self._reference, self._ranges)
-        self._observation = ObservationSpec.of(self._task, config.residual)
+        control = control_of(self._task.spec, self._reference, self._ranges)
+        self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = self._has_known_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._scores) if prune else self._observation.inputs
-        observer = Observer(self._task, self._scores, inputs, control.reference, self._ranges)
+        observer = Observer(self._task.spec, self._scores, inputs, control.reference, self._ranges)
         actions = self._task.action_size
         self._inputs = inputs
         self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
@@ -216,7 +216,7 @@ class Training:
 
     def _play_once(self, learnt: LearntPolicy, step: int) -> tuple[Row, LearntPolicy]:
         with closing(self._new_task(1)) as task:
-            metrics = play(task, learnt.agent, self.config.seed).metrics
+            metrics = play_episode(task, learnt.agent, self.config.seed).metrics
         numbers = {n: v for n, v in metrics.items() if isinstance(v, int | float)}
         row = {f"eval/{name}": float(value) for name, value in numbers.items()}
         return {"eval_step": step} | row, learnt

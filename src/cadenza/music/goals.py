@@ -33,6 +33,13 @@ class Goals:
     def num_steps(self) -> int:
         return len(self.keys)
 
+    def at(self, steps: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+        """Keys (K, 88) and fingers (K, 88) of `steps` (K,); past the end there is silence."""
+        inside = (steps < self.num_steps)[:, None]
+        rows = np.minimum(steps, self.num_steps - 1)
+        fingers = np.where(inside, self.fingers[rows], np.int8(UNKNOWN_FINGER))
+        return self.keys[rows] & inside, fingers
+
 
 def score_to_goals(score: Score, dt: float, shorten: bool = False) -> Goals:
     """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.playback import ReplayAgent, check_options, load_plan, options_of, physics_of
+from cadenza.agents.playback import Playback, check_options, load_plan, options_of, physics_of
 from cadenza.agents.registry import (
     AGENTS,
     PLANNER,
@@ -151,7 +151,7 @@ def cast(
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
         scene, player = replace(SceneConfig(), **physics_of(Path(plan))), load_plan(Path(plan))
-        return casting(name=name, agent=ReplayAgent(player), scene=scene, plan=Path(plan))
+        return casting(name=name, agent=Playback(player), scene=scene, plan=Path(plan))
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(casting(name=name, agent=learnt.agent), learnt)
     return casting(name=name, agent=make_agent(name, (configs or {}).get(name)))

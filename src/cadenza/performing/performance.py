@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.misses import Miss, misses_of
 from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.rollout import play as play_episode
+from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import write_json
@@ -46,7 +46,7 @@ class Performance:
     episode: Episode
     """All that happened, step by step."""
     metrics: dict[str, Any]
-    """How well: see `cadenza.agents.rollout.Performance`."""
+    """How well: see `cadenza.agents.rollout.EpisodeResult`."""
     settings: dict[str, Any]
     """Who played, in which task and scene."""
     scene: Scene
@@ -191,7 +191,8 @@ def perform(
         CadenzaError: the agent cannot play this task, or the seed is negative.
     """
     result = play_episode(setup.task, setup.agent, setup.seed, progress, stop)
-    plan = getattr(setup.agent, "plan", None)
+    player = getattr(setup.agent, "players", {}).get(0)
+    plan = getattr(player, "plan", None)
     plan = plan if isinstance(plan, SongPlan) else None
     return Performance(
         score=setup.score,

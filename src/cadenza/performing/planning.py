@@ -46,7 +46,7 @@ class Plan:
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """How well the plan plays: see `cadenza.agents.rollout.Performance`."""
+        """How well the plan plays: see `cadenza.agents.rollout.EpisodeResult`."""
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:

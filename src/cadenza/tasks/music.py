@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -148,9 +149,15 @@ def _shifted(score: Score, most: int, semitones: int, rng: np.random.Generator) 
     return score.transposed(semitones * int(rng.integers(-down, up + 1)))
 
 
-def goals_of(score: Score, config: TaskConfig) -> Goals:
-    """Goals per control step, after the silent steps of the initial buffer."""
+def goals_of(score: Score, config: TaskConfig, there: NDArray[np.intp] | None = None) -> Goals:
+    """Goals per control step, after the silent steps of the initial buffer.
+
+    Fingers that are not among those `there` count as none; by default all are there.
+    """
     goals = score_to_goals(score, config.control_timestep, config.repeats == "shortened")
+    if there is not None:
+        fingers = np.where(np.isin(goals.fingers, there), goals.fingers, np.int8(UNKNOWN_FINGER))
+        goals = replace(goals, fingers=fingers)
     silent = _silent_steps(config)
     if not silent:
         return goals
@@ -202,18 +209,17 @@ class Sheets:
 
     def put(self, env: int, score: Score, config: TaskConfig) -> None:
         """Gives environment `env` a score to play from the beginning."""
-        goals = goals_of(score, config)
+        goals = goals_of(score, config, self._there)
         length = goals.num_steps
         self._make_room(length + self._ahead)
         self.songs[env], self.num_steps[env] = score, length
         self.steps_done[env] = self.row[env] = 0
-        fingers = np.where(np.isin(goals.fingers, self._there), goals.fingers, UNKNOWN_FINGER)
         self._goal[env], self._fingers[env], self._wanted[env] = False, UNKNOWN_FINGER, False
         self._goal[env, :length, :NUM_KEYS] = goals.keys
         self._goal[env, :length, NUM_KEYS] = goals.sustain
-        self._fingers[env, :length] = fingers
-        step, key = (fingers >= 0).nonzero()
-        self._wanted[env, step, fingers[step, key]] = True
+        self._fingers[env, :length] = goals.fingers
+        step, key = (goals.fingers >= 0).nonzero()
+        self._wanted[env, step, goals.fingers[step, key]] = True
 
     def _make_room(self, length: int) -> None:
         grow = length - self._goal.shape[1]

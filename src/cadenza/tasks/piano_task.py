@@ -24,17 +24,12 @@ from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.optimal_transport import keys_by_transport_on_host
+from cadenza.tasks.view import TaskSpec, View
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PEDAL_DOWN = 0.5  # the pedal sounds from here on
-
-
-def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
-    """From [-1, 1] to [low, high], `(..., A)`; what lies outside is clipped."""
-    value = np.asarray(action, np.float64) * ((high - low) / 2) + (low + high) / 2
-    return np.minimum(np.maximum(value, low), high)
 
 
 class Transition(NamedTuple):
@@ -63,6 +58,7 @@ class PianoTask:
     """N hands-and-piano simulations with a score to play in each.
 
     Attributes:
+        spec: what is the same in all environments and episodes.
         scene: the scene that is simulated.
         config: the task's configuration.
         simulation: the physics.
@@ -117,12 +113,18 @@ class PianoTask:
         keyboard = self.scene.keyboard
         self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
         self._press = reward.press_offset(keyboard.half_size)
-        self.action_low = self.scene.action_low
-        self.action_high = self.scene.action_high
         lookahead = self._steps_lookahead()
         self.sheets = music.Sheets(num_envs, lookahead, self.scene.fingers)
-        self.observation_layout = self._lay_out_observation(lookahead)
-        self.observation_size = max(part.stop for part in self.observation_layout.values())
+        self.spec = TaskSpec(
+            config=self.config,
+            scene=self.scene,
+            action_low=self.scene.action_low,
+            action_high=self.scene.action_high,
+            observation_layout=self._lay_out_observation(lookahead),
+        )
+        self.action_low, self.action_high = self.spec.action_low, self.spec.action_high
+        self.observation_layout = self.spec.observation_layout
+        self.observation_size = self.spec.observation_size
         self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
         self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
@@ -135,11 +137,11 @@ class PianoTask:
     @property
     def action_size(self) -> int:
         """A: actuators and the pedal."""
-        return len(self.action_low)
+        return self.spec.action_size
 
     def scale_action(self, action: NDArray[Any]) -> Array:
-        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
-        return to_range(action, self.action_low, self.action_high)
+        """See `TaskSpec.scale_action`."""
+        return self.spec.scale_action(action)
 
     def unscale_action(self, ctrl: NDArray[Any]) -> Array:
         """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
@@ -336,6 +338,26 @@ class PianoTask:
         if "joints" in layout:
             result[:, layout["joints"]] = self.state.hand_qpos
         return result
+
+    def view(self, playing: Mask | None = None) -> View:
+        """What an agent sees before the next step, which the environments take that are `playing`.
+
+        `playing` is (N,), all by default.
+        """
+        sheets = self.sheets
+        return View(
+            task=self.spec,
+            env_ids=self._env_ids,
+            scores=tuple(sheets.songs),
+            num_steps=sheets.num_steps.copy(),
+            steps=sheets.steps_done.copy(),
+            playing=np.ones(self.num_envs, bool) if playing is None else playing,
+            state=self.state,
+            observation=self.observation(),
+            fingers=sheets.fingers,
+            reward=self.reward.copy(),
+            simulation=self.simulation,
+        )
 
     def score(self, env: int) -> Score:
         """What environment `env` is to play, on the clock of its episode."""

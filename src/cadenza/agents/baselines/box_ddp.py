@@ -32,7 +32,7 @@ class Model(NamedTuple):
     """(K, n + m, n + m) of a step's cost by z."""
 
 
-class Policy(NamedTuple):
+class FeedbackLaw(NamedTuple):
     """Changes of the controls: `offset` + `gain` times how far the state is from the nominal."""
 
     offset: Array
@@ -92,8 +92,8 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 def backward_pass(
     model: Model, controls: Array, low: Array, high: Array, regularisation: float
-) -> Policy:
-    """The policy that minimises the quadratic model within the limits (the paper, III-C).
+) -> FeedbackLaw:
+    """The law that minimises the quadratic model within the limits (the paper, III-C).
 
     Args:
         model: of K steps; after the last nothing costs.
@@ -107,7 +107,7 @@ def backward_pass(
     """
     steps, m = controls.shape
     n = model.transition.shape[1]
-    policy = Policy(np.zeros((steps, m)), np.zeros((steps, m, n)))
+    law = FeedbackLaw(np.zeros((steps, m)), np.zeros((steps, m, n)))
     value_gradient, value_hessian = np.zeros(n), np.zeros((n, n))
     warm = np.zeros(m)
     for k in reversed(range(steps)):
@@ -120,10 +120,10 @@ def backward_pass(
         gain = np.zeros((m, n))
         if free.any():
             gain[free] = -_solve(damped[np.ix_(free, free)], qq[n:][free, :n])
-        closed = np.concatenate([np.eye(n), gain])  # z by x, under the policy
+        closed = np.concatenate([np.eye(n), gain])  # z by x, under the law
         value_gradient = closed.T @ (q + qq[:, n:] @ offset)
         value_hessian = closed.T @ qq @ closed
         value_hessian = (value_hessian + value_hessian.T) / 2
-        policy.offset[k], policy.gain[k] = offset, gain
+        law.offset[k], law.gain[k] = offset, gain
         warm = offset
-    return policy
+    return law

@@ -18,19 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array
-from cadenza.agents.baselines.box_ddp import Model, Policy, backward_pass
+from cadenza.agents.agent import Array, PlayerEach
+from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.pairs import Pairs, pairs_of
 from cadenza.agents.planning.config import ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.music.score import NUM_KEYS
+from cadenza.music.goals import Goals
 from cadenza.scene.scene import build_scene
 from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
-from cadenza.sim.threads import available_cores
 from cadenza.tasks import reward
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.music import goals_of
+from cadenza.tasks.view import TaskSpec, View
 
 Ids = NDArray[np.intp]
 
@@ -41,46 +41,62 @@ _NO_CHANGE = 1e-6  # of controls, in half ranges
 _TRUSTED_STEP = 0.3  # shorter ones say that the model holds less far than it thought
 
 
-class ILQG:
-    """Plans anew at every control step.
+class ILQG(PlayerEach["ILQGPlayer"]):
+    """Plans anew at every control step. Nothing is random."""
+
+    def __init__(self, config: ILQGConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
+        super().__init__()
+        self.config = config or ILQGConfig()
+        _check(self.config)
+
+    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlayer:
+        """Raises:
+        CadenzaError: the timesteps of task, plan and physics do not divide.
+        """
+        return ILQGPlayer(view, self.config, self.threads)
+
+
+class ILQGPlayer:
+    """Plays one song.
 
     A plan is a control for each control step of the horizon, held as the task holds it; the cost is
     counted at every planning step on the way, with derivatives over the part of the control step
     that lies behind. It is the cost of predictive sampling with smooth norms, sqrt(r'r + p^2) - p
     instead of |r|, and control_weight / 2 times the squared distance of controls from rest. Its
     Gauss-Newton approximation takes the present norms as weights of squares (iteratively reweighted
-    least squares). The pedal follows the score. Nothing is random.
+    least squares). The pedal follows the score.
 
     Attributes:
-        seconds: wall-clock time spent since the reset in "derivatives", "backward pass" and
+        seconds: wall-clock time spent so far in "derivatives", "backward pass" and
             "line search".
     """
 
-    def __init__(self, config: ILQGConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
-        """
-        self.config = config or ILQGConfig()
-        _check(self.config)
+    def __init__(self, view: View, config: ILQGConfig, num_threads: int) -> None:
+        """Args:
+            view: of the first step, of one environment.
+            config: how to plan.
+            num_threads: that share derivatives and rollouts.
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        """Raises:
-        CadenzaError: the timesteps of task, plan and physics do not divide.
+        Raises:
+            CadenzaError: the timesteps of task, plan and physics do not divide.
         """
-        config, hold = self.config, task.config.control_timestep
+        task = view.task
+        self.config, hold = config, task.config.control_timestep
         self._steps = _times(config.horizon, hold, "horizon", "control_timestep")
         planning = config.planning_timestep
         self._looks = _times(hold, planning, "control_timestep", "planning_timestep")
         # MuJoCo has no derivatives of a scene in which keys sleep.
         scene = build_scene(replace(task.scene.config, sleeping_keys=False))
-        self._rollouts = PlanningSimulation(
-            scene, 1 + config.num_step_sizes, planning, available_cores()
-        )
+        self._rollouts = PlanningSimulation(scene, 1 + config.num_step_sizes, planning, num_threads)
         substeps = self._rollouts.num_substeps
         shape = (self._steps, self._looks, substeps)
-        self._lineariser = Lineariser(scene, *shape, available_cores(), config.centred)
+        self._lineariser = Lineariser(scene, *shape, num_threads, config.centred)
         self._step_sizes = np.append(0.0, np.geomspace(1.0, 1e-3, config.num_step_sizes))
-        self._task, self._cost = task, _Cost(task, self._steps, self._looks)
+        self._goals = goals_of(view.scores[0], task.config, task.scene.fingers)
+        self._task, self._cost = task, _Cost(task, self._goals, self._steps, self._looks)
         low, high = task.action_low[:-1], task.action_high[:-1]
         self._centre, self._half_range = (low + high) / 2, (high - low) / 2
         self._rest = (np.clip(0.0, low, high) - self._centre) / self._half_range
@@ -88,9 +104,10 @@ class ILQG:
         self._damping = _Damping()
         self.seconds = dict.fromkeys(("derivatives", "backward pass", "line search"), 0.0)
 
-    def act(self) -> Array:
-        start = as_mujoco(self._task.simulation).physics_state(0)
-        self._cost.look_ahead()
+    def act(self, view: View) -> Array:
+        now = int(view.steps[0])
+        start = as_mujoco(view.simulation).physics_state(int(view.env_ids[0]))
+        self._cost.look_ahead(now)
         improved = True
         for _ in range(self.config.iterations):
             if improved:
@@ -99,7 +116,7 @@ class ILQG:
             improved = self._improve(model, start)
         action = self._ctrl(self._nominal[0])
         self._nominal = np.concatenate([self._nominal[1:], self._nominal[-1:]])
-        return np.append(action, float(self._task.sheets.goal[0, NUM_KEYS]))
+        return np.append(action, float(self._goals.sustain[now]))
 
     @contextmanager
     def _timed(self, part: str) -> Iterator[None]:
@@ -129,15 +146,15 @@ class ILQG:
         limit = np.ones(len(self._rest))
         try:
             with self._timed("backward pass"):
-                policy = backward_pass(model, self._nominal, -limit, limit, self._damping.value)
+                law = backward_pass(model, self._nominal, -limit, limit, self._damping.value)
         except np.linalg.LinAlgError:
             self._damping.increase()
             return False
-        if np.abs(policy.offset).max() < _NO_CHANGE:
+        if np.abs(law.offset).max() < _NO_CHANGE:
             self._damping.decrease()  # or it would be the reason
             return False
         with self._timed("line search"):
-            candidates, cost = self._search(policy, start)
+            candidates, cost = self._search(law, start)
         best = int(np.argmin(cost))
         self._nominal = candidates[best]
         if self._step_sizes[best] >= _TRUSTED_STEP:
@@ -146,8 +163,8 @@ class ILQG:
             self._damping.increase()
         return best > 0
 
-    def _search(self, policy: Policy, start: Array) -> tuple[Array, Array]:
-        """Carries the policy out with every step size, 0 first, which is the nominal itself.
+    def _search(self, law: FeedbackLaw, start: Array) -> tuple[Array, Array]:
+        """Carries the law out with every step size, 0 first, which is the nominal itself.
 
         Returns:
             Controls (N, K, A) in half ranges and their cost (N,).
@@ -159,7 +176,7 @@ class ILQG:
         for k, nominal in enumerate(self._nominal):
             coordinates = rollouts.coordinates()
             deviation = coordinates - coordinates[0]
-            change = sizes * policy.offset[k] + deviation @ policy.gain[k].T
+            change = sizes * law.offset[k] + deviation @ law.gain[k].T
             controls[:, k] = np.clip(nominal + change, -1.0, 1.0)
             ctrl = self._ctrl(controls[:, k])
             states = rollouts.rollout(np.repeat(ctrl[:, None], self._looks, axis=1))
@@ -183,15 +200,13 @@ class _Cost:
     Over K control steps, counted P times in each.
     """
 
-    def __init__(self, task: PianoTask, num_steps: int, num_looks: int) -> None:
-        self._task, self._num_steps, self._num_looks = task, num_steps, num_looks
+    def __init__(self, task: TaskSpec, goals: Goals, num_steps: int, num_looks: int) -> None:
+        self._task, self._goals = task, goals
+        self._num_steps, self._num_looks = num_steps, num_looks
 
-    def look_ahead(self) -> None:
-        """The next control steps begin now."""
-        sheets = self._task.sheets
-        now = int(sheets.row[0])
-        goals, self._fingers = sheets.part(0, now, now + self._num_steps)
-        self._wanted = goals[:, :NUM_KEYS]
+    def look_ahead(self, now: int) -> None:
+        """The next control steps begin with step `now` of the song."""
+        self._wanted, self._fingers = self._goals.at(np.arange(now, now + self._num_steps))
 
     def of_step(self, step: int, key_qpos: Array, tips: Array, centres: Array) -> Array:
         """(N,) cost of control step `step`; arrays (N, P, ...) as in `State`."""

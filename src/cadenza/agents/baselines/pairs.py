@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.tasks.optimal_transport import keys_by_transport_on_host
-from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.reward import press_offset
+from cadenza.tasks.view import TaskSpec
 
 Ids = NDArray[np.intp]
 
@@ -29,7 +29,7 @@ class Pairs(NamedTuple):
 
 
 def pairs_of(
-    task: PianoTask,
+    task: TaskSpec,
     fingertips: Array,
     key_xpos: Array,
     keys: NDArray[np.bool_],

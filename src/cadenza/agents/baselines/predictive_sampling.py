@@ -10,55 +10,72 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Array, PlayerEach
 from cadenza.agents.baselines.pairs import pairs_of
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.music.score import NUM_KEYS
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
-from cadenza.sim.threads import available_cores
 from cadenza.tasks import reward
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.music import goals_of
+from cadenza.tasks.view import View
 
 
-class PredictiveSampling:
-    """Plans anew at every control step.
+class PredictiveSampling(PlayerEach["SamplingPlayer"]):
+    """Plans anew at every control step."""
+
+    def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
+        super().__init__()
+        self.config = config or PredictiveSamplingConfig()
+        _check(self.config)
+
+    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlayer:
+        return SamplingPlayer(view, rng, self.config, self.threads)
+
+
+class SamplingPlayer:
+    """Plays one song.
 
     A plan is a cubic spline through knots over the horizon, sampled where the task will take its
     next actions and held in between, as the task holds them. The pedal follows the score: the cost
     says nothing about it.
     """
 
-    def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
-        """Raises:
-        CadenzaError: an option makes no sense.
+    def __init__(
+        self,
+        view: View,
+        rng: np.random.Generator,
+        config: PredictiveSamplingConfig,
+        num_threads: int,
+    ) -> None:
+        """Args:
+        view: of the first step, of one environment.
+        rng: what is random.
+        config: how to plan.
+        num_threads: that share the rollouts.
         """
-        self.config = config or PredictiveSamplingConfig()
-        _check(self.config)
-
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
-        config = self.config
-        self._task, self._rng = task, rng
+        task = view.task
+        self.config, self._task, self._rng = config, task, rng
+        self._goals = goals_of(view.scores[0], task.config, task.scene.fingers)
         self._low, self._high = task.action_low[:-1], task.action_high[:-1]
         self._rollouts = PlanningSimulation(
-            task.scene,
-            config.num_candidates,
-            config.planning_timestep,
-            num_threads=available_cores(),
+            task.scene, config.num_candidates, config.planning_timestep, num_threads
         )
         self._knot_times = np.linspace(0.0, config.horizon, config.num_knots)
         self._nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
 
-    def act(self) -> Array:
+    def act(self, view: View) -> Array:
         for _ in range(self.config.iterations):
             candidates = self._draw()
-            self._nominal = candidates[np.argmin(self._roll_out(candidates))]
+            self._nominal = candidates[np.argmin(self._roll_out(candidates, view))]
         best = CubicSpline(self._knot_times, self._nominal)
         shifted = self._knot_times + self._task.config.control_timestep
         self._nominal = self._clip(best(np.minimum(shifted, self.config.horizon)))
-        pedal = float(self._task.sheets.goal[0, NUM_KEYS])
+        pedal = float(self._goals.sustain[view.steps[0]])
         return np.append(self._clip(best(0.0)), pedal)
 
     def _draw(self) -> Array:
@@ -72,16 +89,16 @@ class PredictiveSampling:
     def _clip(self, ctrl: Array) -> Array:
         return np.clip(ctrl, self._low, self._high)
 
-    def _roll_out(self, candidates: Array) -> Array:
-        """(num_candidates,) cost of carrying the candidates out from the task's present state."""
+    def _roll_out(self, candidates: Array, view: View) -> Array:
+        """(num_candidates,) cost of carrying the candidates out from where `view` is."""
         config, hold = self.config, self._task.config.control_timestep
         steps = round(config.horizon / config.planning_timestep)
         times = np.arange(steps) * config.planning_timestep
         rows = np.floor(times / hold + 1e-9).astype(np.intp)  # control step of each planning step
         ctrl = self._clip(CubicSpline(self._knot_times, candidates, axis=1)(rows * hold))
-        self._rollouts.copy_from(as_mujoco(self._task.simulation), 0)
+        self._rollouts.copy_from(as_mujoco(view.simulation), int(view.env_ids[0]))
         states = self._rollouts.rollout(ctrl)
-        cost = self._cost(states, rows).sum(axis=1)
+        cost = self._cost(states, view.steps[0] + rows).sum(axis=1)
         return np.where(states.unstable.any(axis=1), np.inf, cost)
 
     def _cost(self, states: State, rows: NDArray[np.intp]) -> Array:
@@ -89,20 +106,18 @@ class PredictiveSampling:
 
         Args:
             states: with leading dimensions (num_candidates, K).
-            rows: (K,) control steps from now on, whose goals count.
+            rows: (K,) control steps of the song whose goals count.
 
         Returns:
             (num_candidates, K).
         """
-        sheets = self._task.sheets
-        now = int(sheets.row[0])
-        goals, fingers = sheets.part(0, now, now + int(rows[-1]) + 1)
+        goals, fingers = self._goals.at(rows)
         shape = states.key_qpos.shape[:2]
-        wanted = np.tile(goals[rows, :NUM_KEYS], (shape[0], 1))
+        wanted = np.tile(goals, (shape[0], 1))
         depth = reward.key_state(_flat(states.key_qpos), self._task.scene.keyboard.travel)
         keys = np.linalg.norm(depth - wanted, axis=1)
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
-        by_score = np.tile(fingers[rows], (shape[0], 1))
+        by_score = np.tile(fingers, (shape[0], 1))
         pairs = pairs_of(self._task, tips, centres, wanted, by_score)
         distance = np.linalg.norm(pairs.offset, axis=1)
         return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)

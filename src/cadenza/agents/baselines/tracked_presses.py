@@ -10,60 +10,75 @@ import math
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, Progress, silent
+from cadenza.agents.agent import Array, PlayerEach, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.refinement import HandPart
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.song_plan import plan_song
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.scene.scene import HandAlone, hand_alone
-from cadenza.sim.threads import available_cores
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 
-class TrackedPresses:
+class TrackedPresses(PlayerEach["TrackingPlayer"]):
     """Plans everything when an episode begins; then only feedback is left.
 
     What is fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is
-    random.
-
-    Attributes:
-        plan: before it is optimised, after `reset`.
-        trajectories: what each hand is to do.
-        progress: is told of "fingers", "postures" and, a hand at a time, "presses".
+    random. Its progress is that of "fingers", "postures" and, a hand at a time, "presses".
     """
-
-    plan: SongPlan
-    progress: Progress
 
     def __init__(self, config: TrackedPressesConfig | None = None) -> None:
         """Raises:
         CadenzaError: an option makes no sense.
         """
+        super().__init__()
         self.config = config or TrackedPressesConfig()
         if not 0 <= self.config.iterations < math.inf:
             raise CadenzaError(f"iterations {self.config.iterations}: choose 0 or more")
-        self.trajectories: list[Trajectory] = []
-        self.progress = silent
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+    def begin(self, view: View, rng: np.random.Generator) -> TrackingPlayer:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        self.plan = plan_song(task, task.sheets.songs[0].without_fingers(), self.progress)
+        return TrackingPlayer(view, self.config, self.threads, self.progress)
+
+
+class TrackingPlayer:
+    """Plays one song.
+
+    Attributes:
+        plan: before it is optimised.
+        trajectories: what each hand is to do.
+    """
+
+    def __init__(
+        self, view: View, config: TrackedPressesConfig, num_threads: int, progress: Progress
+    ) -> None:
+        """Args:
+            view: of the first step, of one environment.
+            config: how to plan.
+            num_threads: that share the rollouts.
+            progress: is told of "fingers", "postures" and "presses".
+
+        Raises:
+            CadenzaError: there are no hands in the scene.
+        """
+        task, start = view.task, view.state.hand_qpos[0]
+        self._config, self._num_threads = config, num_threads
+        self.plan = plan_song(task, view.scores[0].without_fingers(), start, progress)
         self._pedal = self.plan.goals.sustain.astype(np.float64)
-        self._task, self._step = task, 0
-        self._hands, self.trajectories = list[HandAlone](), []
+        self._hands: list[HandAlone] = []
+        self.trajectories: list[Trajectory] = []
         for side in task.scene.sides:
             hand = hand_alone(task.scene, side)
             with threadpool_limits(1):  # small matrices, and the same bits everywhere
-                optimisation = self._optimisation(task, side, hand)
-                start = task.state.hand_qpos[0, hand.joints]
-                self.trajectories.append(optimisation.optimise(start, self.progress))
+                optimisation = self._optimisation(side, hand, task.config.control_timestep)
+                trajectory = optimisation.optimise(start[hand.joints], progress)
+                self.trajectories.append(trajectory)
             self._hands.append(hand)
 
-    def _optimisation(self, task: PianoTask, side: Side, hand: HandAlone) -> PressOptimisation:
+    def _optimisation(self, side: Side, hand: HandAlone, dt: float) -> PressOptimisation:
         nominal = self.plan.nominal
         mine = [press.first - 1 for press in nominal.presses if press.side == side]
         return PressOptimisation(
@@ -71,18 +86,17 @@ class TrackedPresses:
             HandPart(self.plan, side),
             np.array(mine, np.intp),
             nominal.tracking.of(hand.servos),
-            self.config,
-            task.config.control_timestep,
-            available_cores(),
+            self._config,
+            dt,
+            self._num_threads,
         )
 
-    def act(self) -> Array:
-        task, state = self._task, self._task.state
+    def act(self, view: View) -> Array:
+        task, state, step = view.task, view.state, int(view.steps[0])
         action = np.zeros(task.action_size)
-        action[-1] = self._pedal[self._step]
+        action[-1] = self._pedal[step]
         for (_, servos, joints), planned in zip(self._hands, self.trajectories, strict=True):
             here = np.concatenate([state.hand_qpos[0, joints], state.hand_qvel[0, joints]])
-            deviation = here - planned.state[self._step]
-            action[servos] = planned.ctrl[self._step] + planned.gain[self._step] @ deviation
-        self._step += 1
+            deviation = here - planned.state[step]
+            action[servos] = planned.ctrl[step] + planned.gain[step] @ deviation
         return np.clip(action, task.action_low, task.action_high)

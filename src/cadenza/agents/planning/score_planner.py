@@ -4,73 +4,94 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.agents.agent import Array, Progress, silent
+from cadenza.agents.agent import Array, PlayerEach, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
 from cadenza.scene.scene import hand_alone
-from cadenza.sim.threads import available_cores
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
 
 
-class ScorePlanner:
+class ScorePlanner(PlayerEach["SongPlayer"]):
     """Plans a song a window ahead of where it plays, and refines the plan as it goes.
 
-    Attributes:
-        plan: before refinement, as far as it goes; all of it when the song is over.
-        progress: is told of "fingers" and "postures".
+    Its progress is that of "fingers" and "postures".
     """
-
-    plan: SongPlan
-    progress: Progress
 
     def __init__(self, config: ScorePlannerConfig | None = None) -> None:
         """Raises:
         CadenzaError: an option makes no sense.
         """
+        super().__init__()
         self.config = config or ScorePlannerConfig()
-        self.progress = silent
         _check(self.config)
 
-    def reset(self, task: PianoTask, rng: np.random.Generator) -> None:
+    def begin(self, view: View, rng: np.random.Generator) -> SongPlayer:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        self._task, self._step = task, 0
-        score = task.sheets.songs[0]
-        found = self.config.fingering == "found"
-        score = score.without_fingers() if found else score
-        self._plans = song_plans(task, score, self.progress)
+        return SongPlayer(view, rng, self.config, self.threads, self.progress)
+
+
+class SongPlayer:
+    """Plans and plays one song.
+
+    Attributes:
+        plan: before refinement, as far as it goes; all of it when the song is over.
+    """
+
+    plan: SongPlan
+
+    def __init__(
+        self,
+        view: View,
+        rng: np.random.Generator,
+        config: ScorePlannerConfig,
+        num_threads: int,
+        progress: Progress,
+    ) -> None:
+        """Args:
+            view: of the first step, of one environment.
+            rng: what is random.
+            config: how to plan.
+            num_threads: that share the search.
+            progress: is told of "fingers" and "postures".
+
+        Raises:
+            CadenzaError: there are no hands in the scene.
+        """
+        task, (score,) = view.task, view.scores
+        score = score.without_fingers() if config.fingering == "found" else score
+        self._plans = song_plans(task, score, view.state.hand_qpos[0], progress)
         self.plan = next(self._plans)
-        scene, dt = task.scene, task.config.control_timestep
+        self._sides = task.scene.sides
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
-        for side, hand_rng in zip(scene.sides, rng.spawn(len(scene.sides)), strict=True):
-            alone, servos, joints = hand_alone(scene, side)
+        dt = task.config.control_timestep
+        for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
+            alone, servos, joints = hand_alone(task.scene, side)
             part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
-            threads = available_cores()
-            hand = HandRefinement(alone, part, tracking, self.config, dt, threads, hand_rng)
+            hand = HandRefinement(alone, part, tracking, config, dt, num_threads, hand_rng)
             self._hands.append((hand, servos, joints))
 
-    def act(self) -> Array:
-        self._plan_ahead()
-        state = self._task.state
-        action = np.zeros(self._task.action_size)
-        action[-1] = self._pedal[self._step]
+    def act(self, view: View) -> Array:
+        state, step = view.state, int(view.steps[0])
+        self._plan_ahead(step)
+        action = np.zeros(view.task.action_size)
+        action[-1] = self._pedal[step]
         for hand, servos, joints in self._hands:
             action[servos] = hand.act(
                 state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
             )
-        self._step += 1
         return action
 
-    def _plan_ahead(self) -> None:
+    def _plan_ahead(self, step: int) -> None:
         """Plans another window before what a hand looks at from here ends."""
-        seen = self._step + max(hand.steps_seen for hand, _, _ in self._hands)
+        seen = step + max(hand.steps_seen for hand, _, _ in self._hands)
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
-            for (hand, servos, _), side in zip(self._hands, self._task.scene.sides, strict=True):
+            for (hand, servos, _), side in zip(self._hands, self._sides, strict=True):
                 hand.follow(HandPart(self.plan, side), self.plan.nominal.tracking.of(servos))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-from cadenza.agents.agent import Progress, silent
+from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.nominal import Nominal, nominal_plans
 from cadenza.errors import CadenzaError
 from cadenza.fingering.search import Dropped, find_fingering
@@ -14,7 +14,7 @@ from cadenza.music.goals import Goals
 from cadenza.music.score import Score
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.music import goals_of, players_of
-from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec
 
 
 class SongPlan(NamedTuple):
@@ -37,21 +37,24 @@ class SongPlan(NamedTuple):
         return self.nominal.num_steps == self.goals.num_steps
 
 
-def plan_song(task: PianoTask, score: Score, progress: Progress = silent) -> SongPlan:
+def plan_song(task: TaskSpec, score: Score, start: Array, progress: Progress = silent) -> SongPlan:
     """The last of `song_plans`: all of the song."""
-    *_, whole = song_plans(task, score, progress)
+    *_, whole = song_plans(task, score, start, progress)
     return whole
 
 
-def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> Iterator[SongPlan]:
-    """Plans `score` for the hands of a task, from where those of its first environment are.
+def song_plans(
+    task: TaskSpec, score: Score, start: Array, progress: Progress = silent
+) -> Iterator[SongPlan]:
+    """Plans `score` for the hands of a task.
 
     The scene that is planned with is the one that the task's configuration describes: where the
     task's own was changed, the plan does not know.
 
     Args:
-        task: one that has been reset.
+        task: what is played in.
         score: as the task plays it.
+        start: (J,) joint positions of the hands where the song begins [m, rad].
         progress: is told of "fingers" and "postures".
 
     Yields:
@@ -66,6 +69,5 @@ def song_plans(task: PianoTask, score: Score, progress: Progress = silent) -> It
     score, dropped = find_fingering(score, players_of(task.scene), partial(progress, "fingers"))
     goals = goals_of(score, task.config)
     scene, dt = build_scene(task.scene.config), task.config.control_timestep
-    start = task.state.hand_qpos[0]
     for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
         yield SongPlan(scene, score, dropped, goals, nominal)

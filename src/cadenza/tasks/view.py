@@ -1,0 +1,94 @@
+"""What an agent sees of a task: values, and nothing that it could change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.music.score import NUM_KEYS, Score
+from cadenza.scene.scene import Scene
+from cadenza.sim.protocol import Simulation, State
+from cadenza.tasks.config import TaskConfig
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.intp]
+
+
+def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
+    """From [-1, 1] to [low, high], `(..., A)`; what lies outside is clipped."""
+    value = np.asarray(action, np.float64) * ((high - low) / 2) + (low + high) / 2
+    return np.minimum(np.maximum(value, low), high)
+
+
+@dataclass(frozen=True, eq=False)
+class TaskSpec:
+    """What is the same in all environments and episodes of a task."""
+
+    config: TaskConfig
+    scene: Scene
+    """The hands and the keys."""
+    action_low: Array
+    """(A,) the least action in actuator units [m, rad], the pedal last."""
+    action_high: Array
+    """(A,) the greatest."""
+    observation_layout: dict[str, slice]
+    """Name -> slice of an observation."""
+
+    @property
+    def action_size(self) -> int:
+        """A: actuators and the pedal."""
+        return len(self.action_low)
+
+    @property
+    def observation_size(self) -> int:
+        """D."""
+        return max(part.stop for part in self.observation_layout.values())
+
+    def scale_action(self, action: NDArray[Any]) -> Array:
+        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
+        return to_range(action, self.action_low, self.action_high)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """N environments before their next control step. Nobody writes to the arrays."""
+
+    task: TaskSpec
+    env_ids: Ids
+    """(N,) their numbers."""
+    scores: tuple[Score, ...]
+    """(N,) what each is to play, as the task has changed it; `cadenza.tasks.music.goals_of` makes
+    goals per control step of it."""
+    num_steps: Ids
+    """(N,) control steps of its episode."""
+    steps: Ids
+    """(N,) control steps since the episode began."""
+    playing: Mask
+    """(N,) whether it takes the next step; of the others, no action is wanted."""
+    state: State
+    """Positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
+    observation: NDArray[np.float32]
+    """(N, D) as the environments give it, see `TaskSpec.observation_layout`."""
+    fingers: NDArray[np.int8]
+    """(N, 88) the fingers for the keys of the next step, -1 for none."""
+    reward: Array
+    """(N,) of the last step, 0 before the first."""
+    simulation: Simulation
+    """The physics of all environments of the task, for planners that copy it. Not to be stepped."""
+
+    @property
+    def goal(self) -> Mask:
+        """(N, L + 1, 89) keys and pedal of the next step and of the L that are looked ahead."""
+        ahead = self.observation[:, self.task.observation_layout["goal"]]
+        return ahead.reshape(len(ahead), -1, NUM_KEYS + 1) > 0
+
+    def of(self, row: int) -> View:
+        """That of the environment in `row` alone: N is 1."""
+        only = slice(row, row + 1)
+        same = ("task", "state", "simulation")
+        rows = {f.name: getattr(self, f.name)[only] for f in fields(self) if f.name not in same}
+        return replace(self, state=State._make(values[only] for values in self.state), **rows)
