@@ -56,6 +56,14 @@ def test_a_reward_of_ones_own(run) -> None:
     np.testing.assert_allclose(sum(sums.values()), total, atol=0.21)  # all rounded to a tenth
 
 
+def test_a_new_hand(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)  # as for a program that is started there
+    (said,) = run("claw", "Up.mid")
+    assert float(said.removeprefix("F1 ")) > 0.9
+    settings = json.loads(Path("played/claw/settings.json").read_text())
+    assert settings["scene"]["hand"] == "claw:CLAW"
+
+
 @pytest.mark.slow
 def test_training(run) -> None:
     said = run("train", "Up.mid", "400")

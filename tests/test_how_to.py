@@ -35,7 +35,7 @@ def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follow]:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 written.add(named[1].split("/")[0].removesuffix(".py"))
             with path.open("a") as file:
-                file.write(code)
+                file.write(code + "\n\n")
         project = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)))
         about = site / f"{project['project']['name']}-1.0.dist-info"
         about.mkdir()
@@ -64,6 +64,16 @@ def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> N
     main(["songs"])
     assert capsys.readouterr().out.splitlines()[-1].startswith("etudes/thirds ")
     assert cadenza.load_song("etudes/thirds").notes == TUNE.notes
+
+
+def test_a_hand(follow: Follow) -> None:
+    follow("hand")
+    code = Path("site/claw.py").read_text().removeprefix("# claw.py\n")
+    example = (PAGES.parents[1] / "examples" / "claw.py").read_text()
+    assert all(block.strip() in example for block in code.split("\n\n\n"))
+    performance = cadenza.play(TUNE, scene=cadenza.SceneConfig(hand="claw"))
+    assert performance.metrics["f1"] > 0.9
+    assert performance.episode["fingertip_xpos"].shape[-2:] == (10, 3)
 
 
 def test_a_learner(follow: Follow) -> None:

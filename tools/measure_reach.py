@@ -1,13 +1,14 @@
 """Measures how far the fingers of a right hand reach along the keyboard.
 
-Run `python tools/measure_reach.py HAND` (a few minutes) after changing a hand, and put what it
-prints into its `Reach`. HAND is the name of one that comes with Cadenza, or `module:NAME`.
+Run `python tools/measure_reach.py HAND` (a few minutes) after changing a hand, and put the `Reach`
+that it prints into it. HAND is the name of one that comes with Cadenza, or `module:NAME`. It also
+prints where the fingertips are at rest, which should be over white keys.
 
 The forearm slides where it likes (tx, ty); the joints are those of the reduced action space. A
 fingertip presses a white key when it is within 3 mm of the point where the finger presses white
 keys, at the height of a pressed key; a finger that does not press stays above the keys. Postures
-come from scipy.optimize.least_squares, from several starts. Fingers may pass through each other:
-that neighbours have room on neighbouring keys is `least`'s to say.
+come from scipy.optimize.least_squares, from several starts. They may pass through each other; so
+`least` is never less than between neighbouring keys.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ ABOVE = 0.003  # [m] that fingers stay above the keys if they do not press
 TOLERANCE = 0.003  # [m]
 STEP = 0.0025  # [m] between the distances that are tried
 STARTS = 6
+SIDE_BY_SIDE = 0.0115  # [m] between a white key and the black one beside it
 
 
 class Hand:
@@ -48,6 +50,7 @@ class Hand:
         self.ease = np.array([use.ease for use in uses])
         fingers, white = scene.hand.fingers, scene.keyboard.white
         self.fingers = range(len(fingers))
+        self.names = [finger.name for finger in fingers]
         self.press_x = np.array([finger.on_white for finger in fingers])
         radius = np.array([finger.tip_radius for finger in fingers])
         fall = (white.half_size[0] + self.press_x) * np.tan(white.travel)
@@ -137,22 +140,48 @@ def extreme(hand: Hand, fingers: tuple[int, ...], q: Array, apart: float, step: 
             return apart
 
 
-def main() -> None:
-    hand = Hand(sys.argv[1])
+def print_rest(hand: Hand) -> None:
+    tips, y = hand.tips(hand.rest)[0], hand.forearm_y(hand.rest)
+    print("fingertips at rest:")
+    for name, (towards, along, up), aim, clear_z in zip(
+        hand.names, tips, hand.press_x, hand.clear_z, strict=True
+    ):
+        print(
+            f"    {name}: {1000 * (along - y):.0f} mm to the right of the forearm, "
+            f"{1000 * (up - clear_z + ABOVE):.0f} mm above white keys, "
+            f"{1000 * towards:.0f} mm towards the player (presses at {1000 * aim:.0f})"
+        )
+
+
+def measured(hand: Hand) -> dict[str, Array]:
+    """The fields of `Reach`."""
     everyone = tuple(hand.fingers)
     q = posture(hand, everyone, None, hand.rest)
-    assert presses(hand, q, everyone, None), "the fingers cannot all press at once"
-    print("posture in which all fingers press:")
-    for name, value in zip(hand._servos.names, q, strict=True):
-        print(f"    {name} {value:.2f}")
-    offsets = hand.tips(q)[0][:, 1] - hand.forearm_y(q)
-    print("fingertips when all press, from the forearm [m]:", offsets.round(4).tolist())
-    print("distances of two fingers, or of one from the forearm [m]:")
-    for fingers in [*combinations(hand.fingers, 1), *combinations(hand.fingers, 2)]:
+    if not presses(hand, q, everyone, None):
+        sys.exit("the fingers cannot all press at once: look at rest, on_white and the joints")
+    count = len(everyone)
+    rest = hand.tips(q)[0][:, 1] - hand.forearm_y(q)
+    outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
+    least = SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
+    for fingers in [*combinations(everyone, 1), *combinations(everyone, 2)]:
         apart = distance(hand, q, fingers)
         start = posture(hand, fingers, apart, q)
-        least, most = (extreme(hand, fingers, start, apart, step) for step in (-STEP, STEP))
-        print(fingers, f"least {least:.3f}  at rest {apart:.3f}  most {most:.3f}", flush=True)
+        low, high = (extreme(hand, fingers, start, apart, step) for step in (-STEP, STEP))
+        if len(fingers) == 1:
+            outward[fingers], inward[fingers] = -low, high
+        else:
+            least[fingers], most[fingers] = max(least[fingers], low), high
+    return {"rest": rest, "least": least, "most": most, "outward": outward, "inward": inward}
+
+
+def main() -> None:
+    sys.path.append("")  # `module:NAME` may lie in the working folder
+    hand = Hand(sys.argv[1])
+    print_rest(hand)
+    print("reach=Reach(")
+    for name, values in measured(hand).items():
+        print(f"    {name}=np.array({np.array2string(values.round(4), separator=', ')}),")
+    print("    forearm_width=forearm.WIDTH,\n)")
 
 
 if __name__ == "__main__":
