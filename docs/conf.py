@@ -36,6 +36,8 @@ autodoc_typehints_format = "short"
 python_maximum_signature_line_length = 80
 python_use_unqualified_type_names = True
 
+NAPOLEON = Config(napoleon_use_ivar=True)  # what "Attributes:" lists has no entries of its own
+
 html_theme = "sphinx_book_theme"
 html_title = "Cadenza"
 html_theme_options = {
@@ -63,7 +65,7 @@ def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines:
     """Docstrings are in Google's style, but for those of fields, which have no sections."""
     lines[:] = [re.sub(r"(?<!\S)--[a-z][a-z-]*", r"``\g<0>``", line) for line in lines]
     if what not in ("attribute", "property"):
-        lines[:] = GoogleDocstring(lines, Config(), app, what, name, of, options).lines()
+        lines[:] = GoogleDocstring(lines, NAPOLEON, app, what, name, of, options).lines()
 
 
 def setup(app: Sphinx) -> None:

@@ -195,13 +195,3 @@ def test_what_the_documentation_shows_runs(
     exec(compile(code, "python.md", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"joy", "scale.npz", "scale.fingering"}
-
-
-@pytest.mark.slow
-def test_the_example_runs(tmp_path: Path) -> None:
-    write_midi(TUNE, tmp_path / "tune.mid")
-    said = subprocess.check_output(
-        [sys.executable, ROOT / "examples" / "play_a_song.py", "tune.mid"], cwd=tmp_path, text=True
-    )
-    assert [line.split(":")[0] for line in said.splitlines()] == ["planner", "Clumsy"]
-    assert (tmp_path / "played" / "Clumsy" / "report.html").exists()

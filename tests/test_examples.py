@@ -36,15 +36,21 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_every_example_is_run() -> None:
     tests = Path(__file__).read_text()
-    elsewhere = {"play_a_song", "train_with_stable_baselines3"}
+    needs_another_library = {"train_with_stable_baselines3"}
     for path in EXAMPLES.glob("*.py"):
-        assert f'run("{path.stem}"' in tests or path.stem in elsewhere
+        assert f'run("{path.stem}"' in tests or path.stem in needs_another_library
 
 
 def test_a_random_agent(run) -> None:
     first, last = run("random_agent", "Up.mid")
     assert first.startswith("Up: observations (1124,), actions (39,)")
     assert float(last.split()[-1]) < 0.9
+
+
+def test_an_agent_of_ones_own(run) -> None:
+    said = dict(line.split(": F1 ") for line in run("own_agent", "Up.mid"))
+    assert float(said["planner"]) >= float(said["Trembling"]) > 0.5
+    assert Path("played/Trembling/report.html").exists()
 
 
 def test_a_reward_of_ones_own(run) -> None:

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cadenza
@@ -64,6 +65,18 @@ def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> N
     main(["songs"])
     assert capsys.readouterr().out.splitlines()[-1].startswith("etudes/thirds ")
     assert cadenza.load_song("etudes/thirds").notes == TUNE.notes
+
+
+def test_an_agent(follow: Follow) -> None:
+    follow("agent")
+    main(["play", "tune.mid", "--agent", "waving", "--no-video", "-o", "out"])
+    tips = cadenza.load_episode(Path("out/episode.npz"))["fingertip_xpos"][:, 1, 2]
+    assert np.ptp(tips) > 0.01
+    steps = [cadenza.play(TUNE, "waving:StepsEach", seed=seed) for seed in (3, 3, 4)]
+    first, again, other = (performance.episode["action"] for performance in steps)
+    np.testing.assert_array_equal(first, again)
+    assert len(np.unique(first, axis=0)) == 2  # 21 steps
+    assert (first != other).any()
 
 
 def test_a_hand(follow: Follow) -> None:

@@ -1,0 +1,43 @@
+"""An agent of one's own: the planner with trembling hands. docs/how-to/agent.md explains agents.
+
+python examples/own_agent.py [SONG]
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+import cadenza
+
+
+class Trembling(cadenza.Agent):
+    """Does what the planner does, with noise on every actuator."""
+
+    def __init__(self) -> None:
+        self._planner = cadenza.make_agent("planner")
+        self._rngs: dict[int, np.random.Generator] = {}
+
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._planner.reset(env_ids, rngs)
+        self._rngs |= dict(zip(env_ids, rngs, strict=True))
+
+    def act(self, view: cadenza.View) -> np.ndarray:
+        size, rngs = view.task.action_size, self._rngs
+        noise = [rngs[env].normal(0, 0.02, size) for env in view.env_ids.tolist()]
+        action = self._planner.act(view) + noise
+        return np.clip(action, view.task.action_low, view.task.action_high)
+
+    def close(self) -> None:
+        self._planner.close()
+
+
+if __name__ == "__main__":
+    song = sys.argv[1] if len(sys.argv) > 1 else "CMajorScaleOneHand"
+    for agent in ("planner", Trembling()):
+        performance = cadenza.play(song, agent)
+        name = performance.settings["agent"]
+        print(f"{name}: F1 {performance.metrics['f1']:.3f}")
+        performance.save(f"played/{name}")  # report.html, played.mid, episode.npz, ...
