@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 import tracemalloc
 from io import BytesIO
 from pathlib import Path
@@ -17,8 +18,8 @@ from cadenza import Note, SceneConfig, Score, TaskConfig
 from cadenza.cli import main
 from cadenza.music.fingering_file import read_fingering
 from cadenza.music.midi import read_midi, write_midi
-from cadenza.performing.casting import cast, set_up
 from cadenza.performing.performance import perform
+from cadenza.performing.setup import select, set_up
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 
 ROOT = Path(__file__).parents[1]
@@ -135,13 +136,32 @@ def test_an_agent_of_ones_own_plays() -> None:
 
 def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
     steps_left = iter(range(12))
-    with set_up(cast(TUNE, "planner")) as setup:
+    with set_up(select(TUNE, "planner")) as setup:
         performance = perform(setup, stop=lambda: next(steps_left, None) is None)
     assert (performance.episode.num_steps, setup.num_steps) == (13, 23)
     assert performance.metrics["steps"] == 13
     assert len(performance.misses) <= 1
     performance.save(tmp_path)
     assert (tmp_path / "report.html").exists()
+
+
+def test_a_planner_uses_as_many_threads_as_it_is_told_and_plays_the_same() -> None:
+    quick = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 72, 61, 70))))
+    actions, threads = [], []
+    for number in (1, 3):
+        before, seen = threading.active_count(), []
+        performance = cadenza.play(
+            quick,
+            scene=SceneConfig(hands="right"),
+            progress=lambda *_, seen=seen: seen.append(threading.active_count()),
+            num_threads=number,
+        )
+        actions.append(performance.episode["action"])
+        threads.append(max(seen) - before)
+    np.testing.assert_array_equal(*actions)
+    assert threads == [0, 3]
+    with pytest.raises(cadenza.CadenzaError, match="num_threads 0: choose 1 to"):
+        cadenza.play(TUNE, num_threads=0)
 
 
 def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
@@ -152,7 +172,7 @@ def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
     plan.save(tmp_path / "tune.npz")
     fingered = read_fingering(tmp_path / "tune.fingering", TUNE)
     assert tuple(note.finger for note in fingered.notes) == plan.fingering
-    again = cadenza.play(TUNE, "replay", plan=tmp_path / "tune.npz")
+    again = cadenza.play(TUNE, "playback", plan=tmp_path / "tune.npz")
     assert again.metrics["f1"] == plan.metrics["f1"] > 0.9
     assert again.metrics["return"] == plan.metrics["return"]
 
@@ -171,7 +191,7 @@ def test_what_is_repaired_in_a_song_is_a_warning(tmp_path: Path) -> None:
 
 
 def test_agents_that_belong_to_a_song() -> None:
-    for name in ("pretrained", "replay"):
+    for name in ("pretrained", "playback"):
         with pytest.raises(cadenza.CadenzaError, match=r"depends on the song: .* cadenza\.play"):
             cadenza.make_agent(name)
 

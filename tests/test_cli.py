@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.score_planner import SongPlayer
 from cadenza.agents.playback import options_of
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
@@ -274,7 +274,18 @@ def test_play_leaves_what_it_promises(
     tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan, folder = perfect_plan(TUNE, tmp_path / "plan.npz"), tmp_path / "new" / "folder"
-    arguments = ["play", tune, "--hands", "none", "--agent", "replay", "--plan", plan, "-o", folder]
+    arguments = [
+        "play",
+        tune,
+        "--hands",
+        "none",
+        "--agent",
+        "playback",
+        "--plan",
+        plan,
+        "-o",
+        folder,
+    ]
     arguments += AT_ONCE
     main([str(argument) for argument in arguments])
     said = capsys.readouterr()
@@ -294,7 +305,7 @@ def test_play_leaves_what_it_promises(
     assert (metrics["steps"], metrics["unstable"], metrics["timing_error"]) == (13, 0, 0)
 
     settings = json.loads((folder / "settings.json").read_text())
-    assert (settings["seed"], settings["agent"], settings["plan"]) == (0, "replay", str(plan))
+    assert (settings["seed"], settings["agent"], settings["plan"]) == (0, "playback", str(plan))
     assert settings["scene"]["hands"] == "none"
 
     played = read_midi(folder / "played.mid")
@@ -323,7 +334,7 @@ def test_a_recorded_episode_is_a_plan(tune: Path, tmp_path: Path) -> None:
     first, again = tmp_path / "first", tmp_path / "again"
     main(["play", str(tune), "--agent", "random", "--no-video", "-o", str(first)])
     plan = str(first / "episode.npz")
-    main(["play", str(tune), "--agent", "replay", "--plan", plan, "--no-video", "-o", str(again)])
+    main(["play", str(tune), "--agent", "playback", "--plan", plan, "--no-video", "-o", str(again)])
     assert figures(again) == figures(first)
 
 
@@ -471,7 +482,7 @@ def test_a_plan_made_with_other_options(
 ) -> None:
     path, task, scene = tmp_path / "plan.npz", TaskConfig(initial_buffer_time=0.5), SceneConfig()
     np.savez(path, action=np.zeros((23, 39)), options=json.dumps(options_of(task, scene, 0)))
-    arguments = ("play", tune, "--agent", "replay", "--plan", path, *options, "-o", tmp_path)
+    arguments = ("play", tune, "--agent", "playback", "--plan", path, *options, "-o", tmp_path)
     said = refused_in_a_line(capsys, *arguments)
     assert f"{path}: was planned with {message}; use the same value" in said
 
@@ -487,7 +498,7 @@ def test_half_a_plan_is_not_kept(
     tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clenched = build_scene().action_high
-    monkeypatch.setattr(ScorePlanner, "act", lambda _: clenched)
+    monkeypatch.setattr(SongPlayer, "act", lambda *_: clenched)
     path = tmp_path / "plan.npz"
     options = ("-o", path, "--wrong-press-termination")
     assert "the plan is incomplete" in refused_in_a_line(capsys, "plan", tune, *options)
@@ -604,9 +615,9 @@ def test_songs_that_there_are_not(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--agent", "replay"], "--plan"),
-        (["--plan", "x.npz"], "--agent replay"),
-        (["--agent", "replay", "--plan", "nowhere.npz"], "nowhere.npz: there is no such file"),
+        (["--agent", "playback"], "--plan"),
+        (["--plan", "x.npz"], "--agent playback"),
+        (["--agent", "playback", "--plan", "nowhere.npz"], "nowhere.npz: there is no such file"),
         (["--agent", "zero", "--seed", "-1"], "seed -1"),
         (["--agent", "zero", "--control-timestep", "0.012"], "control_timestep 0.012 s"),
         (["--agent", "zero", "--control-timestep", "nan"], "control_timestep nan"),
@@ -687,7 +698,7 @@ def test_a_plan_for_something_else(
     tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = perfect_plan(TUNE, tmp_path / "plan.npz")
-    arguments = ("play", tune, "--agent", "replay", "--plan", plan, "-o", tmp_path)
+    arguments = ("play", tune, "--agent", "playback", "--plan", plan, "-o", tmp_path)
     assert f"{PIANO.num_keys + 1} actions per step, but this task has 39" in refused_in_a_line(
         capsys, *arguments
     )

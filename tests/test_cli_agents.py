@@ -165,7 +165,7 @@ def test_a_plan_is_played_in_its_physics_unless_told_otherwise(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main(["play", "tune.mid", "--agent", "random", "--physics", "fast", "--no-video", "-o", "a"])
-    replay = ["play", "tune.mid", "--agent", "replay", "--plan", "a/episode.npz", "--no-video"]
+    replay = ["play", "tune.mid", "--agent", "playback", "--plan", "a/episode.npz", "--no-video"]
     main([*replay, "-o", "b"])
     assert settings(here / "b")["scene"]["physics"] == "fast"
     assert capsys.readouterr().err == ""
@@ -217,8 +217,8 @@ def test_the_folder_of_a_run_is_not_that_of_a_policy(
 
 
 def test_plans_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = refused(capsys, "compare", "OdeToJoy", "--agents", "replay", "-o", tmp_path)
-    assert line == "cadenza: replay plays a single file: name other agents"
+    line = refused(capsys, "compare", "OdeToJoy", "--agents", "playback", "-o", tmp_path)
+    assert line == "cadenza: playback plays a single file: name other agents"
 
 
 def test_who_cannot_play_is_told_before_anyone_has_played(
@@ -302,6 +302,19 @@ def test_agents_that_there_are_not(
     name: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert said in refused(capsys, "play", "tune.mid", "--agent", name)
+
+
+def test_the_name_that_playback_had_still_works(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main(["play", "tune.mid", "--agent", "random", "--no-video", "-o", "a"])
+    replay = ["--agent", "replay", "--plan", "a/episode.npz", "--no-video"]
+    main(["play", "tune.mid", *replay, "-o", "b"])
+    said = capsys.readouterr().err
+    assert said == "agent replay is now called playback; the next version takes only that\n"
+    assert settings(here / "b")["agent"] == "playback"
+    first, again = (load_episode(here / name / "episode.npz") for name in ("a", "b"))
+    np.testing.assert_array_equal(first["key_qpos"], again["key_qpos"])
 
 
 # Ctrl-C

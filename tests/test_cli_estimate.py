@@ -9,7 +9,7 @@ from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.cli import estimate
 from cadenza.cli.progress import QUIET
 from cadenza.music.score import Note, Score
-from cadenza.performing.casting import Setup
+from cadenza.performing.setup import Setup
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.piano_task import PianoTask

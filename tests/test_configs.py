@@ -104,7 +104,7 @@ def test_what_is_no_song(song: Any) -> None:
         ("zero", {"seed": 1.5}),
         ("zero", {"task": {}}),
         ("zero", {"scene": "x"}),
-        ("replay", {"plan": 5}),
+        ("playback", {"plan": 5}),
     ],
     ids=repr,
 )
@@ -120,7 +120,7 @@ BROKEN = {
     "raises": "raise RuntimeError('two\\nlines')",
     "wants": "class A:\n    def __init__(self, more): pass",
     "reset": "class A:\n    def reset(self, envs, rngs): 1 / 0\n    def act(self, view): pass",
-    "act": "class A:\n    def reset(self, envs, rngs): pass\n    def act(self,v): raise SystemExit",
+    "act": "class A:\n    def reset(self, *_): pass\n    def act(self, view): raise SystemExit",
     "text": "class A:\n    def reset(self, envs, rngs): pass\n    def act(self, view): return 'x'",
     "nan": "class A:\n    def reset(self, envs, rngs): pass\n"
     "    def act(self, view): return [[float('nan')] * view.task.action_size]",

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from cadenza.music.arrangement import Arrangement
     from cadenza.music.library import Piece, songs
     from cadenza.music.score import Note, PedalEvent, Score
-    from cadenza.performing.casting import load_song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
+    from cadenza.performing.setup import load_song
     from cadenza.performing.training import train
     from cadenza.scene.config import SceneConfig
     from cadenza.tasks.config import TaskConfig
@@ -72,7 +72,7 @@ _MODULES = {
     "music.arrangement": ("Arrangement",),
     "music.library": ("Piece", "songs"),
     "music.score": ("Note", "PedalEvent", "Score"),
-    "performing.casting": ("load_song",),
+    "performing.setup": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),
     "performing.training": ("train",),

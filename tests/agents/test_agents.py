@@ -38,7 +38,7 @@ STEPS = 19
 AGENTS: dict[str, Callable[[], Agent]] = {
     "zero": ZeroAgent,
     "random": RandomAgent,
-    "replay": lambda: Playback(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
+    "playback": lambda: Playback(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
     "planning": lambda: PredictiveSampling(PredictiveSamplingConfig(num_candidates=3)),
 }
 
@@ -82,12 +82,12 @@ def test_another_seed_plays_otherwise(name: str, right_hand: Scene) -> None:
 def test_actions_keep_within_their_ranges(name: str, hands: Any) -> None:
     scene = build_scene(SceneConfig(hands=hands))
     agent = AGENTS[name]()
-    if name == "replay":
+    if name == "playback":
         agent = Playback(np.zeros((STEPS, len(scene.action_low))))
     action = perform(agent, scene).episode["action"]
     assert action.shape == (STEPS, len(scene.action_low))
     assert (action >= scene.action_low).all()
-    assert (action <= scene.action_high).all() or name == "replay"
+    assert (action <= scene.action_high).all() or name == "playback"
 
 
 def test_the_planner_presses_the_pedal_as_the_score_has_it(right_hand: Scene) -> None:

@@ -5,6 +5,7 @@ Learnt policies are folders, see `cadenza.learning.policy_folder`.
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from cadenza.agents.planning.config import (
@@ -14,13 +15,14 @@ from cadenza.agents.planning.config import (
     TrackedPressesConfig,
 )
 from cadenza.configs import as_config
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import CadenzaError, CadenzaWarning, by_others
 from cadenza.registry import Entry, Registry
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
 
-PLANNER, PRETRAINED, REPLAY = "planner", "pretrained", "replay"
+PLANNER, PRETRAINED, PLAYBACK = "planner", "pretrained", "playback"
+_RENAMED = {"replay": PLAYBACK}
 
 _BASELINES = "cadenza.agents.baselines"
 AGENTS = Registry(
@@ -50,7 +52,7 @@ AGENTS = Registry(
         PRETRAINED: Entry(
             "cadenza.learning.policy_agent:PolicyAgent", "the policy that comes with the song"
         ),
-        REPLAY: Entry("cadenza.agents.playback:Playback", "the actions of a plan"),
+        PLAYBACK: Entry("cadenza.agents.playback:Playback", "the actions of a plan"),
     },
     otherwise="the folder of a policy or module:Class",
 )
@@ -71,7 +73,7 @@ def make_agent(name: str, config: Any = None) -> Agent:
     """
     if not isinstance(name, str):
         raise CadenzaError(f"agent {name!r:.100}: give its name, such as {PLANNER!r}")
-    if name in (PRETRAINED, REPLAY):
+    if name in (PRETRAINED, PLAYBACK):
         raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
     kind: Any = AGENTS.load(name, type)
     options = AGENTS.own[name].config if name in AGENTS.own else None
@@ -82,6 +84,19 @@ def make_agent(name: str, config: Any = None) -> Agent:
     with by_others(f"agent {name}"):
         agent = kind()
     return checked_agent(agent, name)
+
+
+def current_name(name: str) -> str:
+    """What the agent is called now; an old name works for one version more, with a warning."""
+    if name not in _RENAMED:
+        return name
+    new = _RENAMED[name]
+    warnings.warn(
+        f"agent {name} is now called {new}; the next version takes only that",
+        CadenzaWarning,
+        stacklevel=3,
+    )
+    return new
 
 
 def checked_agent(agent: Any, place: str) -> Agent:

@@ -22,8 +22,8 @@ from cadenza.cli.renamed import with_new_names
 from cadenza.errors import CadenzaError, CadenzaWarning
 
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
-    "play": (play.Play, play.play),
-    "plan": (plan.Plan, plan.plan),
+    "play": (play.PlayCommand, play.run),
+    "plan": (plan.PlanCommand, plan.run),
     "compare": (compare.Compare, compare.compare),
     "train": (train.Train, train.train),
     "curves": (train.Curves, train.curves),

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from cadenza.agents.registry import REPLAY
+from cadenza.agents.registry import PLAYBACK, current_name
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.performing import (
     Again,
     WithOtherPlanners,
-    as_cast,
-    cast_of,
     default_folder,
+    selected,
     setting_up,
+    with_defaults_of,
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
@@ -38,7 +38,7 @@ class Compare(WithOtherPlanners):
     """
 
     agents: tuple[str, ...] = ("planner", "predictive-sampling")
-    """Agents to compare, named as in "cadenza play". All but replay."""
+    """Agents to compare, named as in "cadenza play". All but playback."""
     seeds: tuple[int, ...] = (0,)
     """Random seeds. Each agent plays once with each seed."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -52,20 +52,22 @@ def compare(command: Compare, again: Again[Compare]) -> None:
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
-    if REPLAY in command.agents:
-        raise CadenzaError("replay plays a single file: name other agents")
-    castings = {name: cast_of(command, name) for name in command.agents}
-    commands = {name: as_cast(command, casting, again) for name, casting in castings.items()}
-    for name, casting in castings.items():
-        with setting_up(casting, commands[name]):
+    if PLAYBACK in map(current_name, command.agents):
+        raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
+    selections = {name: selected(command, name) for name in command.agents}
+    commands = {
+        name: with_defaults_of(command, selection, again) for name, selection in selections.items()
+    }
+    for name, selection in selections.items():
+        with setting_up(selection, commands[name]):
             pass  # who cannot play is told before anyone has played
-    folder = command.output or default_folder(castings[command.agents[0]])
+    folder = command.output or default_folder(selections[command.agents[0]])
     check_writable(folder)
     runs = []
-    for (name, casting), seed in product(castings.items(), dict.fromkeys(command.seeds)):
+    for (name, selection), seed in product(selections.items(), dict.fromkeys(command.seeds)):
         own = commands[name]
         with (
-            setting_up(casting, own, seed) as setup,
+            setting_up(selection, own, seed) as setup,
             stages(f"{name}, seed {seed}") as progress,
         ):
             performance = perform(setup, progress)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cadenza.cli.progress import QUIET
 
 if TYPE_CHECKING:
-    from cadenza.performing.casting import Setup
+    from cadenza.performing.setup import Setup
     from cadenza.scene.scene import Scene
 
 _WORTH_TELLING = 30.0  # [s]

@@ -25,8 +25,8 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 
 if TYPE_CHECKING:
-    from cadenza.performing.casting import Casting, Setup
     from cadenza.performing.performance import Performance
+    from cadenza.performing.setup import Selection, Setup
 
 Command = TypeVar("Command", bound="Performing")
 Again = Callable[[Command], Command]
@@ -49,6 +49,8 @@ class Performing:
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
     planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
+    threads: int | None = None
+    """Threads that a planner uses, one per core by default. The result is the same."""
 
     @property
     def configs(self) -> dict[str, Any]:
@@ -68,36 +70,38 @@ class WithOtherPlanners(Performing):
     tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
 
 
-def cast_of(command: Performing, agent: str | None, plan: Path | None = None) -> Casting:
+def selected(command: Performing, agent: str | None, plan: Path | None = None) -> Selection:
     """The song of a command, and whoever plays it with the options of the command."""
-    from cadenza.performing.casting import cast
+    from cadenza.performing.setup import select
 
-    return cast(
+    return select(
         command.song, agent, arrangement=command.arrangement, configs=command.configs, plan=plan
     )
 
 
-def as_cast(command: Command, casting: Casting, again: Again[Command]) -> Command:
-    """The command with the casting's own task and scene where the command line says no other."""
-    return again(replace(command, task=casting.task, scene=casting.scene))
+def with_defaults_of(command: Command, selection: Selection, again: Again[Command]) -> Command:
+    """The command with the selection's own task and scene where the command line says no other."""
+    return again(replace(command, task=selection.task, scene=selection.scene))
 
 
 @contextmanager
-def setting_up(casting: Casting, command: Performing, seed: int = 0) -> Iterator[Setup]:
+def setting_up(selection: Selection, command: Performing, seed: int = 0) -> Iterator[Setup]:
     """`set_up` with the command's task and scene; shows how far the search for fingers is."""
-    from cadenza.performing.casting import set_up
+    from cadenza.performing.setup import set_up
 
     with ExitStack() as kept:
         with stages("playing") as progress:
-            setup = kept.enter_context(set_up(casting, command.task, command.scene, seed, progress))
+            setup = kept.enter_context(
+                set_up(selection, command.task, command.scene, seed, progress, command.threads)
+            )
         yield setup
 
 
-def default_folder(casting: Casting) -> Path:
+def default_folder(selection: Selection) -> Path:
     """Where results of a song go."""
-    from cadenza.performing.casting import is_policy
+    from cadenza.performing.setup import is_policy
 
-    song = casting.score.title if is_policy(casting.song) else Path(casting.song).stem
+    song = selection.score.title if is_policy(selection.song) else Path(selection.song).stem
     return Path("played") / folder_name(song)
 
 

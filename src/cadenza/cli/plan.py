@@ -9,16 +9,16 @@ from typing import Annotated
 
 import tyro
 
-from cadenza.agents.registry import PLANNER
+from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.performing import (
     Again,
     Performing,
-    cast_of,
     default_folder,
     print_scores,
     print_what_was_lost,
+    selected,
     setting_up,
 )
 from cadenza.cli.progress import stages
@@ -29,7 +29,7 @@ from cadenza.tasks.config import with_time_to_begin
 
 
 @dataclass(frozen=True)
-class Plan(Performing):
+class PlanCommand(Performing):
     """Plan a song, and write the actions and the fingering to files.
 
     Example: cadenza plan OdeToJoy -o joy.npz
@@ -43,15 +43,15 @@ class Plan(Performing):
     quiet: Quiet = False
 
 
-def plan(command: Plan, _: Again[Plan]) -> None:
+def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
     from cadenza.music.fingering_file import SUFFIX
     from cadenza.performing.planning import make_plan
 
     if command.output is not None:
         check_name(command.output, ".npz", "a plan is a .npz file")
-    casting = cast_of(command, PLANNER)
-    path = command.output or default_folder(casting) / "plan.npz"
-    with setting_up(casting, command, command.seed) as setup:
+    selection = selected(command, PLANNER)
+    path = command.output or default_folder(selection) / "plan.npz"
+    with setting_up(selection, command, command.seed) as setup:
         check_writable(path.parent)
         tell_how_long(setup)
         with stages("planning") as progress:
@@ -63,9 +63,9 @@ def plan(command: Plan, _: Again[Plan]) -> None:
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 
 
-def _to_replay(command: Plan, path: Path) -> list[str]:
+def _to_replay(command: PlanCommand, path: Path) -> list[str]:
     """The options with which "cadenza play" replays what `command` has planned."""
-    flags = ["--agent", "replay", "--plan", str(path)]
+    flags = ["--agent", PLAYBACK, "--plan", str(path)]
     for options, default in (
         (command.task, with_time_to_begin()),
         (command.scene, SceneConfig()),

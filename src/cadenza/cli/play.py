@@ -15,12 +15,12 @@ from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
     WithOtherPlanners,
-    as_cast,
-    cast_of,
     default_folder,
     print_scores,
     print_what_was_lost,
+    selected,
     setting_up,
+    with_defaults_of,
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.results import check_writable
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Play(WithOtherPlanners):
+class PlayCommand(WithOtherPlanners):
     """Play a song, and write a report page with sound, scores, MIDI and a video.
 
     Example: cadenza play OdeToJoy -o joy
@@ -45,7 +45,7 @@ class Play(WithOtherPlanners):
     seed: int = 0
     """Random seed. The same seed gives the same performance."""
     plan: Path | None = None
-    """For --agent replay: a plan from "cadenza plan", or any .npz file with an array "action" of
+    """For --agent playback: a plan from "cadenza plan", or any .npz file with an array "action" of
     shape (T, A) in actuator units."""
     loudness: Advanced[Literal["struck", "score"]] = "struck"
     """Loudness of the notes in sound and MIDI: as the keys were struck, or as written in the
@@ -59,15 +59,15 @@ class Play(WithOtherPlanners):
     quiet: Quiet = False
 
 
-def play(command: Play, again: Again[Play]) -> None:
+def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
     from cadenza.performing.performance import perform
     from cadenza.sim.render import Picture
 
     picture = Picture(*command.video_size, command.video_camera)
-    casting = cast_of(command, command.agent, command.plan)
-    command = as_cast(command, casting, again)
-    folder = command.output or default_folder(casting) / _name_of(casting.name)
-    with setting_up(casting, command, command.seed) as setup:
+    selection = selected(command, command.agent, command.plan)
+    command = with_defaults_of(command, selection, again)
+    folder = command.output or default_folder(selection) / _name_of(selection.name)
+    with setting_up(selection, command, command.seed) as setup:
         check_writable(folder)
         tell_how_long(setup)
         with stages("playing") as progress, asked_to_stop("this step") as stop:

@@ -120,8 +120,8 @@ def train(command: Train) -> None:
 def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training
-    from cadenza.performing.casting import load_song
     from cadenza.performing.performance import play
+    from cadenza.performing.setup import load_song
 
     run = RunFolder(folder)
     if command.song is not None:

@@ -22,7 +22,7 @@ from cadenza.files import write_json
 from cadenza.music.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
-from cadenza.performing.casting import Setup, SomeAgent, Song, cast, set_up
+from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
 from cadenza.report.page import write_report
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
 from cadenza.report.video import write_video
@@ -151,6 +151,7 @@ def play(
     scene: SceneConfig | None = None,
     plan: str | Path | None = None,
     progress: Progress = silent,
+    num_threads: int | None = None,
 ) -> Performance:
     """Has an agent play a song, as `cadenza play` does::
 
@@ -170,15 +171,16 @@ def play(
             for other agents `TaskConfig(initial_buffer_time=0.5)`, time for the hands to get into
             place.
         scene: hands and keys; None is what the policy was trained with, or `SceneConfig()`.
-        plan: the file whose actions "replay" plays: a plan or an episode.
+        plan: the file whose actions "playback" plays: a plan or an episode.
         progress: is told how far each stage is, `progress(stage, done, total)`.
+        num_threads: how many threads a planner uses, one per core by default; it plays the same.
 
     Raises:
         CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
             go together.
     """
-    casting = cast(song, agent, plan=plan)
-    with set_up(casting, task, scene, seed, progress) as setup:
+    selection = select(song, agent, plan=plan)
+    with set_up(selection, task, scene, seed, progress, num_threads) as setup:
         return perform(setup, progress)
 
 

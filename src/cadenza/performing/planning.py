@@ -17,8 +17,8 @@ from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
-from cadenza.performing.casting import Setup, Song, cast, set_up
 from cadenza.performing.performance import Performance, perform
+from cadenza.performing.setup import Setup, Song, select, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -52,7 +52,7 @@ class Plan:
     def save(self, path: str | Path) -> None:
         """Writes the actions to `path`, a .npz file, and the fingers beside it as .fingering.
 
-        `cadenza.play(song, "replay", plan=path)` plays them.
+        `cadenza.play(song, "playback", plan=path)` plays them.
         """
         path = Path(path)
         save_plan(path, self.performance.episode, self.metrics, self.options, self.score)
@@ -67,19 +67,20 @@ def plan(
     scene: SceneConfig | None = None,
     config: ScorePlannerConfig | None = None,
     progress: Progress = silent,
+    num_threads: int | None = None,
 ) -> Plan:
     """Plans how to play a song, as `cadenza plan` does.
 
     Args:
-        song, seed, task, scene, progress: as for `cadenza.play`.
+        song, seed, task, scene, progress, num_threads: as for `cadenza.play`.
         config: options of the planner.
 
     Raises:
         CadenzaError: the song is not there, an option makes no sense, or the hands could not play
             to the end.
     """
-    casting = cast(song, PLANNER, configs={PLANNER: config})
-    with set_up(casting, task, scene, seed, progress) as setup:
+    selection = select(song, PLANNER, configs={PLANNER: config})
+    with set_up(selection, task, scene, seed, progress, num_threads) as setup:
         return make_plan(setup, progress)
 
 

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from cadenza.configs import whole_number
 
-_MOST_THREADS = 1024
+MOST_THREADS = 1024
 
 
 def available_cores() -> int:
@@ -23,7 +23,7 @@ class Threads:
         """Raises:
         CadenzaError: the number is not positive.
         """
-        self._num_threads = whole_number(num_threads, "num_threads", 1, _MOST_THREADS)
+        self._num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
         self._pool: ThreadPoolExecutor | None = None
         self._pool_of = os.getpid()
 

@@ -11,14 +11,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.playback import Playback, check_options, load_plan, options_of, physics_of
 from cadenza.agents.registry import (
     AGENTS,
     PLANNER,
+    PLAYBACK,
     PRETRAINED,
-    REPLAY,
     checked_agent,
+    current_name,
     make_agent,
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
@@ -29,6 +32,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.music.library import check_is_name, songs
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
+from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
 
@@ -37,7 +41,7 @@ SomeAgent = str | Path | Agent
 
 
 @dataclass(frozen=True)
-class Casting:
+class Selection:
     """A song and who is to play it."""
 
     song: str
@@ -114,14 +118,14 @@ def is_policy(song: str | Path) -> bool:
     return os.path.isdir(song) and not (bundled and isinstance(song, str))
 
 
-def cast(
+def select(
     song: Song,
     agent: SomeAgent | None = None,
     *,
     arrangement: Arrangement | None = None,
     configs: Mapping[str, Any] | None = None,
     plan: str | Path | None = None,
-) -> Casting:
+) -> Selection:
     """Loads a song and whoever is to play it.
 
     Args:
@@ -130,7 +134,7 @@ def cast(
             agent. Where there is none, the policy whose folder is the song plays, or the planner.
         arrangement: which notes of a song that is not a score yet.
         configs: agent's name -> its options, see `make_agent`.
-        plan: the file whose actions "replay" plays.
+        plan: the file whose actions "playback" plays.
 
     Raises:
         CadenzaError: the song or the agent is not there, or cannot be used.
@@ -138,23 +142,23 @@ def cast(
     arrangement = arrangement or Arrangement()
     score = song if isinstance(song, Score) else load_song(song, arrangement)
     title = score.title if isinstance(song, Score) else str(song)
-    casting = partial(Casting, song=title, score=score, arrangement=arrangement)
+    selection = partial(Selection, song=title, score=score, arrangement=arrangement)
     if agent is None:
         agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
     if not isinstance(agent, str | Path):
         name = type(agent).__name__
-        return casting(name=name, agent=checked_agent(agent, name))
-    name = str(agent)
-    if (name == REPLAY) != (plan is not None):
-        raise CadenzaError("--agent replay and --plan FILE.npz go together: give both or neither")
+        return selection(name=name, agent=checked_agent(agent, name))
+    name = current_name(str(agent))
+    if (name == PLAYBACK) != (plan is not None):
+        raise CadenzaError("--agent playback and --plan FILE.npz go together: give both or neither")
     if not isinstance(plan, str | Path | None):
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
         scene, player = replace(SceneConfig(), **physics_of(Path(plan))), load_plan(Path(plan))
-        return casting(name=name, agent=Playback(player), scene=scene, plan=Path(plan))
+        return selection(name=name, agent=Playback(player), scene=scene, plan=Path(plan))
     if (learnt := _policy(name, title)) is not None:
-        return _with_policy(casting(name=name, agent=learnt.agent), learnt)
-    return casting(name=name, agent=make_agent(name, (configs or {}).get(name)))
+        return _with_policy(selection(name=name, agent=learnt.agent), learnt)
+    return selection(name=name, agent=make_agent(name, (configs or {}).get(name)))
 
 
 def _policy(agent: str, song: str) -> LearntPolicy | None:
@@ -164,58 +168,83 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     return load_policy(Path(agent)) if agent not in AGENTS.own and os.path.isdir(agent) else None
 
 
-def _with_policy(casting: Casting, learnt: LearntPolicy) -> Casting:
+def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """In the task and scene that it has learnt in."""
-    if not learnt.has_learnt(casting.score):
-        what = f"{casting.name}: was trained on {learnt.score.title!r}"
+    if not learnt.has_learnt(selection.score):
+        what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.residual:
             raise CadenzaError(f"{what} with residual learning, so it can play nothing else")
-        warnings.warn(f"{what}, not {casting.song}", CadenzaWarning, stacklevel=4)
+        warnings.warn(f"{what}, not {selection.song}", CadenzaWarning, stacklevel=4)
     # A plan is made for fingers that are found.
-    score = casting.score.without_fingers() if learnt.residual else casting.score
-    return replace(casting, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
+    score = selection.score.without_fingers() if learnt.residual else selection.score
+    return replace(selection, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
 
 
 @contextmanager
 def set_up(
-    casting: Casting,
+    selection: Selection,
     task: TaskConfig | None = None,
     scene: SceneConfig | None = None,
     seed: int = 0,
     progress: Progress = silent,
+    num_threads: int | None = None,
 ) -> Iterator[Setup]:
-    """Yields what to play, in the task and scene of the casting unless others are chosen.
+    """Yields what to play, in the task and scene of the selection unless others are chosen.
 
-    `progress` is told of "fingers", which are looked for before anyone plays.
+    Args:
+        selection: what is played and who plays.
+        task, scene: what holds instead of the selection's own.
+        seed: of everything random.
+        progress: is told of "fingers", which are looked for before anyone plays.
+        num_threads: how many threads an agent may use that can use several; by default one per
+            core, or as many as it was told.
 
     Raises:
         CadenzaError: an option makes no sense, or the agent cannot play with it.
     """
-    task = as_config(casting.task if task is None else task, TaskConfig)
-    scene = as_config(casting.scene if scene is None else scene, SceneConfig)
+    task = as_config(selection.task if task is None else task, TaskConfig)
+    scene = as_config(selection.scene if scene is None else scene, SceneConfig)
     seed = whole_number(seed, "seed", 0, MOST_SEED)
-    options = options_of(task, scene, seed, **asdict(casting.arrangement))
-    if casting.plan is not None:
-        check_options(casting.plan, options)
-        if scene.physics != casting.scene.physics:
-            made = f"{casting.plan}: made in the {casting.scene.physics} physics"
+    if num_threads is not None:
+        num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
+    options = options_of(task, scene, seed, **asdict(selection.arrangement))
+    if selection.plan is not None:
+        check_options(selection.plan, options)
+        if scene.physics != selection.scene.physics:
+            made = f"{selection.plan}: made in the {selection.scene.physics} physics"
             warnings.warn(
                 f"{made}, played in the {scene.physics} physics", CadenzaWarning, stacklevel=3
             )
     settings = {
-        "song": casting.song,
-        "agent": casting.name,
+        "song": selection.song,
+        "agent": selection.name,
         "seed": seed,
-        "plan": None if casting.plan is None else str(casting.plan),
-        "arrangement": asdict(casting.arrangement),
+        "plan": None if selection.plan is None else str(selection.plan),
+        "arrangement": asdict(selection.arrangement),
         "task": asdict(task),
         "scene": asdict(scene),
     }
-    config = getattr(casting.agent, "config", None)
+    config = getattr(selection.agent, "config", None)
     if is_dataclass(config) and not isinstance(config, type):
-        settings[casting.name.replace("-", "_")] = asdict(config)
+        settings[selection.name.replace("-", "_")] = asdict(config)
     looking = partial(progress, "fingers")
-    with closing(PianoTask([casting.score], task, scene, progress=looking)) as piano_task:
-        if casting.learnt is not None:
-            casting.learnt.check(casting.name, piano_task)
-        yield Setup(casting.score, casting.agent, piano_task, seed, settings, options)
+    with (
+        closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
+        _with_threads(selection.agent, num_threads),
+    ):
+        if selection.learnt is not None:
+            selection.learnt.check(selection.name, piano_task)
+        yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+
+
+@contextmanager
+def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
+    """Has the agent, and linear algebra, use so many; closes the agent afterwards."""
+    if num_threads is not None and hasattr(agent, "num_threads"):
+        agent.num_threads = num_threads
+    try:
+        with threadpool_limits(num_threads):
+            yield
+    finally:
+        if hasattr(agent, "close"):
+            agent.close()
