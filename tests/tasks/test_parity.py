@@ -40,7 +40,7 @@ class Recording:
         )
         self.score = load_score(str(self["song"]))
         (prepared,) = prepare([self.score], self.config, self.scene)
-        self.goals = goals_of(prepared, self.config)
+        self.goals = goals_of(prepared, self.config, self.scene.keyboard)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.arrays[name]

@@ -126,7 +126,7 @@ class Scores:
 
     def add_score(self, task: TaskSpec, score: Score) -> int:
         """The row of the first step of a score as `task` plays it."""
-        goals = goals_of(score, task.config, task.scene.fingers)
+        goals = goals_of(score, task.config, task.scene.keyboard, task.scene.fingers)
         return self.add(np.concatenate([goals.keys, goals.sustain[:, None]], axis=1), goals.fingers)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:

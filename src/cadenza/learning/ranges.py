@@ -62,7 +62,7 @@ def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
     shifted = task.config.random_pitch_shift or task.config.random_octave_shift
     keys = np.full((len(task.scene.fingers), task.scene.keyboard.num_keys), bool(shifted))
     for score in task.scores:
-        goals = goals_of(score, task.config)
+        goals = goals_of(score, task.config, task.scene.keyboard)
         anyone = goals.keys & ~np.isin(goals.fingers, task.scene.fingers)
         for finger, number in enumerate(task.scene.fingers):
             keys[finger] |= ((goals.fingers == number) | anyone).any(axis=0)

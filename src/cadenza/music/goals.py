@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import UNKNOWN_FINGER
-from cadenza.music.score import NUM_KEYS, Score
+from cadenza.music.score import PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
 SUSTAIN_ON = 64  # pedal values from here on hold the strings
@@ -18,10 +18,10 @@ SUSTAIN_ON = 64  # pedal values from here on hold the strings
 
 @dataclass(frozen=True)
 class Goals:
-    """What should sound after each of T control steps.
+    """What should sound after each of T control steps, on a keyboard of K keys.
 
-    keys (T, 88) bool       keys that should be down
-    fingers (T, 88) int8    finger 0..9 that should press the key, -1 none or unknown
+    keys (T, K) bool        keys that should be down
+    fingers (T, K) int8     finger 0..9 that should press the key, -1 none or unknown
     sustain (T,) bool       whether the pedal should be down
     """
 
@@ -34,15 +34,19 @@ class Goals:
         return len(self.keys)
 
     def at(self, steps: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
-        """Keys (K, 88) and fingers (K, 88) of `steps` (K,); past the end there is silence."""
+        """Keys (S, K) and fingers (S, K) of `steps` (S,); past the end there is silence."""
         inside = (steps < self.num_steps)[:, None]
         rows = np.minimum(steps, self.num_steps - 1)
         fingers = np.where(inside, self.fingers[rows], np.int8(UNKNOWN_FINGER))
         return self.keys[rows] & inside, fingers
 
 
-def score_to_goals(score: Score, dt: float, shorten: bool = False) -> Goals:
+def score_to_goals(
+    score: Score, dt: float, shorten: bool = False, pitches: range = PITCHES
+) -> Goals:
     """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.
+
+    The keys have these `pitches`, as MIDI numbers; those of a piano by default.
 
     A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
     `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
@@ -54,25 +58,27 @@ def score_to_goals(score: Score, dt: float, shorten: bool = False) -> Goals:
     until the next; of several on one step the last counts.
 
     Raises:
-        CadenzaError: the score has no notes, `dt` is not a positive number, or there would be more
-            than `MAX_STEPS`.
+        CadenzaError: the score has no notes or one without a key, `dt` is not a positive number, or
+            there would be more than `MAX_STEPS`.
     """
     if not score.notes:
         raise CadenzaError("the score has no notes, so there is nothing to play; choose another")
     if not 0 < dt < float("inf"):
         raise CadenzaError(f"control step of {dt} s: give a positive number")
+    check_pitches(score, pitches)
     fps = 1 / dt
     check_steps(score.total_time * fps)
     num_steps = int(score.total_time * fps + 1)
-    keys = np.zeros((num_steps, NUM_KEYS), bool)
-    struck = np.zeros((num_steps, NUM_KEYS), bool)
-    fingers = np.full((num_steps, NUM_KEYS), UNKNOWN_FINGER, np.int8)
+    keys = np.zeros((num_steps, len(pitches)), bool)
+    struck = np.zeros((num_steps, len(pitches)), bool)
+    fingers = np.full((num_steps, len(pitches)), UNKNOWN_FINGER, np.int8)
     for note in score.notes:
         first = int(note.start * fps)
         last = max(first + 1, ceil(note.end * fps))
-        keys[first:last, note.key] = True
-        struck[first, note.key] = True
-        fingers[first:last, note.key] = note.finger
+        key = note.pitch - pitches.start
+        keys[first:last, key] = True
+        struck[first, key] = True
+        fingers[first:last, key] = note.finger
     again = np.zeros_like(keys)
     again[1:] = struck[1:] & keys[:-1]
     for step, key in np.argwhere(again):
@@ -84,6 +90,17 @@ def score_to_goals(score: Score, dt: float, shorten: bool = False) -> Goals:
     for event in score.pedal:
         sustain[int(event.time * fps) :] = event.value >= SUSTAIN_ON
     return Goals(keys, fingers, sustain)
+
+
+def check_pitches(score: Score, pitches: range) -> None:
+    """Raises:
+    CadenzaError: the score has notes of other pitches.
+    """
+    if outside := sum(note.pitch not in pitches for note in score.notes):
+        raise CadenzaError(
+            f"{score.title or 'the score'}: {outside} of {len(score.notes)} notes are not on the "
+            f"keyboard, whose pitches are {pitches.start} to {pitches.stop - 1}; transpose the song"
+        )
 
 
 def check_steps(steps: float) -> None:

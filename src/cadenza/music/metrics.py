@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.music.performance import SAME_NOTE, key_runs
-from cadenza.music.score import Score
+from cadenza.music.score import LOWEST_PITCH, Score
 
 ONSET_TOLERANCE = 0.05  # [s], the default of mir_eval
 _OF_LENGTH = 0.2  # of a note that its end may be off; as in mir_eval too, and
@@ -35,10 +35,11 @@ def playing_metrics(
     goal_sustain: NDArray[Any],
     dt: float,
     score: Score,
+    lowest_pitch: int = LOWEST_PITCH,
 ) -> dict[str, float]:
     """Figures of merit, 0..1 but for the last, of T control steps of `dt` [s].
 
-    `precision`, `recall`, `f1` of the keys (T, 88) and `sustain_*` of the pedal (T,): of each step
+    `precision`, `recall`, `f1` of the keys (T, K) and `sustain_*` of the pedal (T,): of each step
     as in `step_metrics`, then the mean over steps, as the published RoboPianist computes them.
 
     `note_onset_f1`, `note_onset_offset_f1`: whole notes compared as mir_eval's transcription
@@ -56,12 +57,13 @@ def playing_metrics(
     notes of the score do not, an error of up to `dt` remains.
 
     Args:
-        key_activation, goal_keys: (T, 88), which keys sound and should sound after each step.
+        key_activation, goal_keys: (T, K), which keys sound and should sound after each step.
         sustain_activation, goal_sustain: (T,), the same of the pedal.
         dt: [s].
         score: what was to be played, on the clock of the steps; notes that begin later than they
             end are left out. The goals cannot tell when a note that is struck again begins, because
             they leave out its first step.
+        lowest_pitch: MIDI number of the first key.
     """
     precision, recall, f1 = step_metrics(key_activation, goal_keys)
     pedal = step_metrics(sustain_activation[:, None], goal_sustain[:, None])
@@ -72,12 +74,15 @@ def playing_metrics(
         "sustain_precision": float(pedal[0].mean()),
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),
-        **_note_metrics(key_activation, score, dt),
+        **_note_metrics(key_activation, score, dt, lowest_pitch),
     }
 
 
-def _note_metrics(played: NDArray[Any], score: Score, dt: float) -> dict[str, float]:
-    wanted, sounded = _Notes.of(score, len(played) * dt), _Notes.played(played, dt)
+def _note_metrics(
+    played: NDArray[Any], score: Score, dt: float, lowest_pitch: int
+) -> dict[str, float]:
+    wanted = _Notes.of(score, len(played) * dt, lowest_pitch)
+    sounded = _Notes.played(played, dt)
     if not len(wanted.key) or not len(sounded.key):  # mir_eval calls two empty lists a score of 0
         f1 = float(len(wanted.key) == len(sounded.key))
         return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
@@ -100,16 +105,20 @@ class _Notes(NamedTuple):
     key: NDArray[np.intp]
 
     @classmethod
-    def of(cls, score: Score, seconds: float) -> _Notes:
+    def of(cls, score: Score, seconds: float, lowest_pitch: int) -> _Notes:
         """Those that begin in the first `seconds`."""
         latest = round(seconds, 9)
-        notes = [(n.key, n.start, min(n.end, latest)) for n in score.notes if n.start < latest]
+        notes = [
+            (n.pitch - lowest_pitch, n.start, min(n.end, latest))
+            for n in score.notes
+            if n.start < latest
+        ]
         key, start, end = np.array(sorted(notes)).reshape(-1, 3).T
         return cls(start, end, key.astype(np.intp))
 
     @classmethod
     def played(cls, roll: NDArray[Any], dt: float) -> _Notes:
-        """Those of a roll (T, 88)."""
+        """Those of a roll (T, K)."""
         first, last, key = key_runs(roll)
         return cls(first * dt, last * dt, key)
 

@@ -12,6 +12,7 @@ from cadenza.music.tracks import Track
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
+PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 TOGETHER = 0.03  # [s] notes that begin within this time begin together
 LETTING_GO = 0.05  # [s] a note with less left than this does not keep its finger from the next

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.music.library import load_score
-from cadenza.music.score import NUM_KEYS, Score
+from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.lock import Lock, one_at_a_time
 from cadenza.sim.render import Drawing, Picture
@@ -320,7 +320,7 @@ class PianoVectorEnv(VectorEnv):
 
     def _draw(self) -> NDArray[np.uint8]:
         state, task = self.task.state, self.task
-        goal = task.sheets.goal[:, :NUM_KEYS]
+        goal = task.sheets.goal[:, :-1]
         return np.stack(
             [
                 self._drawing.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])

@@ -13,14 +13,9 @@ from cadenza.errors import CadenzaError
 from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
-from cadenza.music.goals import Goals, check_steps, score_to_goals
-from cadenza.music.score import (
-    HIGHEST_PITCH,
-    LOWEST_PITCH,
-    NUM_KEYS,
-    Score,
-    check_length,
-)
+from cadenza.keyboards.keyboard import Keyboard
+from cadenza.music.goals import Goals, check_pitches, check_steps, score_to_goals
+from cadenza.music.score import NUM_KEYS, Score, check_length
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
 
@@ -66,6 +61,8 @@ def prepare(
     _check(config)
     scores = [_arranged(score, config) for score in scores]
     _check_longest(max(score.total_time for score in scores), config)
+    for score in scores:
+        check_pitches(score, scene.keyboard.pitches)
     if config.fingering == "auto" and scene.sides:
         players = players_of(scene)
         scores = [find_fingering(score, players, progress)[0] for score in scores]
@@ -121,19 +118,23 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
 def draw(
     scores: Sequence[Score],
     config: TaskConfig,
+    pitches: range,
     rng: np.random.Generator,
     song: int | None = None,
 ) -> Score:
-    """The score of one episode; draws from `rng` only what song and configuration leave open."""
+    """The score of one episode, on keys of these `pitches`.
+
+    Draws from `rng` only what song and configuration leave open.
+    """
     if song is None:
         song = int(rng.integers(len(scores))) if len(scores) > 1 else 0
     score = scores[song]
     if config.random_stretch and _happens(config, rng):
         score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
     if config.random_pitch_shift and _happens(config, rng):
-        score = _shifted(score, config.random_pitch_shift, 1, rng)
+        score = _shifted(score, config.random_pitch_shift, 1, pitches, rng)
     if config.random_octave_shift and _happens(config, rng):
-        score = _shifted(score, config.random_octave_shift, _OCTAVE, rng)
+        score = _shifted(score, config.random_octave_shift, _OCTAVE, pitches, rng)
     return score
 
 
@@ -141,20 +142,28 @@ def _happens(config: TaskConfig, rng: np.random.Generator) -> bool:
     return rng.uniform() < config.randomization_probability
 
 
-def _shifted(score: Score, most: int, semitones: int, rng: np.random.Generator) -> Score:
+def _shifted(
+    score: Score, most: int, semitones: int, pitches: range, rng: np.random.Generator
+) -> Score:
     """Moved by up to `most` steps of `semitones`, as far as the keyboard allows."""
-    pitches = [note.pitch for note in score.notes]
-    down = min(most, (min(pitches) - LOWEST_PITCH) // semitones)
-    up = min(most, (HIGHEST_PITCH - max(pitches)) // semitones)
+    used = [note.pitch for note in score.notes]
+    down = min(most, (min(used) - pitches[0]) // semitones)
+    up = min(most, (pitches[-1] - max(used)) // semitones)
     return score.transposed(semitones * int(rng.integers(-down, up + 1)))
 
 
-def goals_of(score: Score, config: TaskConfig, there: NDArray[np.intp] | None = None) -> Goals:
-    """Goals per control step, after the silent steps of the initial buffer.
+def goals_of(
+    score: Score,
+    config: TaskConfig,
+    keyboard: Keyboard,
+    there: NDArray[np.intp] | None = None,
+) -> Goals:
+    """Goals per control step on a `keyboard`, after the silent steps of the initial buffer.
 
     Fingers that are not among those `there` count as none; by default all are there.
     """
-    goals = score_to_goals(score, config.control_timestep, config.repeats == "shortened")
+    shorten = config.repeats == "shortened"
+    goals = score_to_goals(score, config.control_timestep, shorten, keyboard.pitches)
     if there is not None:
         fingers = np.where(np.isin(goals.fingers, there), goals.fingers, np.int8(UNKNOWN_FINGER))
         goals = replace(goals, fingers=fingers)
@@ -188,11 +197,11 @@ class Sheets:
         row: (N,) the step that comes next; after the last, as in the published system, the last.
     """
 
-    def __init__(self, num_envs: int, lookahead: int, fingers: NDArray[np.intp]) -> None:
+    def __init__(self, num_envs: int, lookahead: int, scene: Scene) -> None:
         """Args:
         num_envs: N.
         lookahead: rows after the next that are observed.
-        fingers: those of the hands that are there.
+        scene: whose keys are played, by fingers that are there.
         """
         self.songs: list[Score] = [Score(())] * num_envs
         self.num_steps = np.ones(num_envs, np.intp)
@@ -201,22 +210,23 @@ class Sheets:
         self._env_ids = np.arange(num_envs)
         self._ahead = lookahead + 1
         self._rows_ahead = np.arange(self._ahead)
-        self._there = fingers
+        self._keyboard, self._there = scene.keyboard, scene.fingers
+        keys = scene.keyboard.num_keys
         # Rows past an episode's end are silent; `_ahead` more of them keep the lookahead inside.
-        self._goal = np.zeros((num_envs, self._ahead, NUM_KEYS + 1), bool)
-        self._fingers = np.full((num_envs, self._ahead, NUM_KEYS), UNKNOWN_FINGER, np.int8)
+        self._goal = np.zeros((num_envs, self._ahead, keys + 1), bool)
+        self._fingers = np.full((num_envs, self._ahead, keys), UNKNOWN_FINGER, np.int8)
         self._wanted = np.zeros((num_envs, self._ahead, NUM_FINGERS), bool)
 
     def put(self, env: int, score: Score, config: TaskConfig) -> None:
         """Gives environment `env` a score to play from the beginning."""
-        goals = goals_of(score, config, self._there)
+        goals = goals_of(score, config, self._keyboard, self._there)
         length = goals.num_steps
         self._make_room(length + self._ahead)
         self.songs[env], self.num_steps[env] = score, length
         self.steps_done[env] = self.row[env] = 0
         self._goal[env], self._fingers[env], self._wanted[env] = False, UNKNOWN_FINGER, False
-        self._goal[env, :length, :NUM_KEYS] = goals.keys
-        self._goal[env, :length, NUM_KEYS] = goals.sustain
+        self._goal[env, :length, :-1] = goals.keys
+        self._goal[env, :length, -1] = goals.sustain
         self._fingers[env, :length] = goals.fingers
         step, key = (goals.fingers >= 0).nonzero()
         self._wanted[env, step, goals.fingers[step, key]] = True
@@ -236,12 +246,12 @@ class Sheets:
 
     @property
     def goal(self) -> NDArray[np.bool_]:
-        """(N, 89) keys and pedal of the next step."""
+        """(N, K + 1) keys and pedal of the next step."""
         return self._goal[self._env_ids, self.row]
 
     @property
     def fingers(self) -> NDArray[np.int8]:
-        """(N, 88) the fingers for the keys of the next step, -1 for none."""
+        """(N, K) the fingers for the keys of the next step, -1 for none."""
         return self._fingers[self._env_ids, self.row]
 
     @property
@@ -251,12 +261,12 @@ class Sheets:
 
     @property
     def lookahead(self) -> NDArray[np.bool_]:
-        """(N, (lookahead + 1) * 89) the next step's goal and those of the steps after it."""
+        """(N, (lookahead + 1) * (K + 1)) the next step's goal and those of the steps after it."""
         rows = self.row[:, None] + self._rows_ahead
         return self._goal[self._env_ids[:, None], rows].reshape(len(rows), -1)
 
     def part(self, env: int, first: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
-        """Goals (last - first, 89) and fingers (last - first, 88) of steps of one environment.
+        """Goals (last - first, K + 1) and fingers (last - first, K) of steps of one environment.
 
         Past the end nothing is to be played.
         """

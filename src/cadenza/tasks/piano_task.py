@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config, whole_number
 from cadenza.errors import CadenzaError
+from cadenza.fingers import NUM_FINGERS
 from cadenza.music.metrics import playing_metrics
-from cadenza.music.score import NUM_KEYS, Score
+from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
@@ -67,8 +68,8 @@ class PianoTask:
         observation_size: D.
         sheets: the music that each environment plays and how far it has got.
         state: what the simulation was like after the last step, or reset.
-        key_state: (N, 88) how far the keys are down, 0..1.
-        sounding: (N, 88) which keys sound.
+        key_state: (N, K) how far the keys are down, 0..1.
+        sounding: (N, K) which keys sound.
         reward: (N,) of the last step, 0 after reset.
         scores: what is drawn from, as it is played.
     """
@@ -114,7 +115,7 @@ class PianoTask:
         self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
         self._press = reward.press_offset(keyboard.half_size)
         lookahead = self._steps_lookahead()
-        self.sheets = music.Sheets(num_envs, lookahead, self.scene.fingers)
+        self.sheets = music.Sheets(num_envs, lookahead, self.scene)
         self.spec = TaskSpec(
             config=self.config,
             scene=self.scene,
@@ -125,7 +126,7 @@ class PianoTask:
         self.action_low, self.action_high = self.spec.action_low, self.spec.action_high
         self.observation_layout = self.spec.observation_layout
         self.observation_size = self.spec.observation_size
-        self._played = np.zeros((num_envs, 0, NUM_KEYS + 1), bool)
+        self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
         self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
         self._env_ids = np.arange(num_envs)
@@ -144,10 +145,8 @@ class PianoTask:
         return self.spec.scale_action(action)
 
     def unscale_action(self, ctrl: NDArray[Any]) -> Array:
-        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
-        low, high = self.action_low, self.action_high
-        action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
-        return np.minimum(np.maximum(action, -1.0), 1.0)
+        """See `TaskSpec.unscale_action`."""
+        return self.spec.unscale_action(ctrl)
 
     def _steps_lookahead(self) -> int:
         seconds = self.config.n_seconds_lookahead
@@ -157,10 +156,11 @@ class PianoTask:
         return steps
 
     def _lay_out_observation(self, lookahead: int) -> dict[str, slice]:
-        sizes = {"goal": (lookahead + 1) * (NUM_KEYS + 1)}
+        keys = self.scene.keyboard.num_keys
+        sizes = {"goal": (lookahead + 1) * (keys + 1)}
         if self.config.fingering != "off" and self.scene.sides:
-            sizes["fingering"] = 10
-        sizes |= {"key_state": NUM_KEYS, "pedal": 1}
+            sizes["fingering"] = NUM_FINGERS
+        sizes |= {"key_state": keys, "pedal": 1}
         if self.scene.sides:
             sizes["joints"] = len(self.scene.hand_joint_names)
         ends = np.cumsum(list(sizes.values()))
@@ -210,8 +210,10 @@ class PianoTask:
         """
         start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
         songs = [None] * len(env_ids) if songs is None else songs
+        pitches = self.scene.keyboard.pitches
         for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
-            self.sheets.put(env, music.draw(self.scores, self.config, rng, song), self.config)
+            score = music.draw(self.scores, self.config, pitches, rng, song)
+            self.sheets.put(env, score, self.config)
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
@@ -247,7 +249,7 @@ class PianoTask:
         terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
         terminated = self.state.unstable
         if self.config.wrong_press_termination:
-            terminated = terminated | (self.sounding > goal[:, :NUM_KEYS]).any(axis=1)
+            terminated = terminated | (self.sounding > goal[:, :-1]).any(axis=1)
         total = sum(terms.values(), np.zeros(self.num_envs))
         self.reward[moving] = total[moving]
         return Transition(
@@ -259,7 +261,7 @@ class PianoTask:
         )
 
     def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
-        config, state, keys = self.config, self.state, goal[:, :NUM_KEYS]
+        config, state, keys = self.config, self.state, goal[:, :-1]
         terms = {"key_press": reward.key_press(self.key_state, self.sounding, keys)}
         if self.scene.sides:
             if config.fingering != "off":
@@ -268,7 +270,7 @@ class PianoTask:
                 state.actuator_force, state.actuator_velocity, config.energy_coefficient
             )
         if config.sustain_term:
-            terms["sustain"] = reward.sustain(self.pedal_down, goal[:, NUM_KEYS])
+            terms["sustain"] = reward.sustain(self.pedal_down, goal[:, -1])
         if config.forearm_term:
             terms["forearm"] = reward.forearm(state.forearm_contact)
         return terms
@@ -281,8 +283,8 @@ class PianoTask:
             key_state=self.key_state,
             sounding=self.sounding,
             pedal_down=self.pedal_down,
-            goal_keys=goal[:, :NUM_KEYS],
-            goal_sustain=goal[:, NUM_KEYS],
+            goal_keys=goal[:, :-1],
+            goal_sustain=goal[:, -1],
             fingers=fingers,
             ctrl=ctrl,
         )
@@ -368,12 +370,13 @@ class PianoTask:
         done = int(self.sheets.steps_done[env])
         played, (goal, _) = self._played[env, :done], self.sheets.part(env, 0, done)
         return playing_metrics(
-            played[:, :NUM_KEYS],
-            played[:, NUM_KEYS],
-            goal[:, :NUM_KEYS],
-            goal[:, NUM_KEYS],
+            played[:, :-1],
+            played[:, -1],
+            goal[:, :-1],
+            goal[:, -1],
             self.config.control_timestep,
             self.score(env),
+            self.scene.keyboard.lowest_pitch,
         )
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.score import NUM_KEYS, Score
+from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import Simulation, State
 from cadenza.tasks.config import TaskConfig
@@ -52,6 +52,12 @@ class TaskSpec:
         """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
         return to_range(action, self.action_low, self.action_high)
 
+    def unscale_action(self, ctrl: NDArray[Any]) -> Array:
+        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
+        low, high = self.action_low, self.action_high
+        action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
+        return np.minimum(np.maximum(action, -1.0), 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -74,7 +80,7 @@ class View:
     observation: NDArray[np.float32]
     """(N, D) as the environments give it, see `TaskSpec.observation_layout`."""
     fingers: NDArray[np.int8]
-    """(N, 88) the fingers for the keys of the next step, -1 for none."""
+    """(N, K) the fingers for the keys of the next step, -1 for none."""
     reward: Array
     """(N,) of the last step, 0 before the first."""
     simulation: Simulation
@@ -82,9 +88,9 @@ class View:
 
     @property
     def goal(self) -> Mask:
-        """(N, L + 1, 89) keys and pedal of the next step and of the L that are looked ahead."""
+        """(N, L + 1, K + 1) keys and pedal of the next step and of the L that are looked ahead."""
         ahead = self.observation[:, self.task.observation_layout["goal"]]
-        return ahead.reshape(len(ahead), -1, NUM_KEYS + 1) > 0
+        return ahead.reshape(len(ahead), -1, self.task.scene.keyboard.num_keys + 1) > 0
 
     def of(self, row: int) -> View:
         """That of the environment in `row` alone: N is 1."""

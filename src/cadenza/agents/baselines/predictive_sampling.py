@@ -60,7 +60,7 @@ class SamplingPlayer:
         """
         task = view.task
         self.config, self._task, self._rng = config, task, rng
-        self._goals = goals_of(view.scores[0], task.config, task.scene.fingers)
+        self._goals = goals_of(view.scores[0], task.config, task.scene.keyboard, task.scene.fingers)
         self._low, self._high = task.action_low[:-1], task.action_high[:-1]
         self._rollouts = PlanningSimulation(
             task.scene, config.num_candidates, config.planning_timestep, num_threads

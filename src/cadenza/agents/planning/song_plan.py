@@ -67,7 +67,7 @@ def song_plans(
     if not task.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
     score, dropped = find_fingering(score, players_of(task.scene), partial(progress, "fingers"))
-    goals = goals_of(score, task.config)
+    goals = goals_of(score, task.config, task.scene.keyboard)
     scene, dt = build_scene(task.scene.config), task.config.control_timestep
     for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
         yield SongPlan(scene, score, dropped, goals, nominal)

@@ -1,0 +1,77 @@
+"""A task at a keyboard with fewer keys than a piano."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.errors import CadenzaError
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.env import PianoEnv, PianoVectorEnv
+from cadenza.tasks.piano_task import PianoTask
+
+TWO_OCTAVES = replace(PIANO, name="two_octaves", lowest_pitch=48, num_keys=25)
+KEYBOARD = f"{__name__}:TWO_OCTAVES"
+SONG = Score((Note(0.0, 0.1, 48), Note(0.1, 0.3, 72), Note(0.1, 0.3, 60)), title="three notes")
+
+
+def test_it_plays_itself_from_the_first_key_to_the_last() -> None:
+    env = PianoEnv(SONG, hands="none", keyboard=KEYBOARD, control_timestep=0.1)
+    observation, _ = env.reset(seed=0)
+    layout = env.observation_layout
+    assert observation[layout["goal"]].shape == (11 * 26,)
+    truncated = False
+    while not truncated:
+        goal = observation[layout["goal"]][:26]
+        observation, reward, _, truncated, info = env.step(2 * goal - 1)
+        assert_array_equal(observation[layout["key_state"]] > 0.9, goal[:25])
+        assert reward == pytest.approx(1.0 if goal.any() else 0.5, abs=0.01)
+    assert info["metrics/f1"] == info["metrics/note_onset_offset_f1"] == 1.0
+
+
+def test_hands_play_it() -> None:
+    envs = PianoVectorEnv(SONG, num_envs=2, keyboard=KEYBOARD)
+    observation, _ = envs.reset(seed=0)
+    assert observation in envs.observation_space
+    observation, reward, *_, infos = envs.step(np.zeros((2, 39)))
+    assert observation in envs.observation_space
+    assert (infos["reward/fingering"] > 0).all()
+    assert np.isfinite(reward).all()
+
+
+def test_the_planner_plays_it() -> None:
+    notes = (Note(0.25 * i, 0.25 * i + 0.25, pitch) for i, pitch in enumerate((60, 62, 64, 65)))
+    config, scene = (
+        TaskConfig(initial_buffer_time=0.5),
+        SceneConfig(hands="right", keyboard=KEYBOARD),
+    )
+    task, planner = PianoTask([Score(tuple(notes))], config, scene), ScorePlanner()
+    task.reset([np.random.default_rng(0)], [0])
+    planner.reset([0], [np.random.default_rng(0)])
+    while not task.step(planner.act(task.view())).truncated[0]:
+        pass
+    assert task.episode_metrics(0)["f1"] > 0.95
+
+
+def test_shifted_songs_stay_on_it() -> None:
+    config = TaskConfig(random_pitch_shift=40, random_octave_shift=3)
+    melody = Score((Note(0.0, 0.1, 55), Note(0.1, 0.2, 65)))
+    task = PianoTask([melody], config, SceneConfig(hands="none", keyboard=KEYBOARD), 40)
+    task.reset(np.random.default_rng(0).spawn(40), range(40))
+    lowest = {min(note.pitch for note in song.notes) for song in task.sheets.songs}
+    assert min(lowest) == 48
+    assert max(lowest) == 62
+
+
+@pytest.mark.parametrize(("transpose", "wrong"), [(0, 2), (-24, 3)])
+def test_notes_that_it_does_not_have_are_refused(transpose: int, wrong: int) -> None:
+    song = Score((*SONG.notes, Note(0.2, 0.3, 74), Note(0.3, 0.4, 47)), title="five notes")
+    with pytest.raises(CadenzaError, match=rf"five notes: {wrong} of 5 notes .* 48 to 72"):
+        PianoEnv(song, keyboard=KEYBOARD, transpose=transpose)
