@@ -37,10 +37,10 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.control import control_of
 from cadenza.learning.observation import (
     Floats,
+    GoalTable,
     Inputs,
     ObservationSpec,
     Observer,
-    Scores,
     pruned,
 )
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
@@ -90,7 +90,7 @@ class Experience(NamedTuple):
 def gather(score: Score) -> Experience:
     """`PLAYED` control steps, over and over."""
     task, rng = PianoTask([score]), np.random.default_rng(0)
-    scores = Scores(task.spec)
+    scores = GoalTable(task.spec)
     scores.add_all(task)
     spec = ObservationSpec.of(task.spec)
     inputs, short_inputs = spec.inputs, pruned(spec, scores)

@@ -13,7 +13,7 @@ from rl_examples import melody
 
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.control import control_of
-from cadenza.learning.observation import Observer, Scores
+from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.residual import reference_of
@@ -64,7 +64,7 @@ class Run:
     def __init__(self, config: TaskConfig, residual: bool = False, capacity: int = 5000) -> None:
         songs = [melody(60, 64), melody(50, 53, 72, pedal=True)][: 1 if residual else 2]
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
-        self.scores = Scores(self.task)
+        self.scores = GoalTable(self.task)
         self.scores.add_all(self.task)
         control = control_of(self.task, reference_of(self.task) if residual else None, None)
         self.observer = Observer(self.task, self.scores, reference=control.reference)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
-from cadenza.learning.observation import ObservationSpec, Observer, Scores, pruned
+from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.music.score import NUM_KEYS
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -30,7 +30,7 @@ TASKS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 class Acting:
     """Takes random actions, and has several observers look at what happens."""
 
-    def __init__(self, task: PianoTask, scores: Scores, seed: int = 0) -> None:
+    def __init__(self, task: PianoTask, scores: GoalTable, seed: int = 0) -> None:
         self.task, self.scores = task, scores
         self.rng = np.random.default_rng(seed)
         reset(task, seed)
@@ -64,7 +64,7 @@ def task(request: pytest.FixtureRequest) -> PianoTask:
 
 
 def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) -> None:
-    scores = Scores(task)
+    scores = GoalTable(task)
     observer = Observer(task, scores)
     for seed in range(3):
         acting = Acting(task, scores, seed)
@@ -76,7 +76,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
 
 
 def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> None:
-    scores = Scores(task)
+    scores = GoalTable(task)
     scores.add_all(task)
     inputs = pruned(ObservationSpec.of(task), scores)
     observer = Observer(task, scores, inputs)
@@ -96,7 +96,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
 def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     """By one song: a key is kept for all steps ahead, and is asked for in all of them."""
     task = PianoTask([SONGS[0]])
-    scores = Scores(task)
+    scores = GoalTable(task)
     scores.add_all(task)
     inputs = pruned(ObservationSpec.of(task), scores)
     acting = Acting(task, scores)
@@ -119,7 +119,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
     """
     task = PianoTask(SONGS, num_envs=2)
     low, high = task.action_low, task.action_high
-    observer = Observer(task, scores := Scores(task))
+    observer = Observer(task, scores := GoalTable(task))
     acting = Acting(task, scores)
     previous = np.zeros((2, task.action_size + 1))
     for _ in range(6):
@@ -134,7 +134,7 @@ def test_the_previous_action_and_reward_follow_as_the_published_wrappers_put_the
 
 def test_with_a_reference_its_next_action_comes_last() -> None:
     task = PianoTask(SONGS[:1])
-    scores = Scores(task)
+    scores = GoalTable(task)
     scores.add_all(task)
     reset(task)
     steps = int(task.sheets.num_steps[0])
@@ -151,7 +151,7 @@ def test_with_a_reference_its_next_action_comes_last() -> None:
 
 def test_a_score_that_comes_again_takes_no_room() -> None:
     task = PianoTask(SONGS, num_envs=4)
-    scores = Scores(task)
+    scores = GoalTable(task)
     scores.add_all(task)
     room = scores.arrays()["rows"].nbytes
     for seed in range(4):
@@ -162,10 +162,10 @@ def test_a_score_that_comes_again_takes_no_room() -> None:
 def test_scores_are_restored_with_their_rows() -> None:
     config = TaskConfig(random_stretch=0.5, random_pitch_shift=3)
     task = PianoTask(SONGS, config, num_envs=4)
-    scores = Scores(task)
+    scores = GoalTable(task)
     for seed in range(3):
         Acting(task, scores, seed)
-    again = Scores(task)
+    again = GoalTable(task)
     again.restore({name: array.copy() for name, array in scores.arrays().items()})
     for seed in range(5):  # of which the last two are new to both
         assert_array_equal(
@@ -178,7 +178,7 @@ def test_scores_are_restored_with_their_rows() -> None:
 def test_scores_of_many_rows_are_looked_up_together() -> None:
     """A batch of rows gives for each what it gives alone."""
     task = PianoTask(SONGS)
-    scores = Scores(task)
+    scores = GoalTable(task)
     scores.add_all(task)
     observer = Observer(task, scores, pruned(ObservationSpec.of(task), scores))
     rng = np.random.default_rng(0)
@@ -212,6 +212,6 @@ def test_its_shape_is_the_same_for_every_song(residual: bool) -> None:
 def test_the_shape_is_that_of_what_is_observed(name: str) -> None:
     options, scene = TASKS[name]
     task = PianoTask(SONGS, TaskConfig(**options), SceneConfig(**scene))
-    acting = Acting(task, Scores(task))
+    acting = Acting(task, GoalTable(task))
     observer = Observer(task, acting.scores)
     assert acting.seen_by(observer).shape == (1, ObservationSpec.of(task).size)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from rl_examples import melody
 
-from cadenza.agents.rollout import play
+from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.cli.renamed import OPTIONS, with_new_names
 from cadenza.errors import CadenzaWarning
@@ -88,7 +88,7 @@ def test_its_policy_plays(run: RunFolder) -> None:
     with pytest.warns(CadenzaWarning, match="older version"):
         learnt = load_policy(run.path / "best")
     with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
-        assert play(task, learnt.agent).metrics["f1"] == best
+        assert play_episode(task, learnt.agent).metrics["f1"] == best
 
 
 def test_old_options_are_taken_with_a_notice(

@@ -19,7 +19,7 @@ from rl_examples import melody
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning import old_formats
-from cadenza.learning.observation import ObservationSpec, Scores, pruned
+from cadenza.learning.observation import GoalTable, ObservationSpec, pruned
 from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
@@ -50,7 +50,7 @@ def some_policy(
     config = TaskConfig(initial_buffer_time=0.1, **task)
     scene = SceneConfig(hands="right", forearm_dofs=("tx", "ty"))
     shown = PianoTask([SONG], config, scene)
-    scores = Scores(shown)
+    scores = GoalTable(shown)
     scores.add_all(shown)
     observation = ObservationSpec.of(shown, residual)
     inputs = pruned(observation, scores) if prune else observation.inputs

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
-from cadenza.learning.observation import Observer, Scores
+from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -87,7 +87,7 @@ def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> No
 
 def test_acts_and_sees_on_that_scale() -> None:
     task = PianoTask([SONG], num_envs=2)
-    scores, ranges = Scores(task), ranges_of(task)
+    scores, ranges = GoalTable(task), ranges_of(task)
     scores.add_all(task)
     observer = Observer(task, scores, ranges=ranges)
     for end, rows in ((-1.0, ranges.actions[0]), (1.0, ranges.actions[1])):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.learning.control import ToActions
-from cadenza.learning.observation import Floats, Observer, Scores
+from cadenza.learning.observation import Floats, GoalTable, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import ReplayBuffer, Rows
 from cadenza.tasks.piano_task import PianoTask, Transition
@@ -35,7 +35,7 @@ class Collector:
     def __init__(
         self,
         task: PianoTask,
-        scores: Scores,
+        goals: GoalTable,
         observer: Observer,
         replay: ReplayBuffer,
         ctrl: ToActions,
@@ -43,13 +43,13 @@ class Collector:
     ) -> None:
         """Args:
         task: with N environments.
-        scores: where the scores of the episodes are entered.
+        goals: where the scores of the episodes are entered.
         observer: what is observed.
         replay: where everything goes.
         ctrl: turns what the policy does into actuator units.
         rng: of the actions, and of each environment.
         """
-        self._task, self._scores, self._observer = task, scores, observer
+        self._task, self._goals, self._observer = task, goals, observer
         self._replay, self._ctrl = replay, ctrl
         self._rng, *self._env_rngs = rng.spawn(1 + task.num_envs)
         self._env_ids = np.arange(task.num_envs)
@@ -112,9 +112,7 @@ class Collector:
         self._task.reset([self._env_rngs[env] for env in env_ids], env_ids.tolist())
         sheets = self._task.sheets
         for env in env_ids.tolist():
-            self._first_row[env] = self._scores.add(
-                *sheets.part(env, 0, int(sheets.num_steps[env]))
-            )
+            self._first_row[env] = self._goals.add(*sheets.part(env, 0, int(sheets.num_steps[env])))
         self._return[env_ids] = 0.0
 
     def _observe(self, env_ids: Rows) -> None:

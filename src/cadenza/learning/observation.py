@@ -21,15 +21,12 @@ from cadenza.errors import CadenzaError
 from cadenza.files import INTEGERS, ArrayOf, check_arrays
 from cadenza.fingers import NUM_FINGERS
 from cadenza.learning.ranges import Ranges
-from cadenza.music.score import NUM_KEYS, Score
+from cadenza.music.score import Score
 from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import TaskSpec
 
 Floats = NDArray[np.float32]
-
-_GOAL = NUM_KEYS + 1  # keys and pedal
-_ROW = _GOAL + NUM_FINGERS
 
 
 @dataclass(frozen=True)
@@ -64,6 +61,11 @@ class ObservationSpec:
         return sum(astuple(self))
 
     @property
+    def goals_of_a_step(self) -> int:
+        """K + 1: keys and pedal."""
+        return self.key_state + self.pedal
+
+    @property
     def layout(self) -> dict[str, slice]:
         """Name -> slice of an observation."""
         ends = accumulate(astuple(self))
@@ -96,7 +98,7 @@ class Inputs:
             raise CadenzaError("inputs must be ascending indices below their total")
 
 
-class Scores:
+class GoalTable:
     """Goals of scores by row: of each score its control steps and, silent, the lookahead after.
 
     A score that comes again takes no room again.
@@ -104,14 +106,18 @@ class Scores:
 
     def __init__(self, task: TaskSpec) -> None:
         """`task` says how far ahead the score is observed."""
-        self._ahead = np.arange(task.observation_layout["goal"].stop // _GOAL)
-        self._rows = np.zeros((0, -(-_ROW // 8)), np.uint8)  # keys, pedal, fingers wanted, in bits
+        spec = ObservationSpec.of(task)
+        self._num_goals = spec.goals_of_a_step
+        self._num_bits = self._num_goals + NUM_FINGERS
+        self._ahead = np.arange(spec.goal // self._num_goals)
+        # Keys, pedal, fingers wanted, in bits.
+        self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
         self._first: dict[bytes, int] = {}
 
     def add(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> int:
-        """The row of the first step of goals (T, 89) that `fingers` (T, 88) play, -1 for none."""
+        """The row of the first step of goals (T, K + 1) that `fingers` (T, K) play, -1 for none."""
         wanted = (fingers[:, :, None] == np.arange(NUM_FINGERS)).any(axis=1)
-        silence = np.zeros((len(self._ahead) - 1, _ROW), bool)
+        silence = np.zeros((len(self._ahead) - 1, self._num_bits), bool)
         bits = np.packbits(np.concatenate([np.hstack([goal, wanted]), silence]), axis=1)
         key = bits.tobytes()
         if key not in self._first:
@@ -131,19 +137,21 @@ class Scores:
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
         """(..., len(kept)) of what the task observes as goal, from these rows (...) on."""
-        bits = np.unpackbits(self._rows[rows[..., None] + self._ahead], axis=-1, count=_ROW)
-        flat = bits[..., :_GOAL].reshape(*rows.shape, -1)
+        bits = self._unpacked(rows[..., None] + self._ahead)
+        flat = bits[..., : self._num_goals].reshape(*rows.shape, -1)
         return flat[..., kept].astype(np.float32)
 
     def fingers(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
         """(..., len(kept)) of the fingers that have a key to press in these rows (...)."""
-        bits = np.unpackbits(self._rows[rows], axis=-1, count=_ROW)
-        return bits[..., _GOAL + kept].astype(np.float32)
+        return self._unpacked(rows)[..., self._num_goals + kept].astype(np.float32)
+
+    def _unpacked(self, rows: NDArray[np.integer]) -> NDArray[np.uint8]:
+        return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
     def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(89,) keys and pedal and (10,) fingers that any row asks for."""
-        ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=_ROW).astype(bool)
-        return ever[:_GOAL], ever[_GOAL:]
+        """(K + 1,) keys and pedal and (10,) fingers that any row asks for."""
+        ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=self._num_bits).astype(bool)
+        return ever[: self._num_goals], ever[self._num_goals :]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """To keep; see `restore`."""
@@ -166,17 +174,17 @@ class Scores:
         self._first = {self._rows[first:last].tobytes(): first for first, last in pairwise(ends)}
 
 
-def pruned(spec: ObservationSpec, scores: Scores) -> Inputs:
+def pruned(spec: ObservationSpec, goals: GoalTable) -> Inputs:
     """Without goals of keys and fingers that none of the scores ever asks for.
 
     They are always zero, so that no weight of theirs would ever be used or change. A network
     without them begins with the same other weights.
     """
     layout = spec.layout
-    keys_wanted, fingers_wanted = scores.ever_wanted()
+    keys_wanted, fingers_wanted = goals.ever_wanted()
     goal, fingers = np.arange(spec.goal), np.arange(spec.fingering)
     kept = (
-        goal[keys_wanted[goal % _GOAL]],
+        goal[keys_wanted[goal % spec.goals_of_a_step]],
         layout["fingering"].start + fingers[fingers_wanted[fingers]],
         np.arange(layout["key_state"].start, spec.size),
     )
@@ -198,21 +206,21 @@ class Observer:
     def __init__(
         self,
         task: TaskSpec,
-        scores: Scores,
+        goals: GoalTable,
         inputs: Inputs | None = None,
         reference: Floats | None = None,
         ranges: Ranges | None = None,
     ) -> None:
         """Args:
         task: whose observations they are.
-        scores: the music.
+        goals: of the music.
         inputs: which entries are to be there, all by default.
         reference: (T, A) actions for the only score, in [-1, 1].
         ranges: of joints and actions, which are shown as -1 to 1 then.
         """
         spec = ObservationSpec.of(task, residual=reference is not None)
         self.inputs = inputs or spec.inputs
-        self._scores, self._reference = scores, reference
+        self._goals, self._reference = goals, reference
         self._centre = ((task.action_high + task.action_low) / 2).astype(np.float32)
         self._scale = ((task.action_high - task.action_low) / 2).astype(np.float32)
         self._joints: tuple[slice, Floats, Floats] | None = None
@@ -220,10 +228,10 @@ class Observer:
             self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
             low, high = ranges.joints.astype(np.float32)
             self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
-        goals, shown = spec.goal, task.observation_layout["key_state"].start
+        size, shown = spec.goal, task.observation_layout["key_state"].start
         kept = np.array(self.inputs.kept)
-        self._goal = kept[kept < goals]
-        self._fingers = kept[(kept >= goals) & (kept < shown)] - goals
+        self._goal = kept[kept < size]
+        self._fingers = kept[(kept >= size) & (kept < shown)] - size
         self._proprioception = slice(shown, task.observation_size)
 
     def proprioception(self, shown: Floats) -> Floats:
@@ -259,8 +267,8 @@ class Observer:
         action = previous_action * self._scale + self._centre
         before = np.concatenate([action, previous_reward[..., None]], axis=-1)
         parts = [
-            self._scores.goals(rows, self._goal),
-            self._scores.fingers(rows, self._fingers),
+            self._goals.goals(rows, self._goal),
+            self._goals.fingers(rows, self._fingers),
             proprioception,
             np.where(first[..., None], np.float32(0), before),
         ]

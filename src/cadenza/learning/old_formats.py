@@ -52,11 +52,13 @@ def renewed_config(config: Any) -> Any:
 
 
 def renewed_checkpoint(facts: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-    """The number of updates was the learner's own, and the averaged actor had another name."""
+    """The number of updates was the learner's own, and some arrays had other names."""
     if "updates" not in facts and _UPDATES in arrays and not arrays[_UPDATES].shape:
         facts = facts | {"updates": int(arrays[_UPDATES])}
-    old, new = "learner:.averaged_actor", "learner:.actor_ema"
-    return facts, {name.replace(old, new): array for name, array in arrays.items()}
+    renamed = {"learner:.averaged_actor": "learner:.actor_ema", "figures:": "metrics:"}
+    for old, new in renamed.items():
+        arrays = {re.sub(f"^{re.escape(old)}", new, name): a for name, a in arrays.items()}
+    return facts, arrays
 
 
 def renewed_chunk(arrays: Arrays) -> Arrays:

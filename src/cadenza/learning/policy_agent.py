@@ -10,7 +10,7 @@ import numpy as np
 from cadenza.agents.agent import Agent, Array
 from cadenza.errors import CadenzaError
 from cadenza.learning.control import control_of
-from cadenza.learning.observation import Inputs, ObservationSpec, Observer, Scores
+from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
@@ -54,7 +54,7 @@ class PolicyAgent(Agent):
         if view.task is not self._task:
             self._prepare(view)
         for env in self._begun:
-            self._first_row[env] = self._scores.add_score(view.task, view.scores[env])
+            self._first_row[env] = self._goals.add_score(view.task, view.scores[env])
         self._begun.clear()
         step = np.minimum(view.steps, view.num_steps - 1)
         observation = self._observer.observation(
@@ -72,9 +72,9 @@ class PolicyAgent(Agent):
         self._check_fits(view)
         self._task = task = view.task
         self._control = control_of(task, self._reference, self._ranges)
-        self._scores = Scores(task)
+        self._goals = GoalTable(task)
         self._observer = Observer(
-            task, self._scores, self._inputs, self._control.reference, self._ranges
+            task, self._goals, self._inputs, self._control.reference, self._ranges
         )
         self._action = np.zeros((len(view.env_ids), task.action_size), np.float32)
         self._first_row = np.zeros(len(view.env_ids), np.intp)

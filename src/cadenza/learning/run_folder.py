@@ -3,7 +3,7 @@
 RUN/run.json              what was asked for, and the versions of the libraries
 RUN/checkpoints/N/        learner, environments, random generators after N control steps
 RUN/replay/N.I.npz        the experience gathered up to N since the file before
-RUN/metrics.jsonl         figures, a row a line
+RUN/metrics.jsonl         metrics, a row a line
 RUN/lock                  held by the process that trains it
 RUN/best/, RUN/last/      the policy that played best, and that of the last checkpoint
 """
@@ -209,7 +209,7 @@ class RunFolder:
     # Figures
 
     def add_row(self, row: dict[str, float]) -> None:
-        """Appends a row of figures; a number that is not finite becomes null."""
+        """Appends a row of metrics; a number that is not finite becomes null."""
         plain = {name: finite(value) for name, value in row.items()}
         with self._room(), opened_in_place(self._metrics) as file:
             file.seek(0, os.SEEK_END)
@@ -390,7 +390,7 @@ _Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
 
 
 def read_rows(run: Path) -> list[dict[str, Any]]:
-    """The rows of figures of a run so far, each with `step` and `seconds`.
+    """The rows of metrics of a run so far, each with `step` and `seconds`.
 
     Half a row at the end is left out, and with a remark on standard error what is no row.
     """

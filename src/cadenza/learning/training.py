@@ -20,7 +20,7 @@ from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.control import control_of
-from cadenza.learning.observation import ObservationSpec, Observer, Scores, pruned
+from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
@@ -31,12 +31,12 @@ from cadenza.tasks.piano_task import PianoTask
 
 Row = dict[str, float]
 
-_EPISODES_SHOWN = 100  # a row of figures holds the mean of the last so many episodes
+_EPISODES_SHOWN = 100  # a row of metrics holds the mean of the last so many episodes
 _EXPECTED = {  # arrays of a checkpoint; their sizes are checked by whose they are
     "learner:*": ArrayOf(NUMBERS, None),
     "collector:*": ArrayOf(FLOATS, None),
     "scores:*": ArrayOf(INTEGERS, None),
-    "figures:*": ArrayOf(FLOATS, ("updates",)),
+    "metrics:*": ArrayOf(FLOATS, ("updates",)),
 }
 
 
@@ -46,7 +46,7 @@ class Training:
     Attributes:
         step: control steps so far, of all environments together.
         best: the best evaluation so far, empty before the first.
-        rows: figures since the last look, oldest first; whoever shows them takes them out.
+        rows: metrics since the last look, oldest first; whoever shows them takes them out.
     """
 
     def __init__(self, config: TrainingConfig, score: Score, folder: RunFolder) -> None:
@@ -67,22 +67,22 @@ class Training:
         self._updates = 0
         self._score = score.without_fingers() if config.residual else score
         self._task = self._new_task(config.num_envs)
-        self._scores = Scores(self._task.spec)
-        self._scores.add_all(self._task)
+        self._goals = GoalTable(self._task.spec)
+        self._goals.add_all(self._task)
         self._reference = reference_of(self._task) if config.residual else None
         narrowed = config.song_range and self._task.scene.sides
         self._ranges = ranges_of(self._task) if narrowed else None
         control = control_of(self._task.spec, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = self._has_known_scores() and config.prune_inputs
-        inputs = pruned(self._observation, self._scores) if prune else self._observation.inputs
-        observer = Observer(self._task.spec, self._scores, inputs, control.reference, self._ranges)
+        inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
+        observer = Observer(self._task.spec, self._goals, inputs, control.reference, self._ranges)
         actions = self._task.action_size
         self._inputs = inputs
         self._replay = ReplayBuffer(observer, config.num_envs, config.buffer_size, actions)
         rng, self._sample_rng = np.random.default_rng(config.seed).spawn(2)
         self._collector = Collector(
-            self._task, self._scores, observer, self._replay, control.ctrl, rng
+            self._task, self._goals, observer, self._replay, control.ctrl, rng
         )
         checkpoint = folder.load(_EXPECTED)
         self._ends = _ends(config, checkpoint)
@@ -95,7 +95,7 @@ class Training:
         self._background = ThreadPoolExecutor(1)
         self._learning = ThreadPoolExecutor(1)
         self._evaluation: Future[tuple[Row, LearntPolicy]] | None = None
-        self._figures: list[dict[str, NDArray[Any]]] = []
+        self._metrics: list[dict[str, NDArray[Any]]] = []
         self._finished = deque[Finished](maxlen=_EPISODES_SHOWN)
         self._chunks: list[Chunk] = []
         self._seconds = 0.0
@@ -175,8 +175,8 @@ class Training:
         )
 
     def _learn(self, batches: Any) -> None:
-        self._state, figures = self._learner.update(self._state, batches)
-        self._figures.append({name: np.asarray(values) for name, values in figures.items()})
+        self._state, metrics = self._learner.update(self._state, batches)
+        self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
         self._updates += self.config.gradient_steps
 
     def _learnt(self) -> LearntPolicy:
@@ -195,14 +195,14 @@ class Training:
     # Figures
 
     def _log(self) -> None:
-        figures = _one_after_another(self._figures)
-        row = {f"train/{name}": float(np.nanmean(values)) for name, values in figures.items()}
+        metrics = _one_after_another(self._metrics)
+        row = {f"train/{name}": float(np.nanmean(values)) for name, values in metrics.items()}
         if self._finished:
             row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
             row["episodes/return"] = float(
                 np.mean([episode.total_reward for episode in self._finished])
             )
-        self._figures.clear()
+        self._metrics.clear()
         self._add_row(row | {"updates": self._updates})
 
     def _add_row(self, row: Row) -> None:
@@ -255,7 +255,7 @@ class Training:
             updates=self._updates,
         )
         parts = {"learner": self._learner.to_arrays(self._state), "collector": arrays}
-        parts |= {"scores": self._scores.arrays(), "figures": _one_after_another(self._figures)}
+        parts |= {"scores": self._goals.arrays(), "metrics": _one_after_another(self._metrics)}
         self._folder.save(facts, _joined(parts))
         self._save_last()
 
@@ -271,8 +271,8 @@ class Training:
         self._updates = facts.updates
         self._state = self._learner.from_arrays(parts["learner"])
         self._policy = self._learner.behavior_policy(self._state)
-        self._scores.restore(parts["scores"])
-        self._figures = [parts["figures"]] if "figures" in parts else []
+        self._goals.restore(parts["scores"])
+        self._metrics = [parts["metrics"]] if "metrics" in parts else []
         self._restore_replay(checkpoint)
         self._collector.restore(facts.collector, parts["collector"])
         self._save_last()  # a kill may have come before it
@@ -282,7 +282,7 @@ class Training:
             if gathered is None:
                 continue
             rows = gathered["row"]
-            if len(rows) and not 0 <= rows.min() <= rows.max() < self._scores.num_rows:
+            if len(rows) and not 0 <= rows.min() <= rows.max() < self._goals.num_rows:
                 raise CadenzaError(f"{self._folder.path}: {chunk.file} belongs to other scores")
             self._replay.restore(gathered)
             self._chunks.append(chunk)
@@ -311,10 +311,10 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _one_after_another(figures: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+def _one_after_another(metrics: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     """By name (U,) of all updates, from those (u,) of each round."""
-    names = figures[0] if figures else {}
-    return {name: np.concatenate([some[name] for some in figures]) for name in names}
+    names = metrics[0] if metrics else {}
+    return {name: np.concatenate([some[name] for some in metrics]) for name in names}
 
 
 def _joined(parts: dict[str, dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:

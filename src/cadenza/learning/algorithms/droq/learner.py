@@ -133,7 +133,7 @@ class DroQ:
         """One update for each of the batches (U, B, ...); `state` is used up.
 
         Returns:
-            The new state, and by name figures (U,) of each update.
+            The new state, and by name metrics (U,) of each update.
         """
         return self._update_all(state, batches)
 
