@@ -220,20 +220,18 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | No
 
 
 def _fits_together(learnt: LearntPolicy) -> bool:
+    """Whether the arrays belong to what is observed and done."""
     observation, reference, ranges = learnt.observation, learnt.reference, learnt.ranges
     actions = observation.previous_action
     try:
         action = learnt.policy.mode(np.zeros((1, len(learnt.inputs.kept)), np.float32))
     except (KeyError, ValueError):  # layers that do not fit
         return False
-    return (
-        action.shape == (1, actions)
-        and learnt.inputs.total == observation.size
-        and observation.reference == actions * learnt.residual
-        and (ranges is None or ranges.joints.shape[1] == observation.joints)
-        and (
-            reference is None
-            or (*reference.ctrl.shape, len(reference.expected))
-            == (len(reference.ctrl), actions - 1, len(reference.ctrl) + 1)
-        )
-    )
+    if action.shape != (1, actions) or learnt.inputs.total != observation.size:
+        return False
+    if ranges is not None and ranges.joints.shape[1] != observation.joints:
+        return False
+    if reference is None:
+        return observation.reference == 0
+    shape = (reference.ctrl.shape[1], len(reference.expected) - len(reference.ctrl))
+    return observation.reference == actions and shape == (actions - 1, 1)
