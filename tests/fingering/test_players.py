@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import SIDES, hand_of, place_of
+from cadenza.hands.reach import Reach
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.library import load_score
@@ -28,6 +30,17 @@ def scale(*pitches: int) -> Score:
 
 def fingers(score: Score, players: Players) -> list[int]:
     return [note.finger for note in find_fingering(score, players)[0].notes]
+
+
+# Hands that cannot spread their fingers
+
+
+def test_fingers_that_stand_over_neighbouring_white_keys_play_them() -> None:
+    rest = PIANO.spacing * np.arange(-1, 2)
+    apart = np.maximum(rest - rest[:, None], 0.0).round(4)
+    stiff = Reach(rest, least=apart, most=apart, outward=-rest, inward=rest, forearm_width=0.1)
+    players = seated(stiff, PIANO, ["right"], hand_spacing=0.3, slides=True)
+    assert fingers(scale(60, 62, 64, 62, 60), players) == [0, 1, 2, 1, 0]
 
 
 # Hands that do not slide

@@ -22,6 +22,7 @@ _ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
 _STRETCH = 1.0
 _ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2])  # thumb to little finger
 _WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1])
+_LEAST_ROOM = 0.001  # [m] of fingers that cannot spread
 _CLOSE = 100.0  # [1 / m^2]
 _ROOM = 0.031  # [m] from here on the forearms do not mind each other
 
@@ -87,15 +88,15 @@ def shapes(m: int, reach: Reach) -> Shapes:
         mean=weights,
         rest=(weights * _with_no_finger(reach.rest, 0.0)[fingers]).sum(axis=1),
         outward=_with_no_finger(reach.outward, 10.0)[fingers],
-        leftward=leftward.min(axis=1, initial=10.0),
-        rightward=rightward.min(axis=1, initial=10.0),
+        leftward=np.maximum(leftward.min(axis=1, initial=10.0), _LEAST_ROOM),
+        rightward=np.maximum(rightward.min(axis=1, initial=10.0), _LEAST_ROOM),
         first=first,
         second=second,
         least=least,
         ease=ease,
         most=most,
-        longer=most - ease,
-        shorter=ease - least,
+        longer=np.maximum(most - ease, _LEAST_ROOM),
+        shorter=np.maximum(ease - least, _LEAST_ROOM),
         played=(played[:, first] & played[:, second]).astype(float),
     )
 
