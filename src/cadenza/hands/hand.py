@@ -9,6 +9,7 @@ import mujoco
 
 from cadenza.fingers import Side
 from cadenza.hands.body import Body, Options, add_fingertip_site
+from cadenza.hands.check import check
 from cadenza.hands.forearm import SERVOS as FOREARM_SERVOS
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
@@ -47,6 +48,10 @@ class Hand:
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
     reach: Reach
+
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: its parts do not go together."""
+        check(self)
 
     @property
     def palm_links(self) -> tuple[str, ...]:

@@ -92,7 +92,11 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     keyboard.add_to(spec, actuated=not sides)
     options = _options(config, keyboard)
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:  # only a hand of somebody else's can be wrong
+        said = " ".join(str(error).split())
+        raise CadenzaError(f"hand {hand.name}: MuJoCo cannot build it: {said}") from error
     _damp_forearms_critically(model, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
 
