@@ -60,7 +60,7 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
         action = agent.act(task.view())
         planning += time.perf_counter() - started
     music = num_steps * task.config.control_timestep
-    parts = agent.players[0].seconds if isinstance(agent, ILQG) else {}
+    parts = agent.planners[0].seconds if isinstance(agent, ILQG) else {}
     return Result(
         task.episode_metrics(0)["f1"],
         fingering / num_steps,

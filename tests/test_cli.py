@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planning.score_planner import SongPlayer
+from cadenza.agents.planning.score_planner import SongPlanner
 from cadenza.agents.playback import options_of
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
@@ -498,7 +498,7 @@ def test_half_a_plan_is_not_kept(
     tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clenched = build_scene().action_high
-    monkeypatch.setattr(SongPlayer, "act", lambda *_: clenched)
+    monkeypatch.setattr(SongPlanner, "act", lambda *_: clenched)
     path = tmp_path / "plan.npz"
     options = ("-o", path, "--wrong-press-termination")
     assert "the plan is incomplete" in refused_in_a_line(capsys, "plan", tune, *options)

@@ -53,6 +53,15 @@ class OnlyResets:
     def reset(self, env_ids, rngs):
         pass
 
+class Clumsy:
+    def __init__(self):
+        self._planner = cadenza.make_agent("planner")
+    def reset(self, task, rng):
+        self._planner.reset(task, rng)
+        self._task = task
+    def act(self):
+        return np.clip(self._planner.act(), self._task.action_low, self._task.action_high)
+
 class OfOneEnvironment:
     def reset(self, task, rng):
         self._task, self._rng = task, rng
@@ -276,6 +285,13 @@ def test_an_agent_of_one_environment_plays_as_it_did(
     (said,) = capsys.readouterr().err.splitlines()
     assert said.startswith("agent OfOneEnvironment: reset(task, rng) and act() will not be ")
     ours, theirs = (load_episode(here / name / "episode.npz") for name in ("random", "onment"))
+    np.testing.assert_array_equal(ours["action"], theirs["action"])
+
+
+def test_an_agent_of_one_environment_may_be_written_around_a_planner(here: Path) -> None:
+    for agent in ("own:Clumsy", "planner"):
+        main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", agent[-6:]])
+    ours, theirs = (load_episode(here / name / "episode.npz") for name in ("Clumsy", "lanner"))
     np.testing.assert_array_equal(ours["action"], theirs["action"])
 
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
-from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlayer
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import EpisodeResult, play_episode
@@ -97,11 +97,11 @@ def test_the_planner_presses_the_pedal_as_the_score_has_it(right_hand: Scene) ->
 
 
 class WatchedPlanner(PredictiveSampling):
-    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlayer:
-        return WatchedPlayer(view, rng, self.config, self.threads)
+    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlanner:
+        return WatchedEpisode(view, rng, self.config, self.threads)
 
 
-class WatchedPlayer(SamplingPlayer):
+class WatchedEpisode(SamplingPlanner):
     """Writes down what was compared."""
 
     def __init__(self, *args: Any) -> None:
@@ -120,7 +120,7 @@ def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
     config = PredictiveSamplingConfig(num_candidates=4, iterations=3)
     planner = WatchedPlanner(config)
     perform(planner, right_hand)
-    compared = planner.players[0].compared
+    compared = planner.planners[0].compared
     assert len(compared) == STEPS * config.iterations
     best = np.zeros(0)
     for i, (nominal, candidates, cost) in enumerate(compared):
@@ -139,9 +139,9 @@ def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None
     for agent in (planner, alone):
         agent.reset([0], [np.random.default_rng(0)])
         agent.act(task.view())
-    ((_, candidates, cost),) = planner.players[0].compared
+    ((_, candidates, cost),) = planner.planners[0].compared
     for candidate, expected in zip(candidates, cost, strict=True):
-        assert alone.players[0]._roll_out(candidate[None], task.view())[0] == expected
+        assert alone.planners[0]._roll_out(candidate[None], task.view())[0] == expected
 
 
 def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass, box_qp
-from cadenza.agents.baselines.ilqg import ILQG, ILQGPlayer
+from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
 from cadenza.agents.planning.config import ILQGConfig
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
@@ -218,11 +218,11 @@ def test_sleeping_keys_have_no_derivatives(right_hand: Scene) -> None:
 
 
 class WatchedPlanner(ILQG):
-    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlayer:
-        return WatchedPlayer(view, self.config, self.threads)
+    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
+        return WatchedEpisode(view, self.config, self.threads)
 
 
-class WatchedPlayer(ILQGPlayer):
+class WatchedEpisode(ILQGPlanner):
     """Writes down what was approximated and compared."""
 
     def __init__(self, *args: Any) -> None:
@@ -253,7 +253,7 @@ def test_the_gradient_is_that_of_the_cost(right_hand: Scene, fingering: Any) -> 
     planner = WatchedPlanner(ILQGConfig(horizon=0.05, centred=True))
     task = begun(planner, right_hand, fingering=fingering)
     planner.act(task.view())
-    planner = planner.players[0]
+    planner = planner.planners[0]
     start = task.simulation.physics_state(0)
     planner._nominal = nominal = 0.9 * planner._nominal  # away from the limits
     gradient = planner._approximate(start).gradient[0, -nominal.shape[1] :]
@@ -279,7 +279,7 @@ def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
 def test_planning_lowers_its_cost(right_hand: Scene) -> None:
     planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
     planner.act(begun(planner, right_hand).view())
-    costs = planner.players[0].costs
+    costs = planner.planners[0].costs
     first, *_, last = costs
     assert last.min() < 0.9 * first[0]
     for before, after in pairwise(costs):
@@ -331,7 +331,7 @@ def test_plans_for_other_hands(hands: Any) -> None:
 def test_keeps_account_of_its_time(right_hand: Scene) -> None:
     planner = ILQG(SHORT)
     planner.act(begun(planner, right_hand).view())
-    seconds = planner.players[0].seconds
+    seconds = planner.planners[0].seconds
     assert set(seconds) == {"derivatives", "backward pass", "line search"}
     assert min(seconds.values()) > 0
 

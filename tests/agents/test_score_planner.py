@@ -131,7 +131,7 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
-    plan = agent.players[0].plan
+    plan = agent.planners[0].plan
     assert len(plan.dropped) == sum(note.finger < 0 for note in plan.score.notes) > 9
 
 
@@ -144,7 +144,7 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
     agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
-    assert [press.finger for press in agent.players[0].plan.nominal.presses] == [2, 1]
+    assert [press.finger for press in agent.planners[0].plan.nominal.presses] == [2, 1]
 
 
 @pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])
@@ -166,7 +166,7 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     agent.reset([0], [np.random.default_rng(0)])
     while task.sheets.steps_done[0] < 8:
         task.step(agent.act(task.view()))
-    ((hand, *_),) = agent.players[0]._hands
+    ((hand, *_),) = agent.planners[0]._hands
     rows = np.arange(8, 15)
     middle = hand._clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
@@ -267,13 +267,13 @@ def test_a_long_song_is_planned_as_it_is_played() -> None:
 
     def progress(stage: str, done: int, _: int) -> None:
         if stage == "playing":
-            planned.append(agent.players[0].plan.nominal.num_steps - done)
+            planned.append(agent.planners[0].plan.nominal.num_steps - done)
 
     performance = play_episode(task, agent, progress=progress)
     assert planned[0] == 19  # the first window is shorter
     assert min(planned[:-10]) > 7  # what the search looks ahead
     assert max(planned) < 60
-    assert agent.players[0].plan.complete
+    assert agent.planners[0].plan.complete
     assert performance.metrics["f1"] > 0.9
 
 

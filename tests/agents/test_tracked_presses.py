@@ -35,7 +35,7 @@ class Kept(TrackedPresses):
     """Plans once, for all episodes of one score."""
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
-        if not self.players:
+        if not self.planners:
             super().reset(env_ids, rngs)
 
 
@@ -70,7 +70,7 @@ def test_nothing_is_corrected_where_all_goes_as_planned(
 ) -> None:
     agent, performance = planned
     action = performance.episode.arrays["action"][:, :-1]
-    assert_allclose(action, agent.players[0].trajectories[0].ctrl, atol=1e-6)
+    assert_allclose(action, agent.planners[0].trajectories[0].ctrl, atol=1e-6)
 
 
 class Pushed(Agent):

@@ -55,47 +55,47 @@ class Agent(ABC):
         """Lets go of what the episodes needed, such as threads. A reset may follow."""
 
 
-class Player(Protocol):
-    """Plays one episode of one environment."""
+class EpisodePlanner(Protocol):
+    """Plans and plays one episode of one environment."""
 
     def act(self, view: View) -> Array:
         """(A,) the next action; `view` is of this environment alone."""
 
 
-P = TypeVar("P", bound=Player)
+P = TypeVar("P", bound=EpisodePlanner)
 
 
-class PlayerEach(Agent, Generic[P]):
-    """Has a player of its own for every environment, as those need who plan a song.
+class PlannerPerEnv(Agent, Generic[P]):
+    """Has a planner of its own for every environment, each of which plays one song.
 
     Attributes:
-        players: environment -> who plays its episode, from its first step on.
+        planners: environment -> what plans its episode, from its first step on.
     """
 
     def __init__(self) -> None:
-        self.players: dict[int, P] = {}
+        self.planners: dict[int, P] = {}
         self._rngs: dict[int, np.random.Generator] = {}
 
     @abstractmethod
     def begin(self, view: View, rng: np.random.Generator) -> P:
-        """Who plays the episode that begins in the only environment of `view`."""
+        """What plans the episode that begins in the only environment of `view`."""
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         for env, rng in zip(env_ids, rngs, strict=True):
-            self.players.pop(env, None)
+            self.planners.pop(env, None)
             self._rngs[env] = rng
 
     def act(self, view: View) -> Array:
         action = np.zeros((len(view.env_ids), view.task.action_size))
         for row in np.flatnonzero(view.playing).tolist():
             env, alone = int(view.env_ids[row]), view.of(row)
-            if env not in self.players:
-                self.players[env] = self.begin(alone, self._rngs[env])
-            action[row] = self.players[env].act(alone)
+            if env not in self.planners:
+                self.planners[env] = self.begin(alone, self._rngs[env])
+            action[row] = self.planners[env].act(alone)
         return action
 
     def close(self) -> None:
-        self.players.clear()
+        self.planners.clear()
 
     @property
     def threads(self) -> int:

@@ -1,4 +1,7 @@
-"""Agents written for version 0.2, for one version more: `reset(task, rng)` and `act()`."""
+"""Agents of one environment, as in version 0.2, for one version more.
+
+They had `reset(task, rng)` and `act()`, and may have been written around one of ours.
+"""
 
 from __future__ import annotations
 
@@ -41,12 +44,7 @@ class OneEnvironment(Agent):
 
     def __init__(self, agent: AgentOfOneEnvironment, task: PianoTask) -> None:
         self._agent, self._task = agent, task
-        warnings.warn(
-            f"agent {type(agent).__name__}: reset(task, rng) and act() will not be supported by "
-            "the next version; write reset(env_ids, rngs) and act(view), see docs/python.md",
-            CadenzaWarning,
-            stacklevel=4,
-        )
+        _warn(agent)
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         if hasattr(self._agent, "progress"):
@@ -56,3 +54,36 @@ class OneEnvironment(Agent):
 
     def act(self, view: View) -> Array:
         return np.asarray(self._agent.act(), np.float64)[None]
+
+
+def also_of_one(agent: Agent) -> Agent:
+    """`agent`, which others may call as before, too."""
+    reset, act = agent.reset, agent.act
+    task: PianoTask | None = None
+
+    def reset_either(env_ids: Any, rngs: Any) -> None:
+        nonlocal task
+        task = env_ids if isinstance(env_ids, PianoTask) else None
+        if task is None:
+            reset(env_ids, rngs)
+        else:
+            _warn(agent)
+            reset([0], [rngs])
+
+    def act_either(view: View | None = None) -> Array:
+        if task is not None:
+            return act(task.view())[0]
+        assert view is not None
+        return act(view)
+
+    agent.reset, agent.act = reset_either, act_either  # type: ignore[method-assign]
+    return agent
+
+
+def _warn(agent: Any) -> None:
+    warnings.warn(
+        f"agent {type(agent).__name__}: reset(task, rng) and act() will not be supported by the "
+        "next version; use reset(env_ids, rngs) and act(view), see docs/how-to/agent.md",
+        CadenzaWarning,
+        stacklevel=4,
+    )

@@ -78,7 +78,9 @@ def make_agent(name: str, config: Any = None) -> Agent:
     kind: Any = AGENTS.load(name, type)
     options = AGENTS.own[name].config if name in AGENTS.own else None
     if options is not None:
-        return kind(as_config(config, options))
+        from cadenza.agents.one_environment import also_of_one  # heavy
+
+        return also_of_one(kind(as_config(config, options)))
     if config is not None:
         raise CadenzaError(f"agent {name!r} has no options: give none")
     with by_others(f"agent {name}"):

@@ -193,8 +193,8 @@ def perform(
         CadenzaError: the agent cannot play this task, or the seed is negative.
     """
     result = play_episode(setup.task, setup.agent, setup.seed, progress, stop)
-    player = getattr(setup.agent, "players", {}).get(0)
-    plan = getattr(player, "plan", None)
+    planner = getattr(setup.agent, "planners", {}).get(0)
+    plan = getattr(planner, "plan", None)
     plan = plan if isinstance(plan, SongPlan) else None
     return Performance(
         score=setup.score,

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Array, PlayerEach
+from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.pairs import Pairs, pairs_of
 from cadenza.agents.planning.config import ILQGConfig
@@ -41,7 +41,7 @@ _NO_CHANGE = 1e-6  # of controls, in half ranges
 _TRUSTED_STEP = 0.3  # shorter ones say that the model holds less far than it thought
 
 
-class ILQG(PlayerEach["ILQGPlayer"]):
+class ILQG(PlannerPerEnv["ILQGPlanner"]):
     """Plans anew at every control step. Nothing is random."""
 
     def __init__(self, config: ILQGConfig | None = None) -> None:
@@ -52,14 +52,14 @@ class ILQG(PlayerEach["ILQGPlayer"]):
         self.config = config or ILQGConfig()
         _check(self.config)
 
-    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlayer:
+    def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
         """Raises:
         CadenzaError: the timesteps of task, plan and physics do not divide.
         """
-        return ILQGPlayer(view, self.config, self.threads)
+        return ILQGPlanner(view, self.config, self.threads)
 
 
-class ILQGPlayer:
+class ILQGPlanner:
     """Plays one song.
 
     A plan is a control for each control step of the horizon, held as the task holds it; the cost is

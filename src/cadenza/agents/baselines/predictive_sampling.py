@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cadenza.agents.agent import Array, PlayerEach
+from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.pairs import pairs_of
 from cadenza.agents.planning.config import PredictiveSamplingConfig
 from cadenza.configs import check_ranges
@@ -22,7 +22,7 @@ from cadenza.tasks.music import goals_of
 from cadenza.tasks.view import View
 
 
-class PredictiveSampling(PlayerEach["SamplingPlayer"]):
+class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
     """Plans anew at every control step."""
 
     def __init__(self, config: PredictiveSamplingConfig | None = None) -> None:
@@ -33,11 +33,11 @@ class PredictiveSampling(PlayerEach["SamplingPlayer"]):
         self.config = config or PredictiveSamplingConfig()
         _check(self.config)
 
-    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlayer:
-        return SamplingPlayer(view, rng, self.config, self.threads)
+    def begin(self, view: View, rng: np.random.Generator) -> SamplingPlanner:
+        return SamplingPlanner(view, rng, self.config, self.threads)
 
 
-class SamplingPlayer:
+class SamplingPlanner:
     """Plays one song.
 
     A plan is a cubic spline through knots over the horizon, sampled where the task will take its

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, PlayerEach, Progress
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.refinement import HandPart
@@ -21,7 +21,7 @@ from cadenza.scene.scene import HandAlone, hand_alone
 from cadenza.tasks.view import View
 
 
-class TrackedPresses(PlayerEach["TrackingPlayer"]):
+class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
     """Plans everything when an episode begins; then only feedback is left.
 
     What is fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is
@@ -37,14 +37,14 @@ class TrackedPresses(PlayerEach["TrackingPlayer"]):
         if not 0 <= self.config.iterations < math.inf:
             raise CadenzaError(f"iterations {self.config.iterations}: choose 0 or more")
 
-    def begin(self, view: View, rng: np.random.Generator) -> TrackingPlayer:
+    def begin(self, view: View, rng: np.random.Generator) -> TrackingPlanner:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        return TrackingPlayer(view, self.config, self.threads, self.progress)
+        return TrackingPlanner(view, self.config, self.threads, self.progress)
 
 
-class TrackingPlayer:
+class TrackingPlanner:
     """Plays one song.
 
     Attributes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cadenza.agents.agent import Array, PlayerEach, Progress
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
@@ -13,7 +13,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.tasks.view import View
 
 
-class ScorePlanner(PlayerEach["SongPlayer"]):
+class ScorePlanner(PlannerPerEnv["SongPlanner"]):
     """Plans a song a window ahead of where it plays, and refines the plan as it goes.
 
     Its progress is that of "fingers" and "postures".
@@ -27,14 +27,14 @@ class ScorePlanner(PlayerEach["SongPlayer"]):
         self.config = config or ScorePlannerConfig()
         _check(self.config)
 
-    def begin(self, view: View, rng: np.random.Generator) -> SongPlayer:
+    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        return SongPlayer(view, rng, self.config, self.threads, self.progress)
+        return SongPlanner(view, rng, self.config, self.threads, self.progress)
 
 
-class SongPlayer:
+class SongPlanner:
     """Plans and plays one song.
 
     Attributes:
