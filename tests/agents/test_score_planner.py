@@ -26,6 +26,7 @@ from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
@@ -321,28 +322,34 @@ def test_presses_are_the_goals(seed: int) -> None:
     np.testing.assert_array_equal(found, fingers)
 
 
+def places(rest_y: np.ndarray) -> np.ndarray:
+    """(88, 10) of forearms that at 0 have their fingertips at `rest_y` (10,)."""
+    return PIANO.centre[:, 1, None] - rest_y
+
+
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     near = [Press(0, 39, 10, 20), Press(1, 41, 20, 30)]
-    assert let_go_in_time(near, np.linspace(0.0, 0.2, 10), 0.05) == near
+    assert let_go_in_time(near, places(np.linspace(0.0, 0.2, 10)), 0.05) == near
     far = [Press(0, 39, 10, 20), Press(0, 60, 20, 30)]
-    cut = let_go_in_time(far, np.zeros(10), 0.05)
+    cut = let_go_in_time(far, places(np.zeros(10)), 0.05)
     assert 11 <= cut[0].last < 19
     assert cut[1] == far[1]
 
 
 def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     first, key, chord = Press(0, 39, 10, 20), Press(0, 46, 20, 30), Press(4, 53, 20, 30)
-    rest_y = np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2)
-    left, reached = let_go_in_time([first, key], rest_y, 0.05)
+    there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
+    left, reached = let_go_in_time([first, key], there, 0.05)
     assert (left.flies_off, reached.flies_to) == (True, True)
-    left_sooner, *landed = let_go_in_time([first, key, chord], rest_y, 0.05)
+    left_sooner, *landed = let_go_in_time([first, key, chord], there, 0.05)
     assert left_sooner.last < left.last < 20
     assert not any(press.flies_to for press in landed)
 
 
 def test_in_a_jump_only_heights_are_strict() -> None:
     still, jump = Press(1, 41, 5, 8), Press(1, 41, 5, 8, flies_off=True, flies_to=True)
-    strict, loose = targets_of([still], 12).sigma[:, 1], targets_of([jump], 12).sigma[:, 1]
+    scene = build_scene()
+    strict, loose = (targets_of(scene, [press], 12).sigma[:, 1] for press in (still, jump))
     on_the_way = [3, 4, 8]
     assert (loose[on_the_way, :2] > 4 * strict[on_the_way, :2]).all()
     np.testing.assert_array_equal(loose[:, 2], strict[:, 2])
@@ -360,7 +367,7 @@ def test_links_keep_apart_by_their_radii() -> None:
     postures = rng.uniform(servos.low, servos.high, (20, len(servos.low)))
     kinematics = Kinematics(scene, servos)
     points, jacobian = kinematics.fingers(postures)
-    links = LinkCollisions(5)
+    links = LinkCollisions(scene.hand, 1)
     overlap, slope = links.overlaps(points, jacobian)
     row, pair = np.argwhere(overlap < -0.002)[0]
     (fa, la), (fb, lb) = ((link[0][pair], link[1][pair]) for link in (links._a, links._b))
@@ -380,7 +387,7 @@ def test_links_keep_apart_by_their_radii() -> None:
 
 
 def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:
-    targets = targets_of([Press(1, 41, 5, 8)], 12)
+    targets = targets_of(build_scene(), [Press(1, 41, 5, 8)], 12)
     assert (targets.force[5:8, 1] > 0).all()
     assert not targets.force[[4, 8], 1].any()
     top = 0.0225
