@@ -320,6 +320,12 @@ def test_agents_that_there_are_not(
     assert said in refused(capsys, "play", "tune.mid", "--agent", name)
 
 
+@pytest.mark.usefixtures("here")
+def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "plan", "tune.mid", "--threads", "0")
+    assert line == "cadenza: num_threads 0: choose 1 to 1024"
+
+
 def test_the_name_that_playback_had_still_works(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
