@@ -57,13 +57,18 @@ class Geom:
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge. Mirrored, an axis (x, y, z) is (x, -y, -z), unless `left_axis` is given."""
+    """A hinge, or a slide along its axis.
+
+    Mirrored, the axis (x, y, z) of a hinge is (x, -y, -z), unless `left_axis` is given, and that of
+    a slide is (-x, y, z).
+    """
 
     name: str
     axis: Vector
     range: tuple[float, float]
     damping: float = 0.05
     left_axis: Vector | None = None
+    slide: bool = False
 
 
 @dataclass(frozen=True)
@@ -242,12 +247,12 @@ class _Builder:
         return forearm.joint_range(name, y, self._options.keyboard_half_length)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
-        axis = _mirror_axis(joint.axis, self._side)
+        axis = (_mirror if joint.slide else _mirror_axis)(joint.axis, self._side)
         if self._side == "left" and joint.left_axis:
             axis = joint.left_axis
         body.add_joint(
             name=self._prefix + joint.name,
-            type=mujoco.mjtJoint.mjJNT_HINGE,
+            type=mujoco.mjtJoint.mjJNT_SLIDE if joint.slide else mujoco.mjtJoint.mjJNT_HINGE,
             axis=axis,
             range=self._joint_range(joint),
             damping=joint.damping,
