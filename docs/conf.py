@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, GoogleDocstring
@@ -18,11 +19,7 @@ author = "The Cadenza authors"
 project_copyright = "The Cadenza authors, Apache-2.0"
 version = release = cadenza.__version__
 
-extensions = [
-    "myst_parser",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.viewcode",
-]
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
 exclude_patterns = ["curves"]
 
 myst_heading_anchors = 3
@@ -68,6 +65,13 @@ def parse(app: Sphinx, what: str, name: str, of: object, options: object, lines:
         lines[:] = GoogleDocstring(lines, NAPOLEON, app, what, name, of, options).lines()
 
 
+def sign(*event: Any) -> tuple[str | None, str | None]:
+    """Defaults that are made anew are written as `...`, which Python can read."""
+    signature, result = event[-2:]
+    return signature and signature.replace("<factory>", "..."), result
+
+
 def setup(app: Sphinx) -> None:
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", parse)
+    app.connect("autodoc-process-signature", sign)

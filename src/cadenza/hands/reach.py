@@ -24,10 +24,9 @@ class Reach:
     most: Array
     """(F, F) greatest distances."""
     outward: Array
-    """(F,) how far to the right of a fingertip that presses the forearm can be: minus the least
-    distance that the tool prints of one finger."""
+    """(F,) how far to the right of a fingertip that presses the forearm can be."""
     inward: Array
-    """(F,) how far to its left: the greatest distance of one."""
+    """(F,) how far to its left."""
     forearm_width: float
     """Two forearms touch when they are nearer than this."""
 
