@@ -366,7 +366,7 @@ def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
     assert os.listdir(here / "part") == []
 
 
-# Hands of one's own
+# Hands and keyboards of one's own
 
 
 @pytest.mark.parametrize("command", ["play", "plan"])
@@ -376,3 +376,13 @@ def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
     hand = ["--hand", "own:MINE", "--hands", "right", "-o", f"out{'.npz' * (command == 'plan')}"]
     main([command, "note.mid", *hand, *["--no-video"] * (command == "play")])
     assert any(path.name.startswith("out") for path in here.iterdir())
+
+
+def test_a_keyboard_of_another_size(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "own.py").write_text(
+        "from dataclasses import replace\n"
+        "from cadenza.keyboards.piano import PIANO\n"
+        "SMALL = replace(PIANO, name='small', lowest_pitch=48, num_keys=25)"
+    )
+    said = refused(capsys, "play", "tune.mid", "--agent", "zero", "--keyboard", "own:SMALL")
+    assert said.startswith("cadenza: keyboard small: has 25 keys, but what is recorded has 88; ")

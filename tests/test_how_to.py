@@ -81,6 +81,7 @@ def test_an_agent(follow: Follow) -> None:
 
 def test_a_hand(follow: Follow) -> None:
     follow("hand")
+    assert cadenza.play(TUNE, "zero", scene=cadenza.SceneConfig(keyboard="narrow:NARROW")).episode
     code = Path("site/claw.py").read_text().removeprefix("# claw.py\n")
     example = (PAGES.parents[1] / "examples" / "claw.py").read_text()
     assert all(block.strip() in example for block in code.split("\n\n\n"))

@@ -65,8 +65,15 @@ def play_episodes(
         stop: is asked after every step whether that was the last; the episodes are what was played.
 
     Raises:
-        CadenzaError: the agent cannot play this task, or a seed is negative.
+        CadenzaError: the agent cannot play this task, a seed is negative, or the keyboard is of
+            another size than a piano's.
     """
+    keyboard = task.scene.keyboard
+    if keyboard.num_keys != NUM_KEYS:
+        raise CadenzaError(
+            f"keyboard {keyboard.name}: has {keyboard.num_keys} keys, but what is recorded has "
+            f"{NUM_KEYS}; use the environments of Gymnasium instead"
+        )
     if len(seeds) != task.num_envs:
         raise CadenzaError(
             f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
