@@ -21,6 +21,7 @@ class Trembling(cadenza.Agent):
         self._rngs: dict[int, np.random.Generator] = {}
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._planner.num_threads = self.num_threads
         self._planner.reset(env_ids, rngs)
         self._rngs |= dict(zip(env_ids, rngs, strict=True))
 

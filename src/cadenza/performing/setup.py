@@ -154,8 +154,8 @@ def select(
     if not isinstance(plan, str | Path | None):
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
-        scene, player = replace(SceneConfig(), **physics_of(Path(plan))), load_plan(Path(plan))
-        return selection(name=name, agent=Playback(player), scene=scene, plan=Path(plan))
+        plan, scene = Path(plan), replace(SceneConfig(), **physics_of(Path(plan)))
+        return selection(name=name, agent=Playback(load_plan(plan)), scene=scene, plan=plan)
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     return selection(name=name, agent=make_agent(name, (configs or {}).get(name)))
