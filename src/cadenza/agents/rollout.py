@@ -29,9 +29,10 @@ class EpisodeResult:
 
     episode: Episode
     metrics: dict[str, Any]
-    """The scores of `music.metrics`, None for one that is not defined; `return`, `reward/<term>`
-    summed over the episode; `steps`, `planning_seconds` spent by the agent, from its reset on,
-    `playing_seconds` by the simulation, and whether the simulation became `unstable`."""
+    """Those of `cadenza.music.metrics.playing_metrics`, None for one that is not defined; `return`
+    and ``reward/<term>`` summed over the episode; `steps`, `planning_seconds` spent by the agent,
+    from its reset on, `playing_seconds` by the simulation, and whether the simulation became
+    `unstable`."""
 
 
 def play_episode(
