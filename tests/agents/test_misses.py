@@ -19,6 +19,8 @@ from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 
 STEPS, DT = 40, 0.05
 C4, D4, C5 = 39, 41, 51
@@ -68,8 +70,9 @@ class Concert:
         }
         self.episode = Episode("A concert", DT, arrays, FOREARMS)
         nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
-        goals: Any = None  # the episode has them
-        return misses_of(self.episode, SongPlan(SCENE, SCORE, self.dropped, goals, nominal))
+        config = TaskConfig(initial_buffer_time=0.5)
+        track = GoalTrack(SCORE, self.dropped, config, SCENE)
+        return misses_of(self.episode, SongPlan(SCENE, track, track.goals, nominal))
 
     def cut(self, last: int, then: Press | None = None) -> None:
         self.presses[0] = self.presses[0]._replace(last=last)

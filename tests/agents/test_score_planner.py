@@ -132,8 +132,9 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
-    plan = agent.planners[0].plan
-    assert len(plan.dropped) == sum(note.finger < 0 for note in plan.score.notes) > 9
+    track = agent.planners[0].plan.track
+    assert track is task.sheets.tracks[0]
+    assert len(track.dropped or ()) == sum(note.finger < 0 for note in track.score.notes) > 9
 
 
 def test_fingers_of_the_score_are_taken_on_request() -> None:
@@ -240,7 +241,7 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
 def whole_plan(score: Score) -> SongPlan:
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
-    return plan_song(task.spec, score, task.state.hand_qpos[0])
+    return plan_song(task.sheets.tracks[0], task.state.hand_qpos[0])
 
 
 def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:

@@ -17,7 +17,7 @@ from cadenza.music.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
-from cadenza.tasks.music import players_of
+from cadenza.tasks.goal_track import players_of
 from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 
 FOUR = seated(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)

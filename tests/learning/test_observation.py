@@ -37,10 +37,7 @@ class Acting:
         shape = (task.num_envs, task.action_size)
         self.action = self.rng.uniform(-1, 1, shape).astype(np.float32)  # of the episode before
         self.reward = np.full(task.num_envs, 3.0, np.float32)
-        sheets = task.sheets
-        self.first_row = np.array(
-            [scores.add(*sheets.part(e, 0, int(sheets.num_steps[e]))) for e in range(task.num_envs)]
-        )
+        self.first_row = np.array([scores.add(track) for track in task.sheets.tracks])
 
     def step(self) -> None:
         task = self.task

@@ -16,7 +16,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks import reward
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.music import goals_of, prepare
+from cadenza.tasks.music import prepare
 from cadenza.tasks.piano_task import PianoTask
 
 DATA = Path(__file__).parents[1] / "data"
@@ -39,8 +39,8 @@ class Recording:
             )
         )
         self.score = load_score(str(self["song"]))
-        (prepared,) = prepare([self.score], self.config, self.scene)
-        self.goals = goals_of(prepared, self.config, self.scene.keyboard)
+        (track,) = prepare([self.score], self.config, self.scene)
+        self.goals = track.goals
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.arrays[name]

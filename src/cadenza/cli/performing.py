@@ -130,6 +130,6 @@ def print_what_was_lost(performance: Performance) -> None:
     if performance.plan is None or performance.misses is None:
         return
     print(*in_words(performance.misses, performance.episode), sep="\n")
-    reasons = Counter(reason for _, reason in performance.plan.dropped)
+    reasons = Counter(reason for _, reason in performance.plan.track.dropped or ())
     for reason, count in reasons.most_common():
         print(f"no finger for {count} note{'s'[: count > 1]}: {reason}")

@@ -107,7 +107,7 @@ def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
     return replace(score, notes=tuple(notes))
 
 
-# What was found last: a planner asks again for the score that its task has asked for.
+# What was found last: one song is often played in several tasks, as in training.
 _last_found: dict[tuple[Score, Players], tuple[Score, tuple[Dropped, ...]]] = {}
 
 

@@ -112,7 +112,7 @@ class Collector:
         self._task.reset([self._env_rngs[env] for env in env_ids], env_ids.tolist())
         sheets = self._task.sheets
         for env in env_ids.tolist():
-            self._first_row[env] = self._goals.add(*sheets.part(env, 0, int(sheets.num_steps[env])))
+            self._first_row[env] = self._goals.add(sheets.tracks[env])
         self._return[env_ids] = 0.0
 
     def _observe(self, env_ids: Rows) -> None:

@@ -21,8 +21,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import INTEGERS, ArrayOf, check_arrays
 from cadenza.fingers import NUM_FINGERS
 from cadenza.learning.ranges import Ranges
-from cadenza.music.score import Score
-from cadenza.tasks.music import goals_of
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import TaskSpec
 
@@ -114,11 +113,13 @@ class GoalTable:
         self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
         self._first: dict[bytes, int] = {}
 
-    def add(self, goal: NDArray[np.bool_], fingers: NDArray[np.int8]) -> int:
-        """The row of the first step of goals (T, K + 1) that `fingers` (T, K) play, -1 for none."""
-        wanted = (fingers[:, :, None] == np.arange(NUM_FINGERS)).any(axis=1)
+    def add(self, track: GoalTrack) -> int:
+        """The row of the first step of what is played."""
+        goals = track.goals
+        wanted = (goals.fingers[:, :, None] == np.arange(NUM_FINGERS)).any(axis=1)
         silence = np.zeros((len(self._ahead) - 1, self._num_bits), bool)
-        bits = np.packbits(np.concatenate([np.hstack([goal, wanted]), silence]), axis=1)
+        steps = np.column_stack([goals.keys, goals.sustain, wanted])
+        bits = np.packbits(np.concatenate([steps, silence]), axis=1)
         key = bits.tobytes()
         if key not in self._first:
             self._first[key] = len(self._rows)
@@ -126,14 +127,9 @@ class GoalTable:
         return self._first[key]
 
     def add_all(self, task: PianoTask) -> None:
-        """Adds the scores that `task` draws from."""
-        for score in task.scores:
-            self.add_score(task.spec, score)
-
-    def add_score(self, task: TaskSpec, score: Score) -> int:
-        """The row of the first step of a score as `task` plays it."""
-        goals = goals_of(score, task.config, task.scene.keyboard, task.scene.fingers)
-        return self.add(np.concatenate([goals.keys, goals.sustain[:, None]], axis=1), goals.fingers)
+        """Adds what `task` draws from."""
+        for track in task.tracks:
+            self.add(track)
 
     def goals(self, rows: NDArray[np.integer], kept: NDArray[np.intp]) -> Floats:
         """(..., len(kept)) of what the task observes as goal, from these rows (...) on."""

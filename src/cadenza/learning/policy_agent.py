@@ -54,7 +54,7 @@ class PolicyAgent(Agent):
         if view.task is not self._task:
             self._prepare(view)
         for env in self._begun:
-            self._first_row[env] = self._goals.add_score(view.task, view.scores[env])
+            self._first_row[env] = self._goals.add(view.tracks[env])
         self._begun.clear()
         step = np.minimum(view.steps, view.num_steps - 1)
         observation = self._observer.observation(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.servos import servos_of
-from cadenza.tasks.music import goals_of
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import to_range
 
@@ -61,8 +60,8 @@ def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
     """(F, K) whether any score wants a key of a finger, or of whichever."""
     shifted = task.config.random_pitch_shift or task.config.random_octave_shift
     keys = np.full((len(task.scene.fingers), task.scene.keyboard.num_keys), bool(shifted))
-    for score in task.scores:
-        goals = goals_of(score, task.config, task.scene.keyboard)
+    for track in task.tracks:
+        goals = track.goals
         anyone = goals.keys & ~np.isin(goals.fingers, task.scene.fingers)
         for finger, number in enumerate(task.scene.fingers):
             keys[finger] |= ((goals.fingers == number) | anyone).any(axis=0)

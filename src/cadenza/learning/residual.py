@@ -41,8 +41,8 @@ def reference_of(task: PianoTask) -> Reference:
         CadenzaError: the task changes the score or the start at random, or has no hands.
     """
     check_one_score(task.config)
-    (score,) = task.scores
-    plan = plan_song(task.spec, score, task.state.hand_qpos[0])
+    (track,) = task.tracks
+    plan = plan_song(track, task.state.hand_qpos[0])
     reach = [task.scene.hand.servo(name).correction for name in servos_of(task.scene).names]
     arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
     return Reference._make(array.astype(np.float32) for array in arrays)

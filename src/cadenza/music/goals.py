@@ -41,6 +41,13 @@ class Goals:
         return self.keys[rows] & inside, fingers
 
 
+def silence(num_steps: int, num_keys: int) -> Goals:
+    """Goals of steps in which nothing should sound."""
+    shape = num_steps, num_keys
+    fingers = np.full(shape, UNKNOWN_FINGER, np.int8)
+    return Goals(np.zeros(shape, bool), fingers, np.zeros(num_steps, bool))
+
+
 def score_to_goals(
     score: Score, dt: float, shorten: bool = False, pitches: range = PITCHES
 ) -> Goals:

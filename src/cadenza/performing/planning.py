@@ -95,6 +95,6 @@ def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
         )
     assert isinstance(performance.plan, SongPlan)
     # The notes are the same in the same order; times and pitches are again those of the song.
-    notes = zip(setup.score.notes, performance.plan.score.notes, strict=True)
+    notes = zip(setup.score.notes, performance.plan.track.score.notes, strict=True)
     fingered = tuple(replace(note, finger=planned.finger) for note, planned in notes)
     return Plan(replace(setup.score, notes=fingered), performance, setup.options)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.players import Players, seated
-from cadenza.fingering.search import find_fingering
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
-from cadenza.keyboards.keyboard import Keyboard
-from cadenza.music.goals import Goals, check_pitches, check_steps, score_to_goals
+from cadenza.fingers import NUM_FINGERS
+from cadenza.music.goals import check_pitches, check_steps, silence
 from cadenza.music.score import NUM_KEYS, Score, check_length
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 
 _OCTAVE = 12
 _MOST = {  # of options that are 0 or more
@@ -34,19 +31,12 @@ _MOST = {  # of options that are 0 or more
 }
 
 
-def players_of(scene: Scene) -> Players:
-    """The hands of a scene at its keyboard."""
-    slides = len(scene.slide_joints) > 0
-    spacing = scene.config.hand_spacing
-    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides)
-
-
 def prepare(
     scores: Sequence[Score],
     config: TaskConfig,
     scene: Scene,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Score, ...]:
+) -> tuple[GoalTrack, ...]:
     """The scores as the task will draw from them, for the hands of a `scene`.
 
     `progress` is that of `find_fingering`.
@@ -63,10 +53,10 @@ def prepare(
     _check_longest(max(score.total_time for score in scores), config)
     for score in scores:
         check_pitches(score, scene.keyboard.pitches)
+    tracks = [GoalTrack(score, None, config, scene) for score in scores]
     if config.fingering == "auto" and scene.sides:
-        players = players_of(scene)
-        scores = [find_fingering(score, players, progress)[0] for score in scores]
-    return tuple(scores)
+        tracks = [track.fingered(progress) for track in tracks]
+    return tuple(tracks)
 
 
 def _arranged(score: Score, config: TaskConfig) -> Score:
@@ -116,26 +106,26 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
 
 
 def draw(
-    scores: Sequence[Score],
+    tracks: Sequence[GoalTrack],
     config: TaskConfig,
     pitches: range,
     rng: np.random.Generator,
     song: int | None = None,
-) -> Score:
-    """The score of one episode, on keys of these `pitches`.
+) -> GoalTrack:
+    """What is played in one episode, on keys of these `pitches`.
 
     Draws from `rng` only what song and configuration leave open.
     """
     if song is None:
-        song = int(rng.integers(len(scores))) if len(scores) > 1 else 0
-    score = scores[song]
+        song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
+    track, score = tracks[song], tracks[song].score
     if config.random_stretch and _happens(config, rng):
         score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
     if config.random_pitch_shift and _happens(config, rng):
         score = _shifted(score, config.random_pitch_shift, 1, pitches, rng)
     if config.random_octave_shift and _happens(config, rng):
         score = _shifted(score, config.random_octave_shift, _OCTAVE, pitches, rng)
-    return score
+    return track if score is track.score else track.of(score)
 
 
 def _happens(config: TaskConfig, rng: np.random.Generator) -> bool:
@@ -152,126 +142,104 @@ def _shifted(
     return score.transposed(semitones * int(rng.integers(-down, up + 1)))
 
 
-def goals_of(
-    score: Score,
-    config: TaskConfig,
-    keyboard: Keyboard,
-    there: NDArray[np.intp] | None = None,
-) -> Goals:
-    """Goals per control step on a `keyboard`, after the silent steps of the initial buffer.
+class _Coming(NamedTuple):
+    """What N environments are to play next."""
 
-    Fingers that are not among those `there` count as none; by default all are there.
-    """
-    shorten = config.repeats == "shortened"
-    goals = score_to_goals(score, config.control_timestep, shorten, keyboard.pitches)
-    if there is not None:
-        fingers = np.where(np.isin(goals.fingers, there), goals.fingers, np.int8(UNKNOWN_FINGER))
-        goals = replace(goals, fingers=fingers)
-    silent = _silent_steps(config)
-    if not silent:
-        return goals
-    return Goals(
-        keys=np.pad(goals.keys, ((silent, 0), (0, 0))),
-        fingers=np.pad(goals.fingers, ((silent, 0), (0, 0)), constant_values=-1),
-        sustain=np.pad(goals.sustain, (silent, 0)),
-    )
-
-
-def on_the_clock(score: Score, config: TaskConfig) -> Score:
-    """`score` as late as the episode has it, after the initial buffer."""
-    silence = _silent_steps(config) * config.control_timestep
-    return score.with_initial_silence(silence) if silence else score
-
-
-def _silent_steps(config: TaskConfig) -> int:
-    return round(config.initial_buffer_time / config.control_timestep)
+    goal: NDArray[np.bool_]
+    """(N, lookahead + 1, K + 1) keys and pedal; past the end nothing is to be played."""
+    fingers: NDArray[np.int8]
+    """(N, K) of the next step."""
 
 
 class Sheets:
     """What N environments have to play, step by step, and how far they have got.
 
     Attributes:
-        songs: the score of each environment.
+        tracks: what each environment plays.
         num_steps: (N,) control steps of its episode.
         steps_done: (N,) control steps since its reset.
         row: (N,) the step that comes next; after the last, as in the published system, the last.
     """
 
-    def __init__(self, num_envs: int, lookahead: int, scene: Scene) -> None:
+    def __init__(self, num_envs: int, lookahead: int, config: TaskConfig, scene: Scene) -> None:
         """Args:
         num_envs: N.
         lookahead: rows after the next that are observed.
+        config: of the task.
         scene: whose keys are played, by fingers that are there.
         """
-        self.songs: list[Score] = [Score(())] * num_envs
+        self.tracks = [GoalTrack(Score(()), None, config, scene)] * num_envs
         self.num_steps = np.ones(num_envs, np.intp)
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
-        self._env_ids = np.arange(num_envs)
-        self._ahead = lookahead + 1
-        self._rows_ahead = np.arange(self._ahead)
-        self._keyboard, self._there = scene.keyboard, scene.fingers
-        keys = scene.keyboard.num_keys
-        # Rows past an episode's end are silent; `_ahead` more of them keep the lookahead inside.
-        self._goal = np.zeros((num_envs, self._ahead, keys + 1), bool)
-        self._fingers = np.full((num_envs, self._ahead, keys), UNKNOWN_FINGER, np.int8)
-        self._wanted = np.zeros((num_envs, self._ahead, NUM_FINGERS), bool)
+        self._rows_seen = lookahead + 1
+        self._num_keys = scene.keyboard.num_keys
+        self._goals = [silence(1, self._num_keys)] * num_envs
+        self._coming: _Coming | None = None
 
-    def put(self, env: int, score: Score, config: TaskConfig) -> None:
-        """Gives environment `env` a score to play from the beginning."""
-        goals = goals_of(score, config, self._keyboard, self._there)
-        length = goals.num_steps
-        self._make_room(length + self._ahead)
-        self.songs[env], self.num_steps[env] = score, length
+    def put(self, env: int, track: GoalTrack) -> None:
+        """Has environment `env` play `track` from the beginning."""
+        self.tracks[env], self._goals[env] = track, track.goals
+        self.num_steps[env] = track.goals.num_steps
         self.steps_done[env] = self.row[env] = 0
-        self._goal[env], self._fingers[env], self._wanted[env] = False, UNKNOWN_FINGER, False
-        self._goal[env, :length, :-1] = goals.keys
-        self._goal[env, :length, -1] = goals.sustain
-        self._fingers[env, :length] = goals.fingers
-        step, key = (goals.fingers >= 0).nonzero()
-        self._wanted[env, step, goals.fingers[step, key]] = True
+        self._coming = None
 
-    def _make_room(self, length: int) -> None:
-        grow = length - self._goal.shape[1]
-        if grow > 0:
-            pad = ((0, 0), (0, grow), (0, 0))
-            self._goal = np.pad(self._goal, pad)
-            self._fingers = np.pad(self._fingers, pad, constant_values=UNKNOWN_FINGER)
-            self._wanted = np.pad(self._wanted, pad)
+    @property
+    def songs(self) -> tuple[Score, ...]:
+        """The score of each environment."""
+        return tuple(track.score for track in self.tracks)
 
     def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
         """These environments have taken a step."""
         self.steps_done[env_ids] += 1
         self.row = np.minimum(self.steps_done, self.num_steps - 1)
+        self._coming = None
 
     @property
     def goal(self) -> NDArray[np.bool_]:
         """(N, K + 1) keys and pedal of the next step."""
-        return self._goal[self._env_ids, self.row]
+        return self._look().goal[:, 0]
 
     @property
     def fingers(self) -> NDArray[np.int8]:
         """(N, K) the fingers for the keys of the next step, -1 for none."""
-        return self._fingers[self._env_ids, self.row]
+        return self._look().fingers
 
     @property
     def fingers_wanted(self) -> NDArray[np.bool_]:
         """(N, 10) which fingers have a key to press in the next step."""
-        return self._wanted[self._env_ids, self.row]
+        fingers = self.fingers
+        wanted = np.zeros((len(fingers), NUM_FINGERS), bool)
+        env, key = (fingers >= 0).nonzero()
+        wanted[env, fingers[env, key]] = True
+        return wanted
 
     @property
     def lookahead(self) -> NDArray[np.bool_]:
         """(N, (lookahead + 1) * (K + 1)) the next step's goal and those of the steps after it."""
-        rows = self.row[:, None] + self._rows_ahead
-        return self._goal[self._env_ids[:, None], rows].reshape(len(rows), -1)
+        return self._look().goal.reshape(len(self.row), -1)
+
+    def _look(self) -> _Coming:
+        """Gathers once a step what comes."""
+        if self._coming is None:
+            num_envs = len(self.row)
+            goal = np.zeros((num_envs, self._rows_seen, self._num_keys + 1), bool)
+            fingers = np.empty((num_envs, self._num_keys), np.int8)
+            for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
+                keys = goals.keys[row : row + self._rows_seen]
+                goal[env, : len(keys), :-1] = keys
+                goal[env, : len(keys), -1] = goals.sustain[row : row + self._rows_seen]
+                fingers[env] = goals.fingers[row]
+            self._coming = _Coming(goal, fingers)
+        return self._coming
 
     def part(self, env: int, first: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         """Goals (last - first, K + 1) and fingers (last - first, K) of steps of one environment.
 
         Past the end nothing is to be played.
         """
-        rows = np.arange(first, last)
-        inside = rows < self.num_steps[env]
-        rows = np.minimum(rows, self.num_steps[env] - 1)
-        goal = self._goal[env, rows] & inside[:, None]
-        return goal, np.where(inside[:, None], self._fingers[env, rows], np.int8(UNKNOWN_FINGER))
+        steps, goals = np.arange(first, last), self._goals[env]
+        keys, fingers = goals.at(steps)
+        inside = steps < goals.num_steps
+        sustain = goals.sustain[np.minimum(steps, goals.num_steps - 1)] & inside
+        return np.column_stack([keys, sustain]), fingers

@@ -71,7 +71,7 @@ class PianoTask:
         key_state: (N, K) how far the keys are down, 0..1.
         sounding: (N, K) which keys sound.
         reward: (N,) of the last step, 0 after reset.
-        scores: what is drawn from, as it is played.
+        tracks: what is drawn from, as it is played.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class PianoTask:
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
-        self.scores = music.prepare(scores, self.config, self.scene, progress)
+        self.tracks = music.prepare(scores, self.config, self.scene, progress)
         self._offset_joints = self._find_offset_joints()
         self.simulation = make_simulation(
             scene=self.scene,
@@ -115,7 +115,7 @@ class PianoTask:
         self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
         self._press = reward.press_offset(keyboard.half_size)
         lookahead = self._steps_lookahead()
-        self.sheets = music.Sheets(num_envs, lookahead, self.scene)
+        self.sheets = music.Sheets(num_envs, lookahead, self.config, self.scene)
         self.spec = TaskSpec(
             config=self.config,
             scene=self.scene,
@@ -186,6 +186,11 @@ class PianoTask:
 
     # Episodes
 
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """The scores that are drawn from, as they are played."""
+        return tuple(track.score for track in self.tracks)
+
     def find_song(self, song: int | str) -> int:
         """The index among `scores` of a song, given by index or title.
 
@@ -208,12 +213,11 @@ class PianoTask:
             songs: the index of each one's song among `scores`, None where it is drawn; all are
                 drawn by default.
         """
-        start = np.tile(self.scene.hand_start, (len(env_ids), 1))
+        start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
         songs = [None] * len(env_ids) if songs is None else songs
         pitches = self.scene.keyboard.pitches
         for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
-            score = music.draw(self.scores, self.config, pitches, rng, song)
-            self.sheets.put(env, score, self.config)
+            self.sheets.put(env, music.draw(self.tracks, self.config, pitches, rng, song))
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
@@ -350,7 +354,7 @@ class PianoTask:
         return View(
             task=self.spec,
             env_ids=self._env_ids,
-            scores=tuple(sheets.songs),
+            tracks=tuple(sheets.tracks),
             num_steps=sheets.num_steps.copy(),
             steps=sheets.steps_done.copy(),
             playing=np.ones(self.num_envs, bool) if playing is None else playing,
@@ -363,7 +367,7 @@ class PianoTask:
 
     def score(self, env: int) -> Score:
         """What environment `env` is to play, on the clock of its episode."""
-        return music.on_the_clock(self.sheets.songs[env], self.config)
+        return self.sheets.tracks[env].on_the_clock
 
     def episode_metrics(self, env: int) -> dict[str, float]:
         """How well environment `env` has played its score so far (see `music.metrics`)."""

@@ -12,6 +12,7 @@ from cadenza.music.score import Score
 from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import Simulation, State
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -66,9 +67,8 @@ class View:
     task: TaskSpec
     env_ids: Ids
     """(N,) their numbers."""
-    scores: tuple[Score, ...]
-    """(N,) what each is to play, as the task has changed it; `cadenza.tasks.music.goals_of` makes
-    goals per control step of it."""
+    tracks: tuple[GoalTrack, ...]
+    """(N,) what each is to play: score, fingers, and goals per control step."""
     num_steps: Ids
     """(N,) control steps of its episode."""
     steps: Ids
@@ -85,6 +85,11 @@ class View:
     """(N,) of the last step, 0 before the first."""
     simulation: Simulation
     """The physics of all environments of the task, for planners that copy it. Not to be stepped."""
+
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """(N,) what each is to play, as the task has changed it."""
+        return tuple(track.score for track in self.tracks)
 
     @property
     def goal(self) -> Mask:

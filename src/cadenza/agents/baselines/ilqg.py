@@ -29,7 +29,6 @@ from cadenza.scene.scene import build_scene
 from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.tasks import reward
-from cadenza.tasks.music import goals_of
 from cadenza.tasks.view import TaskSpec, View
 
 Ids = NDArray[np.intp]
@@ -95,7 +94,7 @@ class ILQGPlanner:
         shape = (self._steps, self._looks, substeps)
         self._lineariser = Lineariser(scene, *shape, num_threads, config.centred)
         self._step_sizes = np.append(0.0, np.geomspace(1.0, 1e-3, config.num_step_sizes))
-        self._goals = goals_of(view.scores[0], task.config, task.scene.keyboard, task.scene.fingers)
+        self._goals = view.tracks[0].goals
         self._task, self._cost = task, _Cost(task, self._goals, self._steps, self._looks)
         low, high = task.action_low[:-1], task.action_high[:-1]
         self._centre, self._half_range = (low + high) / 2, (high - low) / 2

@@ -18,7 +18,6 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
 from cadenza.tasks import reward
-from cadenza.tasks.music import goals_of
 from cadenza.tasks.view import View
 
 
@@ -60,7 +59,7 @@ class SamplingPlanner:
         """
         task = view.task
         self.config, self._task, self._rng = config, task, rng
-        self._goals = goals_of(view.scores[0], task.config, task.scene.keyboard, task.scene.fingers)
+        self._goals = view.tracks[0].goals
         self._low, self._high = task.action_low[:-1], task.action_high[:-1]
         self._rollouts = PlanningSimulation(
             task.scene, config.num_candidates, config.planning_timestep, num_threads

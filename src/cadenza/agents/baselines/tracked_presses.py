@@ -66,7 +66,8 @@ class TrackingPlanner:
         """
         task, start = view.task, view.state.hand_qpos[0]
         self._config, self._num_threads = config, num_threads
-        self.plan = plan_song(task, view.scores[0].without_fingers(), start, progress)
+        (track,) = view.tracks
+        self.plan = plan_song(track.with_found_fingers(), start, progress)
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands: list[HandAlone] = []
         self.trajectories: list[Trajectory] = []

@@ -37,13 +37,12 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
-from cadenza.fingering.search import Dropped
 from cadenza.fingers import NUM_FINGERS, SIDES, UNKNOWN_FINGER, hand_of
 from cadenza.hands.body import prefix
 from cadenza.hands.forearm import FOREARM, WIDTH
 from cadenza.music.keyboard import note_name
 from cadenza.music.performance import key_runs
-from cadenza.music.score import Score
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_state
 
 Array = NDArray[np.float64]
@@ -129,7 +128,7 @@ class _Inquiry:
         self._of_finger: dict[int, list[Press]] = {i: [] for i in range(NUM_FINGERS)}
         for press in nominal.presses:
             self._of_finger[press.finger].append(press)
-        self._left_out = _left_out(self._goal, plan.score, plan.dropped, self._dt)
+        self._left_out = _left_out(plan.track)
         self._forearms = _forearms_apart(episode)
 
     def into(self, note: _Note) -> Miss | None:
@@ -255,19 +254,16 @@ class _Inquiry:
         return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
 
 
-def _left_out(
-    goal: NDArray[np.bool_], score: Score, dropped: Sequence[Dropped], dt: float
-) -> Mapping[tuple[int, int], str]:
+def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
     """(key, step) -> why the note that begins there has no finger.
 
     Where a key is struck again at once, the goal begins a step after the note.
     """
-    fps = 1 / dt
-    silence = int(goal.any(axis=1).argmax()) - int(score.notes[0].start * fps)
+    lowest = track.scene.keyboard.lowest_pitch
     return {
-        (note.key, silence + int(note.start * fps) + late): reason
+        (note.pitch - lowest, track.first_step(note) + late): reason
         for late in (1, 0)
-        for note, reason in dropped
+        for note, reason in track.dropped or ()
     }
 
 

@@ -61,9 +61,10 @@ class SongPlanner:
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        task, (score,) = view.task, view.scores
-        score = score.without_fingers() if config.fingering == "found" else score
-        self._plans = song_plans(task, score, view.state.hand_qpos[0], progress)
+        task, (track,) = view.task, view.tracks
+        if config.fingering == "found":
+            track = track.with_found_fingers()
+        self._plans = song_plans(track, view.state.hand_qpos[0], progress)
         self.plan = next(self._plans)
         self._sides = task.scene.sides
         self._pedal = self.plan.goals.sustain.astype(np.float64)

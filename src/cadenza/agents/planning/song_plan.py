@@ -9,12 +9,9 @@ from typing import NamedTuple
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.nominal import Nominal, nominal_plans
 from cadenza.errors import CadenzaError
-from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.music.goals import Goals
-from cadenza.music.score import Score
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.tasks.music import goals_of, players_of
-from cadenza.tasks.view import TaskSpec
+from cadenza.tasks.goal_track import GoalTrack
 
 
 class SongPlan(NamedTuple):
@@ -22,12 +19,10 @@ class SongPlan(NamedTuple):
 
     scene: Scene
     """The hands and the keys."""
-    score: Score
-    """With the fingers that play it."""
-    dropped: tuple[Dropped, ...]
-    """Notes that no finger is there for."""
+    track: GoalTrack
+    """The song, with the fingers that play it."""
     goals: Goals
-    """That score per control step, all of it."""
+    """Those of the track, all of it."""
     nominal: Nominal
     """Of the first steps."""
 
@@ -37,23 +32,20 @@ class SongPlan(NamedTuple):
         return self.nominal.num_steps == self.goals.num_steps
 
 
-def plan_song(task: TaskSpec, score: Score, start: Array, progress: Progress = silent) -> SongPlan:
+def plan_song(track: GoalTrack, start: Array, progress: Progress = silent) -> SongPlan:
     """The last of `song_plans`: all of the song."""
-    *_, whole = song_plans(task, score, start, progress)
+    *_, whole = song_plans(track, start, progress)
     return whole
 
 
-def song_plans(
-    task: TaskSpec, score: Score, start: Array, progress: Progress = silent
-) -> Iterator[SongPlan]:
-    """Plans `score` for the hands of a task.
+def song_plans(track: GoalTrack, start: Array, progress: Progress = silent) -> Iterator[SongPlan]:
+    """Plans what the hands of a task are to play.
 
     The scene that is planned with is the one that the task's configuration describes: where the
     task's own was changed, the plan does not know.
 
     Args:
-        task: what is played in.
-        score: as the task plays it.
+        track: what is to be played.
         start: (J,) joint positions of the hands where the song begins [m, rad].
         progress: is told of "fingers" and "postures".
 
@@ -64,10 +56,10 @@ def song_plans(
     Raises:
         CadenzaError: there are no hands in the scene.
     """
-    if not task.scene.sides:
+    if not track.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
-    score, dropped = find_fingering(score, players_of(task.scene), partial(progress, "fingers"))
-    goals = goals_of(score, task.config, task.scene.keyboard)
-    scene, dt = build_scene(task.scene.config), task.config.control_timestep
+    track = track.fingered(partial(progress, "fingers"))
+    goals, dt = track.goals, track.config.control_timestep
+    scene = build_scene(track.scene.config)
     for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
-        yield SongPlan(scene, score, dropped, goals, nominal)
+        yield SongPlan(scene, track, goals, nominal)

@@ -1,0 +1,70 @@
+"""What is to be played: made once for all who need it."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+from numpy.testing import assert_array_equal
+
+from cadenza.agents.planning.song_plan import plan_song
+from cadenza.learning.observation import GoalTable
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks import goal_track
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+CONFIG = TaskConfig(initial_buffer_time=0.33)
+SONG = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate((60, 64, 67))))
+CLUSTER = Score(tuple(Note(0.0, 0.5, pitch) for pitch in range(40, 60)))
+
+
+def begun(song: Score, **options: object) -> PianoTask:
+    task = PianoTask([song], CONFIG, SceneConfig(**options), num_envs=3)  # type: ignore[arg-type]
+    task.reset(np.random.default_rng(0).spawn(3), range(3))
+    return task
+
+
+def test_all_share_the_goals_of_a_song(monkeypatch) -> None:
+    made = []
+    real = goal_track.score_to_goals
+    monkeypatch.setattr(
+        goal_track, "score_to_goals", lambda *args: made.append(args) or real(*args)
+    )
+    task = begun(SONG, hands="right")
+    plan = plan_song(task.view().tracks[1], task.state.hand_qpos[1])
+    GoalTable(task).add_all(task)
+    task.reset(np.random.default_rng(1).spawn(3), range(3))
+    assert plan.goals is task.view().tracks[2].goals
+    assert len(made) == 1
+
+
+def test_goals_are_not_kept_when_nobody_has_them() -> None:
+    track = begun(SONG, hands="none").tracks[0]  # the task is gone
+    assert track._made[0]() is None
+    assert_array_equal(track.goals.keys.sum(axis=0)[[39, 43, 46]], [4, 4, 4])
+
+
+def test_notes_begin_after_the_silence() -> None:
+    task = begun(SONG, hands="none")
+    (track,) = task.tracks
+    steps = [track.first_step(note) for note in SONG.notes]
+    assert steps == [7, 11, 15]
+    assert track.goals.keys[steps, [39, 43, 46]].all()
+    assert not track.goals.keys[np.array(steps) - 1, [39, 43, 46]].any()
+    assert track.on_the_clock.notes[1].start == 0.55
+
+
+def test_says_which_notes_no_finger_is_there_for() -> None:
+    (track,) = begun(CLUSTER).tracks
+    assert {note for note, _ in track.dropped or ()} == {
+        note for note in track.score.notes if note.finger < 0
+    }
+    assert track.fingered() is track
+    assert track.of(CLUSTER).fingered().score == track.score
+
+
+def test_can_be_pickled() -> None:
+    track = begun(SONG).tracks[0]
+    assert_array_equal(pickle.loads(pickle.dumps(track)).goals.keys, track.goals.keys)
