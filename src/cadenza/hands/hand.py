@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 
@@ -48,6 +48,10 @@ class Hand:
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
     reach: Reach
+    thumb_meets: int = 2
+    """How many of the fingers next to the thumb it can run into."""
+    start: Mapping[str, float] = field(default_factory=dict)
+    """Where joints are when an episode begins [rad]; 0 where nothing is said."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: its parts do not go together."""

@@ -8,7 +8,10 @@ from cadenza.registry import Entry, Registry
 HANDS = Registry(
     "hand",
     "cadenza.hands",
-    {"shadow": Entry("cadenza.hands.shadow.hand:SHADOW", "the Shadow Dexterous Hand")},
+    {
+        "shadow": Entry("cadenza.hands.shadow.hand:SHADOW", "the Shadow Dexterous Hand"),
+        "allegro": Entry("cadenza.hands.allegro.hand:ALLEGRO", "the Allegro Hand, four fingers"),
+    },
 )
 
 

@@ -52,6 +52,8 @@ class Scene:
     hand_qvel: slice
     """Where the J joints of the hands are in qvel."""
     hand_joint_names: tuple[str, ...]
+    hand_start: NDArray[np.float64]
+    """(J,) where the joints of the hands are when an episode begins [m, rad]."""
     actuator_names: tuple[str, ...]
     fingertip_sites: Ids
     """(F,) of the fingers of each hand from the thumb on, right hand first."""
@@ -188,7 +190,8 @@ def _resolve(
     fingertip_sites: Sequence[str],
 ) -> Scene:
     prefixes = tuple(prefix(side) for side in sides)
-    joints = [j for p in prefixes for j in _ids_with_prefix(model.njnt, model.joint, p)]
+    hand_joints = [(p, j) for p in prefixes for j in _ids_with_prefix(model.njnt, model.joint, p)]
+    joints = [j for _, j in hand_joints]
     bodies = [b for p in prefixes for b in _ids_with_prefix(model.nbody, model.body, p)]
     slides = [p + forearm.ALONG_KEYBOARD for p in prefixes]
     keys = [keyboard.key_name(key) for key in range(keyboard.num_keys)]
@@ -204,6 +207,9 @@ def _resolve(
         hand_qpos=_as_slice(model.jnt_qposadr[joints]),
         hand_qvel=_as_slice(model.jnt_dofadr[joints]),
         hand_joint_names=tuple(model.joint(j).name for j in joints),
+        hand_start=np.array(
+            [hand.start.get(model.joint(j).name.removeprefix(p), 0.0) for p, j in hand_joints]
+        ),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
         fingertip_sites=_array(model.site(name).id for name in fingertip_sites),
         fingers=_array(

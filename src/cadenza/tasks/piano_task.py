@@ -213,7 +213,7 @@ class PianoTask:
             songs: the index of each one's song among `scores`, None where it is drawn; all are
                 drawn by default.
         """
-        start = np.zeros((len(env_ids), len(self.scene.hand_joint_names)))
+        start = np.tile(self.scene.hand_start, (len(env_ids), 1))
         songs = [None] * len(env_ids) if songs is None else songs
         pitches = self.scene.keyboard.pitches
         for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):

@@ -19,13 +19,16 @@ _CLEARANCE = 0.0015  # [m]
 class LinkCollisions:
     """C pairs of links, of the F fingers of one hand or two alike, that could meet.
 
-    Neighbouring fingers, the thumb and the two fingers next to it, and thumbs and forefingers of
+    Neighbouring fingers, the thumb and the fingers that it can meet, and thumbs and forefingers of
     both hands; not the first links of neighbours, which are mounted far enough apart.
     """
 
     def __init__(self, hand: Hand, num_hands: int) -> None:
         count, links = len(hand.fingers), range(len(hand.fingers[0].links))
-        beside = [*pairwise(range(1, count)), *((0, other) for other in range(1, min(count, 3)))]
+        beside = [
+            *pairwise(range(1, count)),
+            *((0, other) for other in range(1, 1 + hand.thumb_meets)),
+        ]
         pairs = [
             ((base + a, i), (base + b, j))
             for base in range(0, num_hands * count, count)

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 # Where fingertips press and stay, towards the player from the middle of the white keys [m].
 _ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
-_BEFORE_BLACK = 0.01  # in front of black keys
+_BEFORE_BLACK, _BESIDE_BLACK = 0.01, 0.0015  # in front of black keys; from them to the finger
 _OVER_KEYS = (-0.04, 0.066)  # idle ones
 
 _TOLERANCE = (0.003, 0.001)  # [m] along the key, across it
@@ -63,7 +63,8 @@ class _Writer:
         radius[scene.fingers] = np.tile([f.tip_radius for f in self._fingers], len(scene.sides))
         black = scene.keyboard.black
         # To the micrometre: the sum must not depend on how its parts are written.
-        self._wall = round(black.centre_x + black.half_size[0] + _BEFORE_BLACK, 6)
+        front = black.centre_x + black.half_size[0]
+        self._walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
         shape = (num_states, NUM_FINGERS, 3)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         low[:, :, 0], high[:, :, 0] = _OVER_KEYS
@@ -127,7 +128,7 @@ class _Writer:
         targets.high[states, press.finger] = (*(at[:2] + room), height[1])
         targets.sigma[states, press.finger] = sigma
         if not self._keyboard.is_black[press.key]:
-            targets.wall[states, press.finger] = self._wall
+            targets.wall[states, press.finger] = self._walls[press.finger]
 
     def _at(self, press: Press, angle: float) -> Array:
         """(3,) where the fingertip touches the key when that is down by `angle` [rad]."""
