@@ -173,6 +173,16 @@ def assert_refused(folder: Path, saying: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("option", ["hand", "keyboard"])
+def test_no_file_has_a_module_imported(tmp_path: Path, option: str) -> None:
+    """What this module would do on being imported, nobody has asked for."""
+    learnt = some_policy()
+    scene = replace(learnt.scene, **{option: "antigravity:HAND"})
+    save_policy(tmp_path / "policy", replace(learnt, scene=scene), {})
+    assert_refused(tmp_path / "policy", f"--{option} antigravity:HAND")
+    assert "antigravity" not in sys.modules
+
+
 def test_another_format_is_refused(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
     facts, arrays = read_sealed(tmp_path / "policy", "policy")

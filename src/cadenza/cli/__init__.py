@@ -11,7 +11,9 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
+from importlib import import_module
 from io import TextIOWrapper
+from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
 from cadenza.cli import about, compare, plan, play, train
@@ -19,7 +21,7 @@ from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Performing
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, by_others
 
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
@@ -62,6 +64,7 @@ def _run(arguments: list[str]) -> None:
         return
     if any(":" in word for word in rest) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
+    _import_chosen(rest)
     kind, run = _COMMANDS[name]
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
     read = partial(parse, kind, f"cadenza {name}", rest)
@@ -71,6 +74,16 @@ def _run(arguments: list[str]) -> None:
             run(command, read)
         else:
             run(command)
+
+
+def _import_chosen(words: Sequence[str]) -> None:
+    """Imports a hand and a keyboard that are given as `module:NAME`: no file can have that done."""
+    parts = [part for word in words for part in word.split("=", 1)]
+    for option, value in pairwise(parts):
+        if option in ("--hand", "--keyboard") and ":" in value:
+            module = value.partition(":")[0]
+            with by_others(f"{option} {value}: cannot import {module!r}"):
+                import_module(module)
 
 
 @contextmanager

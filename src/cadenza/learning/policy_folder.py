@@ -19,7 +19,7 @@ from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.score import Score
-from cadenza.scene.config import SceneConfig
+from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -183,7 +183,9 @@ def load_policy(folder: Path) -> LearntPolicy:
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
     check_arrays(arrays, _EXPECTED, folder)
-    learnt = _learnt(checked(plain, _Facts, where), arrays)
+    facts = checked(plain, _Facts, where)
+    check_modules(facts.scene, where)
+    learnt = _learnt(facts, arrays)
     if learnt is None or not _fits_together(learnt):
         raise CadenzaError(
             f"{folder}: not a policy that this version can read (its arrays do not belong "

@@ -49,6 +49,7 @@ from cadenza.learning.learner import DROQ, learner_config, name_of
 from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
 from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
 from cadenza.music.score import Score
+from cadenza.scene.config import check_modules
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 _KIND = "checkpoint"
@@ -189,6 +190,7 @@ class RunFolder:
         config = renewed_config(about.get("config"))
         options = config.pop("learner", {}) if isinstance(config, dict) else {}
         read = checked(about | {"config": config}, _About, self._about)
+        check_modules(read.config.scene, self._about)
         learner = checked(renewed_config(options), learner_config(read.learner), self._about)
         return replace(read, config=replace(read.config, learner=learner))
 

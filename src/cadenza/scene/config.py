@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+from cadenza.errors import CadenzaError
 
 ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
 Hands = Literal["both", "right", "left", "none"]
@@ -42,3 +46,19 @@ class SceneConfig:
     physics: Physics = "published"
     """The published dynamics, or faster ones for training: twice the physics timestep, no dry
     friction in joints. See docs/speed.md for the difference."""
+
+
+def check_modules(config: SceneConfig, where: Path) -> None:
+    """That a configuration read from a file has no module imported: that may run anything.
+
+    Raises:
+        CadenzaError: `where` names a `module:NAME` that nobody has imported.
+    """
+    for option in ("hand", "keyboard"):
+        name = getattr(config, option)
+        module = name.partition(":")[0]
+        if ":" in name and module not in sys.modules:
+            raise CadenzaError(
+                f"{where}: has the {option} {name}, and no file makes Cadenza import a module; "
+                f"give --{option} {name} if you trust it, or import {module} first"
+            )

@@ -116,7 +116,7 @@ _FOREARM = Link(
     geoms=(Geom("cylinder", (0.07434, 0.0914), (0, 0, 0.0914)),),
     drawn=(
         Geom("cylinder", (0.046, 0.075), (0, 0, 0.085)),
-        Geom("cylinder", (0.03, 0.02), (0, 0, 0.175)),
+        Geom("cylinder", (0.03, 0.07), (0, 0, 0.23)),  # into the palm
     ),
     rgba=FOREARM_RGBA,
 )  # fmt: skip
