@@ -30,6 +30,7 @@ def with_thumb(**changes: Any) -> Any:
         ({"fingers": with_thumb(links=("thproximal", "x", "y"))}, "no link 'x'"),
         ({"fingers": with_thumb(links=("thproximal",), radii=(0.01,))}, "ff has 3 links and th 1"),
         ({"fingers": with_thumb(radii=(0.01,))}, "finger th: give a radius for each of its 3"),
+        ({"start": {"FFJ9": 0.1}}, "start: there is no joint 'FFJ9'"),
         ({"servos": {}}, "servos has none for the actuator of 'WRJ2'"),
         ({"body": replace(BODY, links=BODY.links[1:])}, "the first link must be 'forearm'"),
         ({"body": replace(BODY, links=(*BODY.links[:2], BODY.links[3]))}, "'palm', its parent"),

@@ -33,6 +33,9 @@ def _faults(hand: Hand) -> Iterator[str]:
     for actuator in hand.body.actuators:
         if actuator.target not in hand.servos:
             yield f"servos has none for the actuator of {actuator.target!r}; add a Servo"
+    joints = {link.joint.name for link in hand.body.links if link.joint}
+    if unknown := sorted(hand.start.keys() - joints):
+        yield f"start: there is no joint {unknown[0]!r}"
     for field, given in vars(hand.reach).items():
         shape = {"least": (count, count), "most": (count, count)}.get(field, (count,))
         if isinstance(given, np.ndarray) and given.shape != shape:
