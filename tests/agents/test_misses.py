@@ -52,6 +52,7 @@ class Concert:
         self.tips = self.planned[1:].copy()
         self.forearms = np.tile([0.15, -0.15], (STEPS, 1))
         self.dropped: tuple[Dropped, ...] = ()
+        self.dt = DT
 
     def sounds(self, key: int, first: int, last: int) -> None:
         self.played[:, key] = False
@@ -68,7 +69,7 @@ class Concert:
             "fingertip_xpos": self.tips,
             "body_xpos": xpos,
         }
-        self.episode = Episode("A concert", DT, arrays, FOREARMS)
+        self.episode = Episode("A concert", self.dt, arrays, FOREARMS)
         nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
         config = TaskConfig(initial_buffer_time=0.5)
         track = GoalTrack(SCORE, self.dropped, config, SCENE)
@@ -92,6 +93,14 @@ def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
 def test_a_step_late_and_a_step_short_are_in_time(concert: Concert) -> None:
     concert.sounds(C4, 11, 19)
     assert concert.misses() == []
+
+
+def test_what_is_in_time_does_not_depend_on_the_control_step(concert: Concert) -> None:
+    concert.dt = 0.025
+    concert.sounds(C4, 12, 18)
+    assert concert.misses() == []
+    concert.sounds(C4, 13, 18)
+    assert [miss.what for miss in concert.misses()] == ["75 ms late"]
 
 
 @pytest.mark.parametrize(

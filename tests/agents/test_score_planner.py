@@ -37,6 +37,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 BUFFER = TaskConfig(initial_buffer_time=0.5)
+FINER, COARSER = 0.025, 0.1  # control steps [s] other than the usual 0.05
 
 
 def melody(*pitches: int, length: float = 0.4) -> Score:
@@ -56,6 +57,23 @@ def perform(
 def test_twinkle_is_played() -> None:
     """The published policy, trained for a day, reaches .994; the paper's planner .13."""
     assert perform(load_score("TwinkleTwinkleLittleStar")).metrics["f1"] > 0.97
+
+
+@pytest.mark.parametrize("dt", [FINER, COARSER])
+def test_other_control_steps_play_as_well(dt: float) -> None:
+    task = PianoTask(
+        [melody(60, 64)],
+        replace(BUFFER, control_timestep=dt),
+        SceneConfig(hands="right"),
+    )
+    assert play_episode(task, ScorePlanner()).metrics["f1"] > 0.97
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dt", [FINER, COARSER])
+def test_twinkle_is_played_at_other_control_steps(dt: float) -> None:
+    task = PianoTask([load_score("TwinkleTwinkleLittleStar")], replace(BUFFER, control_timestep=dt))
+    assert play_episode(task, ScorePlanner()).metrics["f1"] > 0.97
 
 
 @pytest.mark.parametrize("method", ["none", "cross-entropy", "mppi"])
@@ -233,9 +251,9 @@ def test_planning_can_be_interrupted() -> None:
 
 @pytest.fixture
 def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nominal, "_WINDOW", 60)
-    monkeypatch.setattr(nominal, "_FIRST", 50)
-    monkeypatch.setattr(nominal, "_OVERLAP", 30)
+    monkeypatch.setattr(nominal, "_WINDOW", 3.0)
+    monkeypatch.setattr(nominal, "_FIRST", 2.5)
+    monkeypatch.setattr(nominal, "_OVERLAP", 1.5)
 
 
 def whole_plan(score: Score) -> SongPlan:
@@ -279,14 +297,37 @@ def test_a_long_song_is_planned_as_it_is_played() -> None:
     assert performance.metrics["f1"] > 0.9
 
 
-def test_memory_of_a_long_song_is_that_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans come to it, and to hands that keep still: nothing is solved."""
+
     def still(_: object, reference: NDArray[np.float64], *__: object) -> Tracking:
         steps, servos = len(reference) - 1, reference.shape[1]
         shapes = (steps, servos), (steps, servos, 2), (steps + 1, servos, 2)
         return Tracking(*map(np.zeros, shapes))
 
-    monkeypatch.setattr(nominal, "solve_postures", lambda *given: given[4])  # the first guess
+    monkeypatch.setattr(nominal, "solve_postures", lambda *given: given[4])
     monkeypatch.setattr(nominal, "track", still)
+
+
+@pytest.mark.usefixtures("first_guess")
+@pytest.mark.parametrize("dt", [0.01, FINER, COARSER])
+def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
+    scene = build_scene(SceneConfig(hands="right"))
+    start = np.zeros(len(scene.hand_joint_names))
+
+    def ends(seconds: float) -> list[float]:
+        keys = np.zeros((round(seconds / dt), 88), bool)
+        fingers = np.full(keys.shape, -1, np.int8)
+        plans = nominal_plans(scene, keys, fingers, start, dt)
+        return [plan.num_steps * dt for plan in plans]
+
+    assert ends(30.0) == pytest.approx([30.0])
+    assert ends(40.0) == pytest.approx([6.0, 32.0, 40.0])
+
+
+@pytest.mark.usefixtures("first_guess")
+def test_memory_of_a_long_song_is_that_of_its_plan() -> None:
     scene = build_scene()
     servos = hand_alone(scene, "left").servos
     followed = list[Tracking]()
@@ -347,10 +388,50 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     assert not any(press.flies_to for press in landed)
 
 
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("chord", [False, True])
+def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> None:
+    second = [Press(1, 55 if far else 41, 20, 30)]
+    presses = [Press(0, 39, 10, 20), *second, *[Press(3, 59, 20, 30)][:chord]]
+    presses.append(Press(1, 45, 30, 34))
+    finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
+    there = places(np.zeros(10))
+    usual, fine = let_go_in_time(presses, there, 0.05), let_go_in_time(finer, there, FINER)
+    for one, other in zip(usual, fine, strict=True):
+        assert other.last / 2 - one.last in (0, 0.5)  # whole steps before the next press
+        assert one == other._replace(first=one.first, last=one.last)
+
+
+def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
+    scene = build_scene(SceneConfig(hands="right"))
+    presses = [Press(1, 41, 6, 9), Press(1, 43, 16, 20, flies_to=True)]
+    finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
+    usual, fine = targets_of(scene, presses, 25, 0.05), targets_of(scene, finer, 50, FINER)
+    for one, other in zip(usual, fine, strict=True):
+        np.testing.assert_allclose(other[::2], one)
+
+
+@pytest.mark.parametrize("dt", [FINER, COARSER])
+def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
+    scene = build_scene(SceneConfig(hands="right"))
+    start = np.zeros(len(scene.hand_joint_names))
+
+    def speed(dt: float) -> float:
+        keys = np.zeros((round(2.4 / dt), 88), bool)
+        for key, begin, end in ((45, 0.6, 0.9), (55, 1.4, 1.8)):
+            keys[round(begin / dt) : round(end / dt), key] = True
+        fingers = np.where(keys, np.int8(1), np.int8(-1))
+        *_, plan = nominal_plans(scene, keys, fingers, start, dt)
+        (slide,) = servos_of(scene).along_keyboard
+        return float(np.diff(plan.postures[:, slide]).std() / dt)
+
+    assert speed(dt) == pytest.approx(speed(0.05), rel=0.1)
+
+
 def test_in_a_jump_only_heights_are_strict() -> None:
     still, jump = Press(1, 41, 5, 8), Press(1, 41, 5, 8, flies_off=True, flies_to=True)
     scene = build_scene()
-    strict, loose = (targets_of(scene, [press], 12).sigma[:, 1] for press in (still, jump))
+    strict, loose = (targets_of(scene, [press], 12, 0.05).sigma[:, 1] for press in (still, jump))
     on_the_way = [3, 4, 8]
     assert (loose[on_the_way, :2] > 4 * strict[on_the_way, :2]).all()
     np.testing.assert_array_equal(loose[:, 2], strict[:, 2])
@@ -388,7 +469,7 @@ def test_links_keep_apart_by_their_radii() -> None:
 
 
 def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:
-    targets = targets_of(build_scene(), [Press(1, 41, 5, 8)], 12)
+    targets = targets_of(build_scene(), [Press(1, 41, 5, 8)], 12, 0.05)
     assert (targets.force[5:8, 1] > 0).all()
     assert not targets.force[[4, 8], 1].any()
     top = 0.0225

@@ -48,7 +48,7 @@ PISTONS = Hand(
         for number in range(5)
     ),
     servos={
-        f"push{number}": Servo(0.012, 0.02, 0.01, 0.02, noise=0.003, lift=-0.01, finger=number)
+        f"push{number}": Servo(0.012, 0.02, 4.0, 0.02, noise=0.003, lift=-0.01, finger=number)
         for number in range(5)
     },
     reach=Reach(

@@ -44,10 +44,10 @@ JOINTS: dict[str, ForearmJoint] = {
     "yaw": ForearmJoint(True, (0, -1, 0), 300.0, (-0.25, 0.25), mirrored=True),
 }
 
-_STIFF = Servo(ease=0.05, change=0.05, stride=0.05)  # planners leave them where they are
+_STIFF = Servo(ease=0.05, acceleration=20.0, stride=0.05)  # planners leave them where they are
 SERVOS: dict[str, Servo] = {
-    "forearm_tx": Servo(0.0, 1000.0, 0.005, 0.05, noise=0.01, correction=0.03),
-    "forearm_ty": Servo(0.01, 0.05, 0.02, 0.05, noise=0.005, correction=0.015),
+    "forearm_tx": Servo(0.0, 1000.0, 2.0, 0.05, noise=0.01, correction=0.03),
+    "forearm_ty": Servo(0.01, 0.05, 8.0, 0.05, noise=0.005, correction=0.015),
 } | {f"forearm_{name}": _STIFF for name in ("tz", "roll", "pitch", "yaw")}
 
 

@@ -13,8 +13,8 @@ class Servo:
     """Where it is while its hand is at ease over the keys."""
     ease: float = 0.5
     """How far from rest counts as one."""
-    change: float = 0.4
-    """Which second difference from step to step counts as one."""
+    acceleration: float = 160.0
+    """Which acceleration counts as one [m/s^2, rad/s^2]."""
     stride: float = 0.4
     """The most that an iteration of inverse kinematics moves it."""
     noise: float = 0.08

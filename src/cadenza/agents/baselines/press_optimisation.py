@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
 from cadenza.agents.planning.config import TrackedPressesConfig
+from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.scene.scene import Scene
@@ -31,9 +32,9 @@ from cadenza.tasks import reward
 Array = NDArray[np.float64]
 Law = Callable[[int, State], Array]  # of a step and of states (N, ...), controls (N, A)
 
-_LEAD = 3  # steps before a press in which its window begins
-_BEYOND = 5  # steps of the next window that a window looks at
-_SHORTEST = 3  # steps of a window
+_LEAD = 0.15  # [s] before a press in which its window begins
+_BEYOND = 0.25  # [s] of the next window that a window looks at
+_SHORTEST = 0.15  # [s] of a window
 
 # What counts as one: deviations of slides [m] and of hinges [rad], their speeds [/s].
 _SLIDE, _HINGE, _PER_SECOND = 0.01, 0.1, 10.0
@@ -102,7 +103,8 @@ class PressOptimisation:
         num_threads: that share the simulations.
         """
         self._part, self._tracking, self._config = part, tracking, config
-        self._starts = _starts(onsets)
+        self._starts = _starts(onsets, steps_in(_LEAD, dt), steps_in(_SHORTEST, dt))
+        self._beyond = steps_in(_BEYOND, dt)
         self._servos, self._travel = servos_of(scene), scene.keyboard.travel
         self._sounds_from = scene.keyboard.sounds_from
         self._to_posture = np.linalg.pinv(self._servos.joints)
@@ -123,7 +125,7 @@ class PressOptimisation:
         ctrl, states = [], []
         for first, following in pairwise([*self._starts, steps]):
             progress("presses", first, steps)
-            last = min(following + _BEYOND, steps)
+            last = min(following + self._beyond, steps)
             window = self._improved(self._window(first, last))
             kept = following - first
             ctrl.append(window.ctrl[:kept])
@@ -283,12 +285,12 @@ def regulator(transition: Array, hessian: Array) -> Array:
     return backward_pass(model, np.zeros((steps, size - n)), -limit, limit, 0.0).gain
 
 
-def _starts(onsets: NDArray[np.intp]) -> list[int]:
+def _starts(onsets: NDArray[np.intp], lead: int, shortest: int) -> list[int]:
     """First steps of the windows."""
     starts = [0]
     for onset in np.unique(onsets):
-        if onset - _LEAD >= starts[-1] + _SHORTEST:
-            starts.append(int(onset) - _LEAD)
+        if onset - lead >= starts[-1] + shortest:
+            starts.append(int(onset) - lead)
     return starts
 
 

@@ -50,6 +50,7 @@ def solve_postures(
     targets: Targets,
     guess: Array,
     before: Array,
+    dt: float,
     progress: Progress = silent,
 ) -> Array:
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
@@ -62,9 +63,10 @@ def solve_postures(
         guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
             what the joints like best.
         before: (A,) the posture before that.
+        dt: time between postures [s].
         progress: is told of "postures", in iterations.
     """
-    problem = _Problem(scene, kinematics, servos, targets, guess, before)
+    problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
     postures = guess.copy()
     damping = np.ones(len(guess) - 1)
     now = problem.linearise(postures)
@@ -108,6 +110,7 @@ class _Problem:
         targets: Targets,
         guess: Array,
         before: Array,
+        dt: float,
     ) -> None:
         self._kinematics, self._servos, fingers = kinematics, servos, scene.fingers
         self._low, self._high = targets.low[1:, fingers], targets.high[1:, fingers]
@@ -117,7 +120,8 @@ class _Problem:
         self._rest, self._before = guess[1:], before
         uses = [scene.hand.servo(name) for name in servos.names]
         self._stiffness = np.array([use.ease for use in uses]) ** -2.0
-        self._inertia = np.array([use.change for use in uses]) ** -2.0
+        acceleration = np.array([use.acceleration for use in uses])
+        self._inertia = (acceleration / (1 / dt) ** 2) ** -2.0  # of second differences
         self._stride = np.array([use.stride for use in uses])
         self._mounted_apart = scene.config.hand_spacing
         slides = servos.along_keyboard

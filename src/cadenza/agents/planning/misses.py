@@ -1,14 +1,14 @@
 """Which notes a planned performance lost, and why, in plain words.
 
 A note is a stretch of steps over which a key should sound without a break. It is lost where it
-never sounded, sounded more than a step late, or was let go more than a step early. Of these rules
+never sounded, sounded more than `_IN_TIME` late, or was let go more than that early. Of these rules
 the first that holds says why it did not sound, or late:
 
 1. no finger: the fingering left it out, or gave it to a hand that is not there.
 2. key not released: the key still sounded from the note before.
-3. finger needed elsewhere: the plan holds the key for `_SHORTEST` steps at most and less than
-   wanted, because its finger, or the whole hand, has to be elsewhere soon.
-4. neighbouring key struck: up to two keys away another began to sound within two steps, with the
+3. finger needed elsewhere: the plan holds the key for `_SHORTEST` at most and less than wanted,
+   because its finger, or the whole hand, has to be elsewhere soon.
+4. neighbouring key struck: up to two keys away another began to sound at about that time, with the
    finger nearer to that key than to its own.
 5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
    and another fingertip was within `_TOUCHING`, or the forearms were within `_FOREARMS_TOUCH`.
@@ -34,7 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.presses import Press
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.presses import RISE, Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.fingers import NUM_FINGERS, SIDES, UNKNOWN_FINGER, hand_of
@@ -47,14 +48,15 @@ from cadenza.tasks.reward import key_state
 
 Array = NDArray[np.float64]
 
-_IN_TIME = 1  # steps that a note may begin late, or end early
-_SHORTEST = 2  # steps that a key takes to go down
+_IN_TIME = 0.05  # [s] that a note may begin late, or end early
+_SHORTEST = 0.1  # [s] that a key takes to go down
 _BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
 _ASTRAY = 0.01  # [m]
 _TOUCHING = 0.018  # [m] between centres of fingertips, which are 13 to 16 mm thick
 _FOREARMS_TOUCH = WIDTH + 0.003  # [m] along the keyboard
 _FAST = 0.7  # [m/s]
-_COMING = 4  # steps within which a finger that is late is seen to come
+_COMING = 0.2  # [s] within which a finger that is late is seen to come
+_STRIDE = 0.1  # [s] over which its speed is taken
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,7 @@ class _Inquiry:
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
         self._dt, self._steps = episode.dt, episode.num_steps
+        self._in_time = steps_in(_IN_TIME, self._dt)
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
         self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
         self._tips = episode["fingertip_xpos"]
@@ -138,12 +141,12 @@ class _Inquiry:
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
         late = int(sounding[0]) - note.first if len(sounding) else self._steps
         held_through = not late and self._sounds_from_before(note)
-        if held_through or late > _IN_TIME:
+        if held_through or late > self._in_time:
             what = f"{self._ms(late)} late" if late < self._steps else "never sounded"
             what = "not struck again" if held_through else what
             cause, reason = self._why_not(note, press, held_through)
             sounded = False
-        elif (short := note.last - 1 - int(sounding[-1])) > _IN_TIME:
+        elif (short := note.last - 1 - int(sounding[-1])) > self._in_time:
             what, sounded = f"let go {self._ms(short)} early", True
             cause, reason = self._why_early(note, press, int(sounding[-1]) + 1)
         else:
@@ -168,14 +171,14 @@ class _Inquiry:
             return "no finger", f"no finger for it: {why}"
         if held_through:
             return "key not released", "the key did not come up after the note before it"
-        if press.last < note.last + 1 and press.last - press.first <= _SHORTEST:
+        if press.last < note.last + 1 and press.last - press.first <= steps_in(_SHORTEST, self._dt):
             return (
                 "finger needed elsewhere",
                 f"let go too early to sound, as planned: {self._cut(press)}",
             )
         if (neighbour := self._neighbour(note, press)) is not None:
             return "neighbouring key struck", f"the finger pressed {note_name(neighbour)} instead"
-        rows = slice(note.first, min(note.first + 1 + _IN_TIME, self._steps))
+        rows = slice(note.first, min(note.first + 1 + self._in_time, self._steps))
         beside = float(self._beside(self._tips[rows, press.finger], note.key).min())
         if beside <= _BESIDE:
             depth = float(self._depth[note.first : note.last, note.key].max())
@@ -188,7 +191,7 @@ class _Inquiry:
             return "collided", f"collided with {with_what}: {where}"
         if (planned := float(self._beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
             return "out of reach", f"out of reach: the plan has it {1000 * planned:.0f} mm away"
-        coming = self._tips[row : row + 1 + _COMING, finger]
+        coming = self._tips[row : row + 1 + steps_in(_COMING, self._dt), finger]
         speed = self._speed(row + 1, finger)
         if (self._beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
             return "too fast to get there", f"too fast, planned at {speed:.1f} m/s: {where}"
@@ -196,9 +199,9 @@ class _Inquiry:
 
     def _neighbour(self, note: _Note, press: Press) -> int | None:
         """The key near by that the finger struck in place of its own."""
-        rows = slice(max(note.first - _IN_TIME, 0), note.first + 2 + _IN_TIME)
+        rows = slice(max(note.first - self._in_time, 0), note.first + 1 + 2 * self._in_time)
         wrong = self._played[rows] & ~self._goal[rows]
-        tip = self._tips[min(note.first + _IN_TIME, self._steps - 1), press.finger]
+        tip = self._tips[min(note.first + self._in_time, self._steps - 1), press.finger]
         for key in range(max(note.key - 2, 0), min(note.key + 3, self._keyboard.num_keys)):
             nearer = self._beside(tip, key) < self._beside(tip, note.key)
             if key != note.key and wrong[:, key].any() and nearer:
@@ -218,8 +221,8 @@ class _Inquiry:
         return "the other forearm" if self._forearms[row] < _FOREARMS_TOUCH else ""
 
     def _speed(self, state: int, finger: int) -> float:
-        """At which the plan has it move along the keyboard over the last two steps [m/s]."""
-        before = max(state - 2, 0)
+        """At which the plan has it move along the keyboard before `state` [m/s]."""
+        before = max(state - steps_in(_STRIDE, self._dt), 0)
         way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
         return float(abs(way)) / ((state - before) * self._dt)
 
@@ -229,7 +232,7 @@ class _Inquiry:
         """Of a note that no longer sounds from step `end` on."""
         if press is None:
             return "no finger", "no finger was there for it; another pressed the key in passing"
-        if press.last <= note.last and end >= press.last - 1 - _IN_TIME:
+        if press.last <= note.last and end >= press.last - 1 - self._in_time:
             return "finger needed elsewhere", f"as planned: {self._cut(press)}"
         beside = float(self._beside(self._tips[end, press.finger], note.key))
         if beside > _BESIDE:
@@ -243,7 +246,7 @@ class _Inquiry:
         """Why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
-        if following and following.first - press.last <= 1:
+        if following and following.first - press.last <= steps_in(RISE, self._dt):
             return f"its finger had to press {note_name(following.key)}"
         return "the hand had to jump"
 

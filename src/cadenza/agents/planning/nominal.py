@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Progress, silent
+from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.targets import Targets, targets_of
@@ -31,11 +32,12 @@ from cadenza.scene.servos import reaction, servos_of
 
 Array = NDArray[np.float64]
 
-_LEAD = 3  # steps before a press in which the first guess has the hand there
-_WINDOW = 600  # steps that are planned at once: 30 s, in which all bundled pieces fit
-_FIRST = 200  # of a song that does not: less to wait for before the first action
-_OVERLAP = 80  # of these that the next window plans again
-_SETTLED = 10  # steps before a window in which presses have ended that do not matter to it
+_LEAD = 0.15  # [s] before a press in which the first guess has the hand there
+_SMOOTH = 0.1  # [s] standard deviation of the filter that smooths the first guess
+_WINDOW = 30.0  # [s] that are planned at once: all bundled pieces fit
+_FIRST = 10.0  # [s] of a song that does not: less to wait for before the first action
+_OVERLAP = 4.0  # [s] of these that the next window plans again
+_SETTLED = 0.5  # [s] before a window in which presses have ended that do not matter to it
 
 
 class Nominal(NamedTuple):
@@ -142,13 +144,14 @@ class _Hands:
             asked: (T, K) fingers that should press the keys, -1 for none.
             progress: is told of "postures".
         """
-        first = plan.num_steps
-        size = _WINDOW if first or len(asked) <= _WINDOW else _FIRST
+        first, dt = plan.num_steps, self._dt
+        most = steps_in(_WINDOW, dt)
+        size = most if first or len(asked) <= most else steps_in(_FIRST, dt)
         last = min(first + size, len(asked))
-        kept = last - first if last == len(asked) else size - _OVERLAP
-        since = _begin_of_presses(asked, first)
+        kept = last - first if last == len(asked) else size - steps_in(_OVERLAP, dt)
+        since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
         wanted = presses_of(asked[since:last] >= 0, asked[since:last])
-        presses = let_go_in_time(wanted, self._places, self._dt)
+        presses = let_go_in_time(wanted, self._places, dt)
         window = self._planned(plan, presses, first - since, last - since, progress)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
         return window._replace(presses=presses), kept
@@ -158,7 +161,9 @@ class _Hands:
     ) -> Nominal:
         """A plan for the steps from `first` to `last`, as `presses` count them, after `plan`."""
         scene, servos = self._scene, self._servos
-        targets = Targets._make(rows[first:] for rows in targets_of(scene, presses, last + 1))
+        targets = Targets._make(
+            rows[first:] for rows in targets_of(scene, presses, last + 1, self._dt)
+        )
         guess = self._guess(plan, presses, first, last)
         postures = solve_postures(
             scene,
@@ -167,6 +172,7 @@ class _Hands:
             targets,
             guess,
             plan.postures[-2:][0],
+            self._dt,
             progress,
         )
         points, jacobian = self._kinematics.fingers(postures)
@@ -186,11 +192,12 @@ class _Hands:
         servos, states, here = self._servos, last + 1, plan.postures[-1]
         guess = np.tile(self._rest, (states, 1))
         slides = servos.along_keyboard
+        lead, width = steps_in(_LEAD, self._dt), _SMOOTH / self._dt
         for side, slide in zip(self._scene.sides, slides, strict=bool(slides)):
             place, count = np.zeros(states), np.zeros(states)
             for press in presses:
                 if press.side == side:
-                    there = slice(max(press.first - _LEAD, 0), press.last)
+                    there = slice(max(press.first - lead, 0), press.last)
                     place[there] += self._places[press.key, press.finger]
                     count[there] += 1
             if plan.num_steps and not count[first]:
@@ -198,15 +205,18 @@ class _Hands:
             if count.any():
                 known = np.flatnonzero(count)
                 path = np.interp(np.arange(states), known, place[known] / count[known])
-                smooth = gaussian_filter1d(path, 2.0, mode="nearest")
+                smooth = gaussian_filter1d(path, width, mode="nearest")
                 guess[:, slide] = np.clip(smooth, servos.low[slide], servos.high[slide])
         guess[first] = here
         return guess[first:]
 
 
-def _begin_of_presses(asked: NDArray[np.int8], first: int) -> int:
-    """Before which row of `asked` no press began that matters from row `first` on."""
-    settled = max(first - _SETTLED, 0)
+def _begin_of_presses(asked: NDArray[np.int8], first: int, settling: int) -> int:
+    """Before which row of `asked` no press began that matters from row `first` on.
+
+    Those do not that ended `settling` rows before.
+    """
+    settled = max(first - settling, 0)
     held = asked[settled] >= 0
     changes = asked[:settled, held] != asked[settled, held]
     begins = [int(rows[-1]) + 1 if len(rows) else 0 for rows in map(np.flatnonzero, changes.T)]

@@ -10,20 +10,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingers import SIDES, Side, side_of
 
 Array = NDArray[np.float64]
 
+RISE = 0.05  # [s] in which a finger gets off a key
+
 # What a hand needs to jump, measured by having it do so: within `_WITHIN_REACH` the fingers do it;
 # further away it glides with `_GLIDE`, lifting itself on the way and striking at its end, except
-# that it comes straight down on a chord, which takes a step more.
+# that it comes straight down on a chord, which takes `_DESCENT` more.
 _WITHIN_REACH = 0.05  # [m]
 _REACH_WHILE_HOLDING = 0.06  # [m]
+_DESCENT = 0.05  # [s]
 # As if it sped up over half the way and slowed down over the other [m/s^2]; a chord has to land
 # on several keys at once.
 _GLIDE, _GLIDE_OF_CHORD = 80.0, 50.0
-_STEPS_AHEAD = 8  # further away than this, no jump needs the time
-_FLIGHT = 2  # steps between two presses that are spent on the way, if the hand has to jump
+_AHEAD = 0.4  # [s] no jump needs more time than this
+_FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
+_LEAST = 0.05  # [s] that a press lasts
 
 
 class Press(NamedTuple):
@@ -68,7 +73,7 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press
 def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
-    A press keeps a step at least.
+    A press keeps `_LEAST`.
 
     Args:
         presses: by time.
@@ -77,25 +82,26 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press
         dt: control step [s].
     """
     cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt)]
+    rise, least = steps_in(RISE, dt), steps_in(_LEAST, dt)
     next_of: dict[int, Press] = {}
     result = []
     for press in sorted(cut, key=lambda press: (press.first, press.key), reverse=True):
         last = press.last
         following = next_of.get(press.finger)
         if following and following.key != press.key:
-            last = max(min(last, following.first - 1), press.first + 1)
+            last = min(last, max(following.first - rise, press.first + least))
         next_of[press.finger] = press
         result.append(press._replace(last=last))
-    return _with_jumps(result[::-1], places)
+    return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt))
 
 
-def _with_jumps(presses: list[Press], places: Array) -> list[Press]:
-    """Marks presses of one hand that are as little as `_FLIGHT` apart in time and far in space."""
+def _with_jumps(presses: list[Press], places: Array, flight: int) -> list[Press]:
+    """Marks presses of one hand that are at most `flight` steps apart and far in space."""
     together = Counter((press.side, press.first) for press in presses)
     firsts = [press.first for press in presses]
     left, reached = set[Press](), set[Press]()
     for press in presses:
-        soon, too_late = (bisect_right(firsts, press.last + steps) for steps in (0, _FLIGHT))
+        soon, too_late = (bisect_right(firsts, press.last + wait) for wait in (0, flight))
         for later in presses[soon:too_late]:
             way = abs(places[later.key, later.finger] - places[press.key, press.finger])
             if later.side == press.side and way > _WITHIN_REACH:
@@ -111,6 +117,7 @@ def _with_jumps(presses: list[Press], places: Array) -> list[Press]:
 
 
 def _let_hand_go(presses: list[Press], side: Side, places: Array, dt: float) -> list[Press]:
+    ahead, least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
     mine = [press for press in presses if press.side == side]
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
     hands = [[float(places[press.key, press.finger]) for press in chord] for chord in chords]
@@ -121,15 +128,16 @@ def _let_hand_go(presses: list[Press], side: Side, places: Array, dt: float) -> 
             last = press.last
             for j in range(i + 1, len(chords)):
                 first = chords[j][0].first
-                if first > press.last + _STEPS_AHEAD:
+                if first > press.last + ahead:
                     break
-                if press.last > first + 1:  # held while the hand plays on
+                if press.last > first + least:  # held while the hand plays on
                     beyond = abs(means[j] - place) - _REACH_WHILE_HOLDING
                 else:
                     beyond = abs(means[j] - means[i]) - _WITHIN_REACH
                 if beyond > 0:
                     glide = _GLIDE if len(chord) == len(chords[j]) == 1 else _GLIDE_OF_CHORD
-                    steps = int(np.ceil(np.sqrt(4 * beyond / glide) / dt)) + (len(chords[j]) > 1)
-                    last = min(last, max(first - steps, press.first + 1))
+                    descent = _DESCENT if len(chords[j]) > 1 else 0.0
+                    jump = int(np.ceil(np.sqrt(4 * beyond / glide) / dt + descent / dt))
+                    last = min(last, max(first - jump, press.first + least))
             cut.append(press._replace(last=last))
     return cut

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.presses import RISE
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
@@ -26,8 +28,8 @@ Mask = NDArray[np.bool_]
 
 _IDLE_FINGER = 0.3  # of a servo's noise, for fingers that do not play within the horizon
 _SPARSE = 0.3  # half of the candidates change this share of the servos
-_LIFTED_STEPS = 2  # for which a hand lifts itself where it is caught between keys
-_KEPT = 0.5  # of the correction to the nominal plan from one control step to the next
+_LIFTED = (0.05, 0.1)  # [s] for which a hand lifts itself where it is caught between keys
+_HALVED = 0.05  # [s] in which half of the correction to the nominal plan fades
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
 _ALMOST = (
@@ -42,7 +44,8 @@ _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within three times the music on two cores where every step fails.
 _SUSTAINED = 0.55
-_ABOUT_TO_PRESS = 2  # steps before a press
+_ABOUT_TO_PRESS = 0.1  # [s] before a press
+_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
 
 
@@ -58,14 +61,19 @@ class HandPart:
         playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
     """
 
-    def __init__(self, plan: SongPlan, side: Side) -> None:
+    def __init__(self, plan: SongPlan, side: Side, dt: float) -> None:
+        """Args:
+        plan: of the song.
+        side: of the hand.
+        dt: control step [s].
+        """
         hand, count = SIDES.index(side), len(plan.scene.hand.fingers)
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.mine = keys & (fingers >= 0) & (hand_of(fingers) == hand)
         others = keys & ~self.mine
-        soon = others.copy()  # the other hand needs a moment to leave a key
-        soon[1:] |= others[:-1]
-        soon[2:] |= others[:-2]
+        soon = others.copy()
+        for late in range(1, steps_in(_LEAVING, dt) + 1):
+            soon[late:] |= others[:-late]
         self.wrong = ~keys & ~soon
         first = finger_number(hand, 0)
         self.fingers = slice(first, first + count)
@@ -73,11 +81,12 @@ class HandPart:
         self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.mine)
         self.playing = np.zeros((len(keys) + 1, count), bool)
+        about_to_press, rise = steps_in(_ABOUT_TO_PRESS, dt), steps_in(RISE, dt)
         for press in nominal.presses:
             if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
-                about = max(press.first - _ABOUT_TO_PRESS, 0)
-                self.playing[about : press.last + 1, place_of(press.finger)] = True
+                about = max(press.first - about_to_press, 0)
+                self.playing[about : press.last + rise, place_of(press.finger)] = True
 
 
 class HandRefinement:
@@ -104,7 +113,7 @@ class HandRefinement:
         rng: what is random.
         """
         self.follow(part, tracking)
-        self._rng = rng
+        self._rng, self._dt = rng, dt
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._to_posture = np.linalg.pinv(self._servos.joints)
         self._update = UPDATES[config.method] if config.method != "none" else None
@@ -113,11 +122,12 @@ class HandRefinement:
         uses = [scene.hand.servo(name) for name in self._servos.names]
         self._sigma = np.array([use.noise for use in uses])
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
-        self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon)
+        self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon, dt)
         self._twin = PlanningSimulation(scene, 1, dt)
         self._single = PlanningSimulation(scene, 1, dt)
         self._batch = PlanningSimulation(scene, self._candidates, dt, num_threads)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
+        self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self._step = 0
@@ -125,7 +135,7 @@ class HandRefinement:
     @property
     def steps_seen(self) -> int:
         """How many steps of the plan a step looks at, and of those who press soon after."""
-        return self._horizon + _ABOUT_TO_PRESS
+        return self._horizon + steps_in(_ABOUT_TO_PRESS, self._dt)
 
     def follow(self, part: HandPart, tracking: Tracking) -> None:
         """From now on, by a plan that goes further than the one before."""
@@ -158,7 +168,7 @@ class HandRefinement:
         cost, mistakes = self._try(self._single, best[None], rows)
         if mistakes[0]:
             best = self._search(self._clip(nominal), best, float(cost[0]), rows)
-        self._correction[:-1] = _KEPT * (best - nominal)[1:]
+        self._correction[:-1] = self._kept * (best - nominal)[1:]
         self._correction[-1] = 0.0
         return best[0]
 
@@ -179,9 +189,9 @@ class HandRefinement:
             if self._savings <= 0:
                 break
             candidates = self._draw(around)
-            candidates[:_LIFTED_STEPS] = self._clip(around.mean + self._lifts)
+            candidates[: len(self._lifts)] = self._clip(around.mean + self._lifts)
             if iteration == 0:
-                candidates[_LIFTED_STEPS] = nominal
+                candidates[len(self._lifts)] = nominal
             costs, mistakes = self._try(self._batch, candidates, rows, self._most(cost))
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
@@ -269,7 +279,7 @@ def _cost(
     return cost + _ALMOST * lacking.sum(axis=1) + astray.sum(axis=1), mistakes
 
 
-def _lifts(lift: Array, horizon: int) -> Array:
-    """(_LIFTED_STEPS, H, A) what is added to the controls for 1, 2, ... steps; `lift` is (A,)."""
-    steps = np.arange(1, _LIFTED_STEPS + 1)[:, None, None]
-    return lift * (np.arange(horizon)[None, :, None] < steps)
+def _lifts(lift: Array, horizon: int, dt: float) -> Array:
+    """(L, H, A) what is added to the controls for each time of `_LIFTED`; `lift` is (A,)."""
+    until = np.array([steps_in(seconds, dt) for seconds in _LIFTED])[:, None, None]
+    return lift * (np.arange(horizon)[None, :, None] < until)

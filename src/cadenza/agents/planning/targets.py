@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.presses import Press
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.presses import RISE, Press
 from cadenza.fingers import NUM_FINGERS, place_of
 from cadenza.scene.scene import Scene
 
@@ -24,7 +25,8 @@ _TOLERANCE = (0.003, 0.001)  # [m] along the key, across it
 _DEEP = 0.0015  # [m] below where the key stops
 _HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is pressed next
 _LIFTED = 0.008  # [m] above a key that was let go, and above all keys for an idle finger
-_APPROACH = 4  # states before a press in which its finger gets over the key
+_APPROACH = 0.2  # [s] before a press in which its finger gets over the key
+_READY = 0.05  # [s] of them in which it is just above it
 # More than what just holds the key down, so that it sounds in spite of what is not modelled.
 _FORCE_MARGIN = 1.6
 
@@ -49,15 +51,19 @@ class Targets(NamedTuple):
     """(S, 10) downwards [N]."""
 
 
-def targets_of(scene: Scene, presses: Sequence[Press], num_states: int) -> Targets:
-    """Where `presses` want the fingertips of a scene's hands; idle ones stay above all keys."""
-    return _Writer(scene, num_states).write(presses)
+def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
+    """Where `presses` want the fingertips of a scene's hands; idle ones stay above all keys.
+
+    States are `dt` [s] apart.
+    """
+    return _Writer(scene, num_states, dt).write(presses)
 
 
 class _Writer:
     """Writes presses into targets that begin with all fingers idle."""
 
-    def __init__(self, scene: Scene, num_states: int) -> None:
+    def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
+        self._dt = dt
         self._keyboard, self._fingers = scene.keyboard, scene.hand.fingers
         radius = np.zeros(NUM_FINGERS)
         radius[scene.fingers] = np.tile([f.tip_radius for f in self._fingers], len(scene.sides))
@@ -81,20 +87,22 @@ class _Writer:
                 assert press is not None
                 self._approach(press, before)
                 self._hold(press)
-                if press.last < num_states and (following is None or following.first > press.last):
-                    self._let_go(press)
+                self._let_go(press, num_states if following is None else following.first)
                 before = press.last
         return self._targets
 
     def _approach(self, press: Press, before: int) -> None:
-        """Over the key, the nearer in time the more closely, and low in the last state."""
+        """Over the key, the nearer in time the more closely, and low when it is ready."""
         over = self._at(press, angle=0.0)
-        for state in range(max(press.first - _APPROACH, before + 1, 1), press.first):
-            steps = press.first - state
-            low = over[2] + (_HOVER if steps == 1 else _HOVER + 0.004)
-            high = over[2] + _HOVER + _HOVER_ROOM if steps == 1 else np.inf
-            sigma = _ABOVE_KEY * steps
-            sigma[2] = _ABOVE_KEY[2] if steps == 1 else _IDLE[2]
+        approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
+        risen = before + steps_in(RISE, self._dt)
+        for state in range(max(press.first - approach, risen), press.first):
+            ahead = press.first - state
+            is_ready = ahead <= ready
+            low = over[2] + (_HOVER if is_ready else _HOVER + 0.004)
+            high = over[2] + _HOVER + _HOVER_ROOM if is_ready else np.inf
+            sigma = _ABOVE_KEY * max(ahead / ready, 1.0)
+            sigma[2] = _ABOVE_KEY[2] if is_ready else _IDLE[2]
             if press.flies_to:
                 sigma *= _IN_FLIGHT
             self._box(press, state, over, (low, high), sigma)
@@ -109,11 +117,12 @@ class _Writer:
         force = _FORCE_MARGIN * keyboard.holding_torque[key] / lever
         self._targets.force[states, press.finger] = force
 
-    def _let_go(self, press: Press) -> None:
+    def _let_go(self, press: Press, until: int) -> None:
         """Straight up, or it would drag along the key; in a jump just up."""
         over = self._at(press, angle=0.0)
         sigma = _ABOVE_KEY * _IN_FLIGHT if press.flies_off else _ABOVE_KEY
-        self._box(press, press.last, over, (over[2] + _LIFTED, np.inf), sigma)
+        states = slice(press.last, min(press.last + steps_in(RISE, self._dt), until))
+        self._box(press, states, over, (over[2] + _LIFTED, np.inf), sigma)
 
     def _box(
         self,

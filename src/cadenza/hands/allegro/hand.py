@@ -11,7 +11,8 @@ from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
 _NAMES = ("th", "ff", "mf", "rf")
-_CHANGE = 0.1  # the servos follow within a tenth of a second, so that motions have to be gentle
+# The servos follow within a tenth of a second, so that motions have to be gentle.
+_ACCELERATION = 40.0  # [rad/s^2]
 _LINKS = ("proximal", "medial", "distal")
 # Fingers are as wide as keys. On neighbouring keys they have room one behind the other.
 _ON_WHITE = {"th": 0.07, "ff": 0.058, "mf": 0.042, "rf": 0.058}
@@ -41,7 +42,7 @@ def _servos(name: str) -> dict[str, Servo]:
     finger = _NAMES.index(name)
     lifts = (0.0, -0.3 if finger else 0.0, 0.0, 0.0)
     return {
-        f"{name}J{joint}": Servo(rest, change=_CHANGE, lift=lift, finger=finger)
+        f"{name}J{joint}": Servo(rest, acceleration=_ACCELERATION, lift=lift, finger=finger)
         for joint, (rest, lift) in enumerate(zip(_REST[name], lifts, strict=True))
     }
 

@@ -27,19 +27,19 @@ def _servos(name: str, spread: float, knuckle: float, tip: float) -> dict[str, S
     return {
         f"{joint}J4": Servo(spread, finger=finger),
         f"{joint}J3": Servo(knuckle, lift=-0.5, finger=finger),
-        f"{joint}J0": Servo(tip, 0.8, 0.8, noise=0.12, finger=finger),
+        f"{joint}J0": Servo(tip, 0.8, 320.0, noise=0.12, finger=finger),
     }
 
 
 def _stiff(finger: int) -> Servo:
     """Which planners leave where it is: the paper's action space is without it."""
-    return Servo(ease=0.05, change=0.05, stride=0.05, finger=finger)
+    return Servo(ease=0.05, acceleration=20.0, stride=0.05, finger=finger)
 
 
 _THUMB, _LITTLE = 0, 4
 _SERVOS = {
-    "WRJ2": Servo(0.0, 0.3, 0.1, noise=0.03, correction=0.1),
-    "WRJ1": Servo(-0.05, 0.3, 0.1, noise=0.03, correction=0.1, lift=-0.35),
+    "WRJ2": Servo(0.0, 0.3, 40.0, noise=0.03, correction=0.1),
+    "WRJ1": Servo(-0.05, 0.3, 40.0, noise=0.03, correction=0.1, lift=-0.35),
     "THJ5": _stiff(_THUMB),
     "THJ4": Servo(0.72, finger=_THUMB),
     "THJ3": Servo(0.15, finger=_THUMB),
