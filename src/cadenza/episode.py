@@ -2,7 +2,7 @@
 
 `episode.npz` holds the arrays below under their own names, the same names that the recordings of
 the published system use. T control steps, A actuators (right hand's, left hand's, pedal), J hand
-joints, B moving hand bodies.
+joints, B moving hand bodies, K keys.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from cadenza.files import (
     write_atomically,
 )
 
-_NUM_KEYS = 88
+_LOWEST_PITCH = 21  # A0, of recordings that do not say, which are all of pianos
+_PITCHES = 128
 _LONGEST = 4 * 3600.0  # [s]
 _MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a sixth of it
 
@@ -72,7 +73,7 @@ _DRAWN: dict[str, Any] = {  # see `cadenza.scene.drawing`
     "bodies": list[str],
     "skeleton": list[_Jointed],
     "geoms": list[_Geom],
-    "keys": Annotated[list[_Key], Meta(min_length=_NUM_KEYS, max_length=_NUM_KEYS)],
+    "keys": list[_Key],
 }
 
 _EXPECTED = {
@@ -80,11 +81,12 @@ _EXPECTED = {
     "dt": ArrayOf(NUMBERS, needed=True, finite=True),
     "scene": ArrayOf(TEXT),
     "action": ArrayOf(NUMBERS, ("T", "A"), needed=True),
-    "goal_keys": ArrayOf(FLAGS, ("T", _NUM_KEYS)),
-    "goal_fingers": ArrayOf(INTEGERS, ("T", _NUM_KEYS)),
+    "lowest_pitch": ArrayOf(INTEGERS),
+    "goal_keys": ArrayOf(FLAGS, ("T", "K")),
+    "goal_fingers": ArrayOf(INTEGERS, ("T", "K")),
     "goal_sustain": ArrayOf(FLAGS, ("T",)),
-    "key_qpos": ArrayOf(NUMBERS, ("T", _NUM_KEYS)),
-    "key_activation": ArrayOf(FLAGS, ("T", _NUM_KEYS)),
+    "key_qpos": ArrayOf(NUMBERS, ("T", "K")),
+    "key_activation": ArrayOf(FLAGS, ("T", "K")),
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
@@ -108,11 +110,12 @@ class Episode:
     """Name -> array, among them:
 
     - `action` (T, A), in actuator units, the pedal last, 0..1
-    - `goal_keys` (T, 88) bool, the keys that should sound after the step
-    - `goal_fingers` (T, 88) int8, which finger should press them, -1 for none or unknown
+    - `lowest_pitch` () int, MIDI number of the first key
+    - `goal_keys` (T, K) bool, the keys that should sound after the step
+    - `goal_fingers` (T, K) int8, which finger should press them, -1 for none or unknown
     - `goal_sustain` (T,) bool, whether the pedal should be down
-    - `key_qpos` (T, 88) [rad]
-    - `key_activation` (T, 88) bool, the keys that sound
+    - `key_qpos` (T, K) [rad]
+    - `key_activation` (T, K) bool, the keys that sound
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, 10, 3) [m]
@@ -136,6 +139,17 @@ class Episode:
     def num_steps(self) -> int:
         """T, the number of control steps."""
         return len(self.arrays["action"])
+
+    @property
+    def lowest_pitch(self) -> int:
+        """MIDI number of the first key; A0 where the recording does not say."""
+        return int(self.arrays.get("lowest_pitch", _LOWEST_PITCH))
+
+    @property
+    def key_depth(self) -> NDArray[np.float64] | None:
+        """(T, K) how far each key is down, 0 to 1; None where the keys are not drawn."""
+        travel = [key["travel"] for key in self.scene.get("keys", ())]
+        return np.clip(self["key_qpos"] / travel, 0.0, 1.0) if travel else None
 
     def save(self, path: Path) -> None:
         """Writes the episode to `path` (.npz); a reader sees the old file or the whole new one."""
@@ -164,6 +178,12 @@ def load_episode(path: Path) -> Episode:
     steps, bodies = len(arrays["action"]), len(scene.get("bodies", ()))
     if not (dt > 0 and 0 < steps * dt <= _LONGEST):
         raise CadenzaError(f"{path}: {steps} steps of {dt:g} s; an episode lasts at most 4 hours")
+    keys = arrays.get("key_qpos", np.empty((0, len(scene.get("keys", ()))))).shape[1]
+    lowest = int(arrays.get("lowest_pitch", _LOWEST_PITCH))
+    if not 0 <= lowest <= lowest + keys <= _PITCHES:
+        raise CadenzaError(f"{path}: {keys} keys from pitch {lowest} on; MIDI has {_PITCHES}")
+    if len(scene.get("keys", ())) not in (0, keys):
+        raise CadenzaError(f"{path}: key_qpos does not match the keys in scene")
     if bodies != arrays.get("body_xpos", np.empty((0, bodies))).shape[1]:
         raise CadenzaError(f"{path}: body_xpos does not match the {bodies} bodies in scene")
     return Episode(song, dt, arrays, scene)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.keyboard import IS_BLACK
+from cadenza.music.keyboard import is_black
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import lengths, monophonic_per_key, scores, times
@@ -44,7 +44,7 @@ unfingered = scores().map(monophonic_per_key).map(bare)
 
 
 def test_keys_lie_where_the_model_has_them() -> None:
-    np.testing.assert_array_equal(IS_BLACK, PIANO.is_black)
+    np.testing.assert_array_equal([is_black(pitch) for pitch in PIANO.pitches], PIANO.is_black)
     np.testing.assert_allclose(PIANO.grid_y, PIANO.centre[:, 1], atol=6e-4)
 
 
@@ -246,7 +246,7 @@ def test_nothing_is_cheaper(score: Score) -> None:
     assert solve(score).cost == pytest.approx(min(costs))
 
 
-WHITE_PITCHES = [pitch for pitch in range(21, 109) if not IS_BLACK[pitch - 21]]
+WHITE_PITCHES = [pitch for pitch in range(21, 109) if not is_black(pitch)]
 
 
 @settings(deadline=None)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+import cadenza
+from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
+from cadenza.music.keyboard import note_name
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -18,6 +22,7 @@ from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
 
 TWO_OCTAVES = replace(PIANO, name="two_octaves", lowest_pitch=48, num_keys=25)
+UNREFINED = ScorePlannerConfig(method="none")
 KEYBOARD = f"{__name__}:TWO_OCTAVES"
 SONG = Score((Note(0.0, 0.1, 48), Note(0.1, 0.3, 72), Note(0.1, 0.3, 60)), title="three notes")
 
@@ -58,6 +63,36 @@ def test_the_planner_plays_it() -> None:
     while not task.step(planner.act(task.view())).truncated[0]:
         pass
     assert task.episode_metrics(0)["f1"] > 0.95
+
+
+@pytest.mark.parametrize("agent", ["zero", "planner"])
+def test_a_performance_on_it_is_saved_with_its_page(agent: str, tmp_path: Path) -> None:
+    tune = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 61, 62))))
+    scene = SceneConfig(hands="right", keyboard=KEYBOARD)
+    performance = cadenza.play(tune, agent, scene=scene)
+    performance.save(tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert '"keys":25,"lowest":48' in page
+    episode = cadenza.load_episode(tmp_path / "episode.npz")
+    assert (episode.lowest_pitch, episode["key_activation"].shape[1]) == (48, 25)
+    if agent == "planner":
+        assert performance.metrics["f1"] > 0.9
+        sounded = {note.pitch for note in performance.played.notes}
+        assert sounded >= {60, 61, 62}
+    else:
+        assert performance.played.notes == ()
+
+
+def test_misses_are_named_by_the_keys_that_it_has() -> None:
+    keys = tuple(Note(0.0, 0.4, pitch) for pitch in range(60, 71))  # too many for a hand
+    performance = cadenza.play(
+        Score(keys), ScorePlanner(UNREFINED), scene=SceneConfig(hands="right", keyboard=KEYBOARD)
+    )
+    assert performance.plan is not None
+    dropped = [note.pitch for note, _ in performance.plan.track.dropped or ()]
+    unplayed = {miss.note for miss in performance.misses or () if miss.cause == "no finger"}
+    assert unplayed <= {note_name(pitch) for pitch in dropped}
+    assert len(unplayed) >= 5
 
 
 def test_shifted_songs_stay_on_it() -> None:

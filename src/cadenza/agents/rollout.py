@@ -17,7 +17,6 @@ from cadenza.agents.one_environment import AgentOfOneEnvironment, of_many
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
-from cadenza.music.score import NUM_KEYS
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.tasks.piano_task import PianoTask, Transition
 from cadenza.tasks.view import View
@@ -66,15 +65,8 @@ def play_episodes(
         stop: is asked after every step whether that was the last; the episodes are what was played.
 
     Raises:
-        CadenzaError: the agent cannot play this task, a seed is negative, or the keyboard is of
-            another size than a piano's.
+        CadenzaError: the agent cannot play this task, or a seed is negative.
     """
-    keyboard = task.scene.keyboard
-    if keyboard.num_keys != NUM_KEYS:
-        raise CadenzaError(
-            f"keyboard {keyboard.name}: has {keyboard.num_keys} keys, but what is recorded has "
-            f"{NUM_KEYS}; use the environments of Gymnasium instead"
-        )
     if len(seeds) != task.num_envs:
         raise CadenzaError(
             f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
@@ -203,9 +195,10 @@ class _Record:
             "physics": np.array(scene.config.physics),
             "sleeping_keys": np.array(scene.config.sleeping_keys),
             "trim_silence": np.array(task.config.trim_silence),
-            "goal_keys": goal[:, :NUM_KEYS],
+            "lowest_pitch": np.array(scene.keyboard.lowest_pitch),
+            "goal_keys": goal[:, :-1],
             "goal_fingers": fingers,
-            "goal_sustain": goal[:, NUM_KEYS],
+            "goal_sustain": goal[:, -1],
             "body_xpos": xpos,
             "body_xquat": xquat,
             "metrics": np.array(json.dumps(metrics)),

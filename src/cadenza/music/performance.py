@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.music.keyboard import IS_BLACK
-from cadenza.music.score import LOWEST_PITCH, NUM_KEYS, Note, PedalEvent, Score
-
-# A key goes down by this angle [rad] until it stops.
-WHITE_KEY_TRAVEL = 0.0666
-BLACK_KEY_TRAVEL = 0.0887
+from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
 SOFTEST, LOUDEST = 30, 120  # MIDI velocities
 SAME_NOTE = 0.2  # [s]; notes of a key that begin closer together are one, at the wrong time
@@ -23,11 +18,9 @@ SAME_NOTE = 0.2  # [s]; notes of a key that begin closer together are one, at th
 # soft at 20 steps a second.
 STRIKE_TIME = 0.1
 
-_TRAVEL = np.where(IS_BLACK, BLACK_KEY_TRAVEL, WHITE_KEY_TRAVEL)
-
 
 def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Stretches of steps over which a key of `roll` (T, 88) is on without a break.
+    """Stretches of steps over which a key of `roll` (T, K) is on without a break.
 
     Returns:
         first step, step after the last, key; each (number of runs,), by key and then time.
@@ -42,26 +35,28 @@ def performed_score(
     key_activation: NDArray[Any],
     sustain: NDArray[Any],
     dt: float,
-    key_qpos: NDArray[Any] | None = None,
+    depth: NDArray[Any] | None = None,
+    lowest_pitch: int = LOWEST_PITCH,
 ) -> Score:
     """The notes that sounded over T control steps of `dt` [s].
 
     A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
-    just as `score_to_goals` places it. Its velocity is 80, or where `key_qpos` is known
-    `30 + 90 * way / travel`: way [rad] is how far the key went down within 0.1 s to where it is on
-    the step on which it begins to sound, from the highest that it stood in that time, travel [rad]
-    its way from rest to the bottom. A key pushed down within 0.1 s gives 120, one let down slowly
-    30, one that comes up halfway before it is struck again 75.
+    just as `score_to_goals` places it. Its velocity is 80, or where `depth` is known
+    `30 + 90 * way`: how far the key went down within 0.1 s to where it is on the step on which it
+    begins to sound, from the highest that it stood in that time. A key pushed down within 0.1 s
+    gives 120, one let down slowly 30, one that comes up halfway before it is struck again 75.
 
     Args:
-        key_activation: (T, 88), whether each key sounds after the step.
+        key_activation: (T, K), whether each key sounds after the step.
         sustain: (T,), whether the pedal is down after the step.
-        key_qpos: (T, 88) [rad], how far each key is down after the step; at rest before the first.
+        depth: (T, K), how far each key is down after the step, from 0, at rest as before the first
+            step, to 1, at its stop.
+        lowest_pitch: MIDI number of the first key.
     """
     first, last, key = key_runs(key_activation)
-    velocity = np.full(len(first), 80) if key_qpos is None else _velocity(key_qpos, first, key, dt)
+    velocity = np.full(len(first), 80) if depth is None else _velocity(depth, first, key, dt)
     notes = (
-        Note(float(i * dt), float(j * dt), int(k) + LOWEST_PITCH, int(v))
+        Note(float(i * dt), float(j * dt), int(k) + lowest_pitch, int(v))
         for i, j, k, v in zip(first, last, key, velocity, strict=True)
     )
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
@@ -93,12 +88,11 @@ def with_loudness_of(played: Score, score: Score) -> Score:
 
 
 def _velocity(
-    key_qpos: NDArray[Any], first: NDArray[np.intp], key: NDArray[np.intp], dt: float
+    depth: NDArray[Any], first: NDArray[np.intp], key: NDArray[np.intp], dt: float
 ) -> NDArray[np.intp]:
     """MIDI velocities of keys (N,) that begin to sound on steps `first` (N,)."""
-    depth = np.clip(key_qpos / _TRAVEL, 0, 1)
     steps = max(1, round(STRIKE_TIME / dt))
-    depth = np.vstack([np.zeros((steps, NUM_KEYS)), depth])  # at rest before the first step
+    depth = np.vstack([np.zeros((steps, depth.shape[1])), depth])  # at rest before the first step
     before = depth[first[:, None] + np.arange(steps + 1), key[:, None]]  # (N, steps + 1)
     way = before[:, -1] - before.min(axis=1)
     return np.rint(SOFTEST + (LOUDEST - SOFTEST) * way).astype(np.intp)

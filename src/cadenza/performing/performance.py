@@ -64,7 +64,8 @@ class Performance:
             episode["key_activation"],
             episode["sustain_activation"],
             episode.dt,
-            episode["key_qpos"],
+            episode.key_depth,
+            episode.lowest_pitch,
         )
 
     @property

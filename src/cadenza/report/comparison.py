@@ -14,7 +14,7 @@ from itertools import chain
 from pathlib import Path
 
 from cadenza.episode import Episode
-from cadenza.music.keyboard import IS_BLACK, note_name
+from cadenza.music.keyboard import is_black, note_name
 from cadenza.music.performance import key_runs, performed_score
 from cadenza.report.page import asset, own_parts, pieces, shared_parts, write_page
 from cadenza.report.recording import VERDICTS, embedded, in_json, verdict
@@ -32,7 +32,7 @@ COLUMNS = {
 """Figures of a run -> what they are called, and how many decimals are shown."""
 _STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css")
 _BARS = ("f1", "precision", "recall", "note_onset_f1")
-_MIDDLE_C = 39
+_MIDDLE_C = 60
 _ROW = 7  # [px] height of a key in the piano roll
 
 
@@ -110,8 +110,9 @@ def _name(run: Run) -> str:
 def _embedded(run: Run) -> Iterator[str]:
     """The page of a run as JSON: its texts, and a number where a part is shared with the others."""
     episode = run.episode
-    keys, pedal = episode["key_activation"], episode["sustain_activation"]
-    audio = synthesize(performed_score(keys, pedal, episode.dt, episode["key_qpos"]))
+    rows = episode["key_activation"], episode["sustain_activation"]
+    depth, lowest = episode.key_depth, episode.lowest_pitch
+    audio = synthesize(performed_score(*rows, episode.dt, depth, lowest))
     shared = dict.fromkeys(shared_parts(), "")
     settings = {"agent": run.agent, "seed": run.seed}
     own = own_parts(episode, run.figures, settings, embedded(episode, audio, SAMPLE_RATE))
@@ -167,13 +168,15 @@ def _bars(name: str, runs: Sequence[Run]) -> str:
 def _roll(episode: Episode) -> str:
     """What the score asks for: names of the Cs, and the notes over rows of keys."""
     first, last, key = key_runs(episode["goal_keys"])
-    low = max(min([*key.tolist(), _MIDDLE_C]) - 2, 0)
-    high = min(max([*key.tolist(), _MIDDLE_C]) + 2, len(IS_BLACK) - 1)
+    lowest, num_keys = episode.lowest_pitch, episode["goal_keys"].shape[1]
+    middle = min(max(_MIDDLE_C - lowest, 0), num_keys - 1)
+    low = max(min([*key.tolist(), middle]) - 2, 0)
+    high = min(max([*key.tolist(), middle]) + 2, num_keys - 1)
     height = (high - low + 1) * _ROW
     black = (
         f"M0 {_ROW * (high - k)}h{episode.num_steps}v{_ROW}H0z"
         for k in range(low, high + 1)
-        if IS_BLACK[k]
+        if is_black(k + lowest)
     )
     notes = (
         f"M{i} {_ROW * (high - k) + 1}H{j - 0.15}v{_ROW - 2}H{i}z"
@@ -181,9 +184,9 @@ def _roll(episode: Episode) -> str:
     )
     drawn = f'<path class="black" d="{"".join(black)}"/><path class="goal" d="{"".join(notes)}"/>'
     names = "".join(
-        f'<span style="top:{_ROW * (high - k) + _ROW / 2:g}px">{note_name(k)}</span>'
+        f'<span style="top:{_ROW * (high - k) + _ROW / 2:g}px">{note_name(k + lowest)}</span>'
         for k in range(low, high + 1)
-        if note_name(k)[:-1] == "C"
+        if (k + lowest) % 12 == 0
     )
     return (
         f'<div class="names">{names}</div><div>'

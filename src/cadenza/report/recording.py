@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.episode import Episode
-from cadenza.music.score import NUM_KEYS
 from cadenza.report.sound import Samples, encode_mp3
 
 _UNIT = 5e-5  # [m, rad] of a joint's position; a fingertip is then less than 0.1 mm off
@@ -50,7 +49,8 @@ def embedded(
 def _recording(episode: Episode) -> dict[str, Any]:
     scene = episode.scene
     joints = episode["hand_qpos"] if scene.get("skeleton") else np.empty((episode.num_steps, 0))
-    travel = np.array([key["travel"] for key in scene.get("keys", ())] or np.ones(NUM_KEYS))
+    depth = episode.key_depth
+    depth = np.zeros_like(episode["key_qpos"]) if depth is None else depth
     rewards = {
         name.removeprefix("reward_"): _packed(np.asarray(values, np.float32))
         for name, values in episode.arrays.items()
@@ -59,10 +59,12 @@ def _recording(episode: Episode) -> dict[str, Any]:
     return {
         "dt": episode.dt,
         "steps": episode.num_steps,
+        "keys": episode["key_qpos"].shape[1],
+        "lowest": episode.lowest_pitch,
         "scene": scene,
         "unit": _UNIT,
         "joints": _packed(np.round(joints / _UNIT).astype(np.int32)),
-        "angles": _packed((np.clip(episode["key_qpos"] / travel, 0, 1) * 255).astype(np.uint8)),
+        "angles": _packed((depth * 255).astype(np.uint8)),
         "states": _packed(verdict(episode["goal_keys"], episode["key_activation"])),
         "pedal": _packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),

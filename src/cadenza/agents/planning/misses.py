@@ -151,8 +151,11 @@ class _Inquiry:
             cause, reason = self._why_early(note, press, int(sounding[-1]) + 1)
         else:
             return None
-        name = note_name(note.key)
+        name = self._name(note.key)
         return Miss(note.first * self._dt, name, finger, what, cause, reason, sounded)
+
+    def _name(self, key: int) -> str:
+        return note_name(key + self._keyboard.lowest_pitch)
 
     def _ms(self, steps: int) -> str:
         return f"{1000 * steps * self._dt:.0f} ms"
@@ -177,7 +180,7 @@ class _Inquiry:
                 f"let go too early to sound, as planned: {self._cut(press)}",
             )
         if (neighbour := self._neighbour(note, press)) is not None:
-            return "neighbouring key struck", f"the finger pressed {note_name(neighbour)} instead"
+            return "neighbouring key struck", f"the finger pressed {self._name(neighbour)} instead"
         rows = slice(note.first, min(note.first + 1 + self._in_time, self._steps))
         beside = float(self._beside(self._tips[rows, press.finger], note.key).min())
         if beside <= _BESIDE:
@@ -247,7 +250,7 @@ class _Inquiry:
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
         if following and following.first - press.last <= steps_in(RISE, self._dt):
-            return f"its finger had to press {note_name(following.key)}"
+            return f"its finger had to press {self._name(following.key)}"
         return "the hand had to jump"
 
     def _beside(self, tips: Array, key: int) -> Array:

@@ -64,11 +64,11 @@ function show(time) {
   if (row === shownRow) return;
   shownRow = row;
   $("sounding").replaceChildren();
-  data.states.subarray(row * 88, row * 88 + 88).forEach((state, key) => {
+  data.states.subarray(row * data.keys, (row + 1) * data.keys).forEach((state, key) => {
     if (!state) return;
     const name = document.createElement("span");
     name.className = VERDICTS[state - 1];
-    name.textContent = noteName(key);
+    name.textContent = noteName(key + data.lowest);
     $("sounding").append(name);
   });
 }

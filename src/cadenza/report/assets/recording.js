@@ -26,8 +26,8 @@ async function unpacked(text, steps, Numbers) {
 
 /**
  * The performance that stands at `index` in the page: `dt` [s], `steps`, and of each step
- *   states (88 a row) and pedal: 0 rightly silent, 1 hit, 2 wrong, 3 missed;
- *   angles (88 a row) of keys, 255 all the way down;
+ *   states (`keys` a row) and pedal: 0 rightly silent, 1 hit, 2 wrong, 3 missed;
+ *   angles (`keys` a row) of keys, 255 all the way down;
  *   rewards, by name, NaN where there is none;
  *   jointsAt(time): where the hands' joints are [m, rad].
  * `scene` is what `cadenza.model.drawing` says; `sound` is the address of an MP3 file, and `goal`

@@ -86,11 +86,11 @@ const ROLL_SCALE = 34; // [px] for each second, at least
 const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not follow the cursor
 
 function createRoll(element, data, seek) {
-  const canvas = element.querySelector("canvas"), { pedal, dt, steps } = data, duration = steps * dt;
+  const canvas = element.querySelector("canvas"), { pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
   const played = notes(data), longest = longestOf(played), pedalled = [];
   stretches(steps, (t) => pedal[t], (a, b, state) => pedalled.push({ from: a * dt, to: b * dt, state }));
   const used = played.map(({ key }) => key);
-  const low = Math.max(used.reduce((a, b) => Math.min(a, b), 48) - 1, 0), high = Math.min(used.reduce((a, b) => Math.max(a, b), 39) + 1, 87);
+  const low = Math.max(used.reduce((a, b) => Math.min(a, b), Math.min(69 - lowest, keys - 1)) - 1, 0), high = Math.min(used.reduce((a, b) => Math.max(a, b), Math.max(60 - lowest, 0)) + 1, keys - 1);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
   const pedalHeight = pedalled.length ? 24 : 0;
   let start = 0, length = duration, shiftedAt = -Infinity, time = 0;
@@ -115,14 +115,14 @@ function createRoll(element, data, seek) {
     const y = (key) => top + (high - key) * row;
     const colours = VERDICTS.map((name) => css("--" + name));
     for (let key = low; key <= high; key++) {
-      context.fillStyle = css(isBlack(key) ? "--row" : "--card");
+      context.fillStyle = css(isBlack(key + lowest) ? "--row" : "--card");
       context.fillRect(GUTTER, y(key), width - GUTTER, row);
-      const isC = (key + 9) % 12 === 0;
+      const isC = (key + lowest) % 12 === 0;
       context.fillStyle = css("--line");
       if (isC) context.fillRect(GUTTER, y(key) + row - 0.5, width - GUTTER, 1);
       context.textAlign = "right";
       context.fillStyle = css(isC ? "--ink" : "--soft");
-      if (isC || (row >= 12 && !isBlack(key))) context.fillText(noteName(key), GUTTER - 7, y(key) + row / 2 + 0.5);
+      if (isC || (row >= 12 && !isBlack(key + lowest))) context.fillText(noteName(key + lowest), GUTTER - 7, y(key) + row / 2 + 0.5);
     }
     if (pedalHeight) {
       context.fillStyle = css("--row");

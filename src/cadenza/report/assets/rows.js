@@ -4,8 +4,8 @@ const [HIT, WRONG, MISSED] = [1, 2, 3];
 const VERDICTS = ["hit", "wrong", "missed"]; // of states 1, 2, 3; in state 0 a key is rightly silent
 
 const NAMES = ["C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B"];
-const noteName = (key) => NAMES[(key + 9) % 12] + (Math.floor((key + 9) / 12));
-const isBlack = (key) => [1, 3, 6, 8, 10].includes((key + 9) % 12);
+const noteName = (pitch) => NAMES[pitch % 12] + (Math.floor(pitch / 12) - 1);
+const isBlack = (pitch) => [1, 3, 6, 8, 10].includes(pitch % 12);
 
 /** Stretches of equal, non-zero state: calls `found(first, end, state)` for rows first..end-1. */
 function stretches(steps, stateAt, found) {
@@ -18,11 +18,11 @@ function stretches(steps, stateAt, found) {
   }
 }
 
-/** Of all 88 keys, by their beginning [s]: {key, from, to, state}; `of` maps the state of a row. */
-function notes({ states, dt, steps }, of = (state) => state) {
+/** Of all keys, by their beginning [s]: {key, from, to, state}; `of` maps the state of a row. */
+function notes({ states, dt, steps, keys }, of = (state) => state) {
   const found = [];
-  for (let key = 0; key < 88; key++) {
-    stretches(steps, (t) => of(states[t * 88 + key]), (first, end, state) => {
+  for (let key = 0; key < keys; key++) {
+    stretches(steps, (t) => of(states[t * keys + key]), (first, end, state) => {
       found.push({ key, from: first * dt, to: end * dt, state });
     });
   }
@@ -42,15 +42,15 @@ function within(sorted, longest, start, end, found) {
 const longestOf = (sorted) => sorted.reduce((longest, { from, to }) => Math.max(longest, to - from), 0);
 
 /** The lowest and the highest key that should sound, or that does where none should. */
-function range({ states }) {
+function range({ states, keys }) {
   for (const counts of [wanted, (state) => state]) {
-    let low = 88, high = -1;
+    let low = keys, high = -1;
     for (let i = 0; i < states.length; i++) {
       if (!counts(states[i])) continue;
-      low = Math.min(low, i % 88);
-      high = Math.max(high, i % 88);
+      low = Math.min(low, i % keys);
+      high = Math.max(high, i % keys);
     }
     if (high >= 0) return [low, high];
   }
-  return [0, 87];
+  return [0, keys - 1];
 }

@@ -62,7 +62,7 @@ function createStage(canvas, data, colours) {
   const keyboard = new THREE.Box3();
   for (const key of keys) keyboard.expandByObject(key.solid);
   scene.add(...furniture(keyboard));
-  const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), 87));
+  const inUse = range(data).map((key, i) => Math.min(Math.max(key + (i ? 3 : -3), 0), parts.keys.length - 1));
   const falling = createFallingNotes(data, parts.keys, keyboard, inUse, colours.map((c) => new THREE.Color(c)));
   falling.track.visible = false;
   scene.add(falling.track);
@@ -205,7 +205,7 @@ function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
       const y = bodies.map((body) => at.setFromMatrixPosition(hands.bodies[body].matrixWorld).y);
       const left = Math.min(...y), right = Math.max(...y);
       [edges[hand].left[i], edges[hand].right[i]] = [left, right];
-      const within = ({ pos }, key) => [HIT, WRONG].includes(states[row * 88 + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
+      const within = ({ pos }, key) => [HIT, WRONG].includes(states[row * scene.keys.length + key]) && pos[1] > left - 0.01 && pos[1] < right + 0.01;
       edges[hand].plays ||= scene.keys.some(within);
     });
   }
