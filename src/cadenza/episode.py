@@ -29,6 +29,7 @@ from cadenza.files import (
     read_arrays,
     write_atomically,
 )
+from cadenza.fingers import NUM_FINGERS
 
 _LOWEST_PITCH = 21  # A0, of recordings that do not say, which are all of pianos
 _PITCHES = 128
@@ -90,7 +91,7 @@ _EXPECTED = {
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
-    "fingertip_xpos": ArrayOf(NUMBERS, ("T", 10, 3)),
+    "fingertip_xpos": ArrayOf(NUMBERS, ("T", NUM_FINGERS, 3)),
     "body_xpos": ArrayOf(NUMBERS, ("T", "B", 3)),
     "body_xquat": ArrayOf(NUMBERS, ("T", "B", 4)),
     "reward_*": ArrayOf(NUMBERS, ("T",)),

@@ -37,6 +37,10 @@ _GEOM_TYPES = {
 }
 
 
+SERVO = "A_"
+"""What the name of a servo begins with, before that of what it moves."""
+
+
 def prefix(side: Side) -> str:
     """What the names of one hand's bodies, joints, sites and actuators begin with."""
     return "rh_" if side == "right" else "lh_"
@@ -324,7 +328,7 @@ class _Builder:
         force: float | None,
     ) -> None:
         actuator = self._spec.add_actuator(
-            name=f"{self._prefix}A_{name}",
+            name=f"{self._prefix}{SERVO}{name}",
             target=self._prefix + name,
             trntype=mujoco.mjtTrn.mjTRN_TENDON if tendon else mujoco.mjtTrn.mjTRN_JOINT,
             ctrlrange=ctrlrange,

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.scene import Scene
 
@@ -60,7 +61,7 @@ def servos_of(scene: Scene) -> Servos:
         joints[a, model.jnt_dofadr[pulled] - dofs.start] = 1.0 / len(pulled)
     # Kinetic energy and dissipation of a unit of speed add up over the joints of a coordinate.
     return Servos(
-        names=tuple(name.split("A_", 1)[1] for name in scene.actuator_names),
+        names=tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names),
         joints=joints,
         stiffness=model.actuator_gainprm[:, 0].copy(),
         damping=joints**2 @ model.dof_damping[dofs],

@@ -1,0 +1,117 @@
+"""What is peculiar to a hand or a keyboard stands in its folder, and nowhere else in the package.
+
+The package is read, not run: names of joints, counts of keys and fingers, and figures are looked
+for among its literals. Docstrings and comments may name what they like.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import cadenza
+from cadenza.hands.named import HANDS
+from cadenza.keyboards.piano import PIANO
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
+
+PACKAGE = Path(cadenza.__file__).parent
+PECULIAR = ("hands", "keyboards")
+COUNTS = {5, 10, 88}
+# Where one of these numbers may stand, and what it counts there.
+ALLOWED = {
+    ("fingers.py", 5): "the fingers of a hand, in the numbering of fingers",
+    ("music/score.py", 88): "the keys of a piano, which is what music is written for",
+    ("agents/planning/config.py", 10): "candidates and step sizes",
+    ("fingering/changes.py", 5): "kinds of changes",
+    ("learning/config.py", 10): "gradient steps",
+    ("report/sound.py", 10): "seconds of sound; the base of decibels",
+    ("report/sound.py", 88): "the pitch of the last damper; the seed of the room's noise",
+    ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
+    ("tasks/config.py", 10): "steps of the lookahead",
+}
+COINCIDENCES = {("learning/algorithms/droq/config.py", 0.999): "Adam's decay of squares"}
+
+
+@cache
+def literals(file: Path) -> tuple[tuple[object, int], ...]:
+    """(value, line) of the literals in a file, but for docstrings."""
+    tree = ast.parse(file.read_text())
+    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    constants = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return tuple((node.value, node.lineno) for node in constants if id(node) not in alone)
+
+
+def files(peculiar: bool) -> Iterator[tuple[str, Path]]:
+    """(name, file) of what is in the folders of hands and keyboards, or of what is not."""
+    for file in sorted(PACKAGE.rglob("*.py")):
+        name = file.relative_to(PACKAGE).as_posix()
+        if name.startswith(PECULIAR) == peculiar:
+            yield name, file
+
+
+@cache
+def names_of_a_hand(hand: str) -> re.Pattern[str]:
+    """Matches its joints and the prefixes of its sides and servos."""
+    scene = build_scene(SceneConfig(hand=hand, reduced_action_space=False))
+    joints = {name.split("_", 1)[1] for name in scene.hand_joint_names}
+    sides = {name.split("_", 1)[0] + "_" for name in scene.hand_joint_names}
+    return re.compile(rf"\b({'|'.join(joints)})\b|\b({'|'.join(sides)})|\bA_")
+
+
+@pytest.mark.parametrize("hand", HANDS.own)
+def test_joints_are_named_by_their_hand_only(hand: str) -> None:
+    named = names_of_a_hand(hand)
+    assert [
+        f"{name}:{line}: {value}"
+        for name, file in files(peculiar=False)
+        for value, line in literals(file)
+        if isinstance(value, str) and named.search(value)
+    ] == []
+
+
+def counted() -> dict[tuple[str, int], list[int]]:
+    found: dict[tuple[str, int], list[int]] = {}
+    for name, file in files(peculiar=False):
+        for value, line in literals(file):
+            if type(value) is int and value in COUNTS:
+                found.setdefault((name, value), []).append(line)
+    return found
+
+
+def test_keys_and_fingers_are_not_counted_elsewhere() -> None:
+    assert {place: lines for place, lines in counted().items() if place not in ALLOWED} == {}
+
+
+def test_what_is_allowed_is_there() -> None:
+    assert ALLOWED.keys() <= counted().keys()
+
+
+def stated() -> set[float]:
+    """Figures of hands and keyboards that nobody would write by chance: of three digits or more."""
+    return {
+        value
+        for _, file in files(peculiar=True)
+        for value, _ in literals(file)
+        if isinstance(value, float) and len(re.sub(r"\.|e.*", "", repr(value)).strip("0")) > 2
+    }
+
+
+def test_no_figure_of_a_hand_or_a_keyboard_is_copied() -> None:
+    known = stated()
+    assert {0.01125, PIANO.sound_tolerance} < known
+    follow = (PIANO.white.travel, PIANO.black.travel, PIANO.spacing, PIANO.half_length)
+    assert [
+        f"{name}:{line}: {value}"
+        for name, file in files(peculiar=False)
+        for value, line in literals(file)
+        if isinstance(value, float)
+        and (name, value) not in COINCIDENCES
+        and (value in known or any(math.isclose(value, f, rel_tol=1e-3) for f in follow))
+    ] == []
