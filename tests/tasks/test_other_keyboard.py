@@ -95,6 +95,25 @@ def test_misses_are_named_by_the_keys_that_it_has() -> None:
     assert len(unplayed) >= 5
 
 
+def saved(path: Path, keys: int, **more: np.ndarray) -> Path:
+    arrays = {"action": np.zeros((3, 1)), "key_qpos": np.zeros((3, keys))}
+    cadenza.Episode("silence", 0.05, arrays | more, {}).save(path)
+    return path
+
+
+def test_recordings_that_do_not_say_are_of_pianos(tmp_path: Path) -> None:
+    assert cadenza.load_episode(saved(tmp_path / "old.npz", 88)).lowest_pitch == 21
+
+
+def test_recordings_of_impossible_keyboards_are_refused(tmp_path: Path) -> None:
+    high = saved(tmp_path / "high.npz", 25, lowest_pitch=np.array(120))
+    with pytest.raises(CadenzaError, match="25 keys from pitch 120 on"):
+        cadenza.load_episode(high)
+    other = saved(tmp_path / "other.npz", 25, key_activation=np.zeros((3, 88), bool))
+    with pytest.raises(CadenzaError, match="key_activation is bool of shape"):
+        cadenza.load_episode(other)
+
+
 def test_shifted_songs_stay_on_it() -> None:
     config = TaskConfig(random_pitch_shift=40, random_octave_shift=3)
     melody = Score((Note(0.0, 0.1, 55), Note(0.1, 0.2, 65)))

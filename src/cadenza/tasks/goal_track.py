@@ -67,6 +67,9 @@ class GoalTrack:
         goals = score_to_goals(self.score, config.control_timestep, shorten, pitches)
         there = np.isin(goals.fingers, self.scene.fingers)
         fingers = np.where(there, goals.fingers, np.int8(UNKNOWN_FINGER))
+        goals = replace(goals, fingers=fingers)
+        if not silent:
+            return goals
         return Goals(
             keys=np.pad(goals.keys, ((silent, 0), (0, 0))),
             fingers=np.pad(fingers, ((silent, 0), (0, 0)), constant_values=UNKNOWN_FINGER),
