@@ -12,6 +12,7 @@ from cadenza.hands.servo import Servo
 
 _NAMES = ("th", "ff", "mf", "rf")
 # The servos follow within a tenth of a second, so that motions have to be gentle.
+_NOISE = 0.025  # [rad] its servos are ten times as stiff as the other hand's
 _ACCELERATION = 40.0  # [rad/s^2]
 _LINKS = ("proximal", "medial", "distal")
 # Fingers are as wide as keys. On neighbouring keys they have room one behind the other.
@@ -42,7 +43,9 @@ def _servos(name: str) -> dict[str, Servo]:
     finger = _NAMES.index(name)
     lifts = (0.0, -0.3 if finger else 0.0, 0.0, 0.0)
     return {
-        f"{name}J{joint}": Servo(rest, acceleration=_ACCELERATION, lift=lift, finger=finger)
+        f"{name}J{joint}": Servo(
+            rest, acceleration=_ACCELERATION, noise=_NOISE, lift=lift, finger=finger
+        )
         for joint, (rest, lift) in enumerate(zip(_REST[name], lifts, strict=True))
     }
 
