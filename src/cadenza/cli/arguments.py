@@ -67,7 +67,7 @@ Quiet = Annotated[
 COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "reduce"),
     TaskConfig: ("stretch", "transpose"),
-    SceneConfig: ("hands",),
+    SceneConfig: ("hand", "hands"),
     TrainingConfig: ("num_steps", "residual", "seed"),
 }
 """The fields that --help shows of configurations whose options have no prefix."""

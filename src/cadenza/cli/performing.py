@@ -33,9 +33,8 @@ Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
 
 AGENTS_HELP = (
-    f'Who plays: {", ".join(AGENTS.own)}; an agent of another package, which "cadenza info" '
-    "lists; the folder of a policy; or module:Class, your own agent. By default the planner, or "
-    "the policy whose folder is SONG."
+    f'Who plays: {", ".join(AGENTS.own)}, the folder of a policy, or module:Class. "cadenza '
+    'info" lists more. By default the planner, or the policy whose folder is SONG.'
 )
 
 
@@ -50,7 +49,7 @@ class Performing:
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
     planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
     threads: int | None = None
-    """Threads that a planner uses, one per core by default. The result is the same."""
+    """Threads of a planner, one per core by default."""
 
     @property
     def configs(self) -> dict[str, Any]:

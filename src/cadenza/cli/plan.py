@@ -39,7 +39,7 @@ class PlanCommand(Performing):
     """The plan, a .npz file; played/SONG/plan.npz by default. The fingering is written beside it as
     text, to a file that ends in .fingering."""
     seed: int = 0
-    """Random seed. The same seed gives the same plan."""
+    """Random seed."""
     quiet: Quiet = False
 
 

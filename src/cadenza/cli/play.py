@@ -43,10 +43,9 @@ class PlayCommand(WithOtherPlanners):
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results, which replace older ones; played/SONG/AGENT by default."""
     seed: int = 0
-    """Random seed. The same seed gives the same performance."""
+    """Random seed."""
     plan: Path | None = None
-    """For --agent playback: a plan from "cadenza plan", or any .npz file with an array "action" of
-    shape (T, A) in actuator units."""
+    """For --agent playback: a plan, or any .npz file with an array "action" (T, A)."""
     loudness: Advanced[Literal["struck", "score"]] = "struck"
     """Loudness of the notes in sound and MIDI: as the keys were struck, or as written in the
     score."""

@@ -19,9 +19,9 @@ class SceneConfig:
     """The scene: the piano, the hands and the physics."""
 
     keyboard: str = "piano"
-    """The keyboard: piano, a name that an installed package adds, or module:NAME."""
+    """The keyboard: piano, one of an installed package, or module:NAME."""
     hand: str = "shadow"
-    """The kind of hand: shadow, a name that an installed package adds, or module:NAME."""
+    """Kind of hand: shadow, allegro, or module:NAME."""
     hands: Hands = "both"
     """Which hands play. With none, the piano plays itself."""
     reduced_action_space: bool = True
