@@ -53,7 +53,7 @@ class PlayCommand(WithOtherPlanners):
     """Write video.mp4, if this machine can render."""
     video_size: Advanced[tuple[int, int]] = (1280, 720)
     """Width and height of the video [px], up to 1920 1080."""
-    video_camera: str = "player"
+    video_camera: Advanced[str] = "player"
     """Camera of the video: player, closeup, left, right, back, egocentric or topdown."""
     quiet: Quiet = False
 
