@@ -11,8 +11,9 @@ from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
 _NAMES = ("th", "ff", "mf", "rf")
-# The servos follow within a tenth of a second, so that motions have to be gentle.
-_NOISE = 0.025  # [rad] its servos are ten times as stiff as the other hand's
+# Its servos follow within a tenth of a second, ten times as stiff as the other hand's: motions have
+# to be gentle, and what is tried around them small.
+_NOISE = 0.04  # [rad]
 _ACCELERATION = 40.0  # [rad/s^2]
 _LINKS = ("proximal", "medial", "distal")
 # Fingers are as wide as keys. On neighbouring keys they have room one behind the other.
