@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -343,6 +344,8 @@ def test_the_name_that_playback_had_still_works(
 
 
 def interrupted(capsys: pytest.CaptureFixture[str], agent: str) -> str:
+    # Shells start what runs in the background with Ctrl-C switched off.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.raises(SystemExit) as stop:
         main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", "part"])
     assert stop.value.code == 130
