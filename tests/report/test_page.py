@@ -154,8 +154,9 @@ def test_no_pedal_no_scores_of_it(write, episode):
 
 
 def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
-    words = write(episode, settings={"output": str(tmp_path / "joy"), "song": "OdeToJoy"}).words
-    assert {"joy", "OdeToJoy"} <= set(words)
+    paths = {"output": str(tmp_path / "joy"), "agent": str(tmp_path / "run")}
+    words = write(episode, settings=paths | {"song": "OdeToJoy"}).words
+    assert {"joy", "run", "OdeToJoy"} <= set(words)
     assert not any(str(tmp_path) in word for word in words)
 
 

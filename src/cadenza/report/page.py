@@ -129,7 +129,8 @@ def pieces(template: str, parts: Parts) -> Iterator[tuple[str, str]]:
 
 def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str]]:
     named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
-    facts = [(name, str(named[name])) for name in ("agent", "seed") if named.get(name) is not None]
+    shown = (name for name in ("agent", "seed") if named.get(name) is not None)
+    facts = [(name, _plain(named[name])) for name in shown]
     seconds = episode.num_steps * episode.dt
     return [*facts, ("length", f"{seconds:.1f} s"), ("control steps", str(episode.num_steps))]
 
