@@ -116,9 +116,8 @@ class GoalTable:
     def add(self, track: GoalTrack) -> int:
         """The row of the first step of what is played."""
         goals = track.goals
-        wanted = (goals.fingers[:, :, None] == np.arange(NUM_FINGERS)).any(axis=1)
         silence = np.zeros((len(self._ahead) - 1, self._num_bits), bool)
-        steps = np.column_stack([goals.keys, goals.sustain, wanted])
+        steps = np.column_stack([goals.keys, goals.sustain, goals.fingers_wanted])
         bits = np.packbits(np.concatenate([steps, silence]), axis=1)
         key = bits.tobytes()
         if key not in self._first:

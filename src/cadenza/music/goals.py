@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
 from cadenza.music.score import PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
@@ -32,6 +33,14 @@ class Goals:
     @property
     def num_steps(self) -> int:
         return len(self.keys)
+
+    @cached_property
+    def fingers_wanted(self) -> NDArray[np.bool_]:
+        """(T, 10) which fingers have a key to press."""
+        wanted = np.zeros((self.num_steps, NUM_FINGERS), bool)
+        step, key = (self.fingers >= 0).nonzero()
+        wanted[step, self.fingers[step, key]] = True
+        return wanted
 
     def at(self, steps: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
         """Keys (S, K) and fingers (S, K) of `steps` (S,); past the end there is silence."""

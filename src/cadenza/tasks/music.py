@@ -149,6 +149,8 @@ class _Coming(NamedTuple):
     """(N, lookahead + 1, K + 1) keys and pedal; past the end nothing is to be played."""
     fingers: NDArray[np.int8]
     """(N, K) of the next step."""
+    fingers_wanted: NDArray[np.bool_]
+    """(N, 10) in the next step."""
 
 
 class Sheets:
@@ -208,11 +210,7 @@ class Sheets:
     @property
     def fingers_wanted(self) -> NDArray[np.bool_]:
         """(N, 10) which fingers have a key to press in the next step."""
-        fingers = self.fingers
-        wanted = np.zeros((len(fingers), NUM_FINGERS), bool)
-        env, key = (fingers >= 0).nonzero()
-        wanted[env, fingers[env, key]] = True
-        return wanted
+        return self._look().fingers_wanted
 
     @property
     def lookahead(self) -> NDArray[np.bool_]:
@@ -225,12 +223,14 @@ class Sheets:
             num_envs = len(self.row)
             goal = np.zeros((num_envs, self._rows_seen, self._num_keys + 1), bool)
             fingers = np.empty((num_envs, self._num_keys), np.int8)
+            wanted = np.empty((num_envs, NUM_FINGERS), bool)
             for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
                 keys = goals.keys[row : row + self._rows_seen]
                 goal[env, : len(keys), :-1] = keys
                 goal[env, : len(keys), -1] = goals.sustain[row : row + self._rows_seen]
                 fingers[env] = goals.fingers[row]
-            self._coming = _Coming(goal, fingers)
+                wanted[env] = goals.fingers_wanted[row]
+            self._coming = _Coming(goal, fingers, wanted)
         return self._coming
 
     def part(self, env: int, first: int, last: int) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
