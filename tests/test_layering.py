@@ -26,7 +26,8 @@ STANDS_ON: dict[str, set[str]] = {
     "learning": {"agents"},
     "report": {"music"},
     "performing": {"learning", "report"},
-    "cli": {"performing"},
+    "evaluation": {"performing"},
+    "cli": {"evaluation"},
 }
 LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "scipy", "mido", "partitura"},
@@ -48,6 +49,7 @@ LIBRARIES: dict[str, set[str]] = {
         "threadpoolctl",
     },
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
+    "evaluation": {"numpy", "scipy"},
 }
 
 

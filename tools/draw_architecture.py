@@ -55,6 +55,7 @@ BOXES = (
     Box(2, 1.5, "simulation", "sim/"),
     Box(3, 1.5, "task", "tasks/"),
     Box(4, 1.5, "agent", "agents/", "given"),
+    Box(0, 3, "results", "evaluation/", "made"),
     Box(1, 3, "page, sound", "report/", "made"),
     Box(2, 3, "performance", "performing/", "made"),
     Box(3, 3, "episode", "episode.py", "made"),
@@ -112,6 +113,8 @@ def arrows() -> list[Arrow]:
     found.append(Arrow(((x, y), (x, 330), (to[0], 330), to), "transitions", (x + 60, 324)))
     a, b = side("learner", "top", 16), side("agent", "bottom", 16)
     found.append(Arrow((a, b), "policy", (a[0] + 24, (a[1] + b[1]) / 2 + 4)))
+    (x, y), to = side("performance", "bottom"), side("results", "bottom")
+    found.append(Arrow(((x, y), (x, 450), (to[0], 450), to), "many runs", (x - 191, 445)))
     return found
 
 

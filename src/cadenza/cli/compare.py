@@ -12,6 +12,7 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, current_name
 from cadenza.cli.arguments import Quiet
+from cadenza.cli.output import check_writable
 from cadenza.cli.performing import (
     Again,
     WithOtherPlanners,
@@ -21,7 +22,6 @@ from cadenza.cli.performing import (
     with_defaults_of,
 )
 from cadenza.cli.progress import stages
-from cadenza.cli.results import check_writable
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.tasks.config import TaskConfig

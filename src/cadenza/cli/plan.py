@@ -12,6 +12,7 @@ import tyro
 from cadenza.agents.registry import PLANNER, PLAYBACK
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.estimate import tell_how_long
+from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.performing import (
     Again,
     Performing,
@@ -22,7 +23,6 @@ from cadenza.cli.performing import (
     setting_up,
 )
 from cadenza.cli.progress import stages
-from cadenza.cli.results import check_name, check_writable
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin

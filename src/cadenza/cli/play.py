@@ -11,6 +11,7 @@ import tyro
 
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.estimate import tell_how_long
+from cadenza.cli.output import check_writable
 from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
@@ -23,7 +24,6 @@ from cadenza.cli.performing import (
     with_defaults_of,
 )
 from cadenza.cli.progress import stages
-from cadenza.cli.results import check_writable
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.files import folder_name
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import tyro
 
 from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
-from cadenza.cli.results import check_name, check_writable
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain

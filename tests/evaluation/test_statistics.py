@@ -1,0 +1,135 @@
+"""Statistics over runs and pieces, against plain loops, SciPy and figures worked out by hand."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from cadenza.evaluation.statistics import (
+    bootstrap_interval,
+    interquartile_mean,
+    mean,
+    mean_interval,
+    performance_profile,
+)
+
+NAN = math.nan
+RAGGED = np.array([[0.1, 0.5, NAN, 0.9], [0.3, NAN, 0.6, 1.0], [0.2, NAN, 0.7, 0.8]])
+
+
+def random_scores(seed: int, runs: int = 4, pieces: int = 7) -> np.ndarray:
+    """With some runs missing, but one of every piece there."""
+    rng = np.random.default_rng(seed)
+    scores = rng.random((runs, pieces))
+    scores[1:][rng.random((runs - 1, pieces)) < 0.3] = NAN
+    return scores
+
+
+def of_each_piece(scores: np.ndarray) -> list[list[float]]:
+    return [[x for x in piece if not math.isnan(x)] for piece in scores.T.tolist()]
+
+
+def test_every_piece_counts_the_same_in_the_mean() -> None:
+    assert mean(RAGGED) == pytest.approx((0.2 + 0.5 + 0.65 + 0.9) / 4)
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
+    # Of 0.1 0.2 0.3 0.5 0.6 0.7 0.8 0.9 1.0, two at either end.
+    assert interquartile_mean(RAGGED) == pytest.approx((0.3 + 0.5 + 0.6 + 0.7 + 0.8) / 5)
+    assert interquartile_mean(np.array([[0.0, 1.0], [8.0, 1.0]])) == 1
+    assert interquartile_mean(np.array([[0.25]])) == 0.25
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_interquartile_mean_is_that_of_a_plain_loop(seed: int) -> None:
+    scores = random_scores(seed)
+    ordered = sorted(x for piece in of_each_piece(scores) for x in piece)
+    cut = len(ordered) // 4
+    middle = ordered[cut : len(ordered) - cut]
+    assert interquartile_mean(scores) == pytest.approx(sum(middle) / len(middle))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_profile_is_that_of_a_plain_loop(seed: int) -> None:
+    scores, thresholds = random_scores(seed), [0.0, 0.25, 0.5, 0.9, 1.0]
+    pieces = of_each_piece(scores)
+    for threshold, share in zip(thresholds, performance_profile(scores, thresholds), strict=True):
+        shares = [sum(x > threshold for x in piece) / len(piece) for piece in pieces]
+        assert share == pytest.approx(sum(shares) / len(shares))
+
+
+def test_a_profile_worked_out_by_hand() -> None:
+    profile = performance_profile(RAGGED, [0.0, 0.2, 0.65, 1.0])
+    np.testing.assert_allclose(profile, [1, (1 / 3 + 3) / 4, (0.5 + 1) / 4, 0])
+
+
+def test_the_bootstrap_interval_is_that_of_a_plain_loop() -> None:
+    scores, draw, resamples = random_scores(3), random.Random(0), 4000
+    drawn = sorted(
+        np.mean([np.mean(draw.choices(piece, k=len(piece))) for piece in of_each_piece(scores)])
+        for _ in range(resamples)
+    )
+    low, high = bootstrap_interval(mean, scores, np.random.default_rng(0), resamples)
+    assert low == pytest.approx(drawn[round(0.025 * resamples)], abs=0.01)
+    assert high == pytest.approx(drawn[round(0.975 * resamples)], abs=0.01)
+
+
+def test_the_bootstrap_interval_is_that_of_scipy() -> None:
+    """Which draws each of several samples anew: the strata."""
+    scores = np.random.default_rng(1).random((5, 6))
+
+    def over_all(*pieces: np.ndarray, axis: int) -> np.ndarray:
+        return stats.trim_mean(np.concatenate(pieces, axis=axis), 0.25, axis=axis)
+
+    theirs = stats.bootstrap(
+        tuple(scores.T), over_all, n_resamples=8000, method="percentile", rng=1
+    ).confidence_interval
+    ours = bootstrap_interval(interquartile_mean, scores, np.random.default_rng(1), 8000)
+    assert ours == pytest.approx(tuple(theirs), abs=0.01)
+
+
+def test_runs_are_drawn_within_their_piece() -> None:
+    """Pieces differ here and their runs do not: only drawing other pieces would change a figure."""
+    scores = np.tile([0.1, 0.5, 0.9], (3, 1))
+    for statistic in (mean, interquartile_mean):
+        low, high = bootstrap_interval(statistic, scores, np.random.default_rng(0))
+        assert low == pytest.approx(high) == pytest.approx(0.5)
+
+
+def test_a_profile_has_an_interval_at_each_threshold() -> None:
+    thresholds = [0.0, 0.5, 1.0]
+    low, high = bootstrap_interval(
+        lambda x: performance_profile(x, thresholds), random_scores(2), np.random.default_rng(0)
+    )
+    assert low.shape == high.shape == (3,)
+    assert low[0] == high[0] == 1
+    assert low[1] < performance_profile(random_scores(2), [0.5]) < high[1]
+    assert low[2] == high[2] == 0
+
+
+def test_single_runs_have_no_interval() -> None:
+    scores = np.array([[0.2, 0.8]])
+    assert np.isnan(bootstrap_interval(mean, scores, np.random.default_rng(0))).all()
+    assert np.isnan(mean_interval(scores)[1:]).all()
+    assert mean_interval(scores)[0].tolist() == [0.2, 0.8]
+
+
+def test_the_same_seed_gives_the_same_interval() -> None:
+    first, second = (bootstrap_interval(mean, RAGGED, np.random.default_rng(7)) for _ in range(2))
+    assert first == second
+
+
+def test_the_interval_of_a_piece_is_student_s() -> None:
+    middle, low, high = mean_interval(RAGGED)
+    # Of 0.1 0.2 0.3: s = 0.1, and t of 97.5 % with two degrees of freedom is 4.3027.
+    assert middle[0] == pytest.approx(0.2)
+    assert high[0] - middle[0] == pytest.approx(4.3027 * 0.1 / math.sqrt(3), rel=1e-4)
+    assert math.isnan(low[1])
+    for piece, runs in enumerate(of_each_piece(RAGGED)):
+        if len(runs) > 1:
+            theirs = stats.t.interval(0.95, len(runs) - 1, np.mean(runs), stats.sem(runs))
+            assert (low[piece], high[piece]) == pytest.approx(theirs)
