@@ -36,7 +36,7 @@ ALLOWED = {
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
     ("tasks/config.py", 10): "steps of the lookahead",
 }
-COINCIDENCES = {("learning/algorithms/droq/config.py", 0.999): "Adam's decay of squares"}
+COINCIDENCES = {("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares"}
 
 
 @cache

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -105,3 +106,29 @@ def test_what_all_may_import_stands_on_nothing() -> None:
             n.split(".")[1] for n in imports(PACKAGE / f"{name}.py") if n.startswith("cadenza.")
         }
         assert parts <= EVERYWHERE
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    """Not behind functions and not for names of types either.
+
+    Python would bear these, but files of a circle can only be understood and changed together.
+    """
+    files = {module_of(file): file for file in PACKAGE.rglob("*.py")}
+    graph = {
+        module: {nearest(name, files) for name in imports(file)} - {module, None}
+        for module, file in files.items()
+    }
+    TopologicalSorter(graph).prepare()  # whose error names a circle
+
+
+def module_of(file: Path) -> str:
+    """Its full name."""
+    path = file.relative_to(PACKAGE.parent)
+    return ".".join((path.parent if path.stem == "__init__" else path.with_suffix("")).parts)
+
+
+def nearest(name: str, modules: Collection[str]) -> str | None:
+    """The module that `name` is, or is in."""
+    while name and name not in modules:
+        name = name.rpartition(".")[0]
+    return name or None

@@ -18,11 +18,11 @@ from rl_examples import melody
 
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.learning import old_formats
 from cadenza.learning.observation import GoalTable, ObservationSpec, pruned
 from cadenza.learning.policy import Policy
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
+from cadenza.learning.renew import renew
 from cadenza.learning.residual import reference_of
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.score import Note, PedalEvent, Score
@@ -132,14 +132,14 @@ def test_what_the_version_before_wrote_plays_the_same_and_can_be_written_anew(
     before = facts | {"format": 2, "residual": residual}
     (folder / "facts.json").write_text(json.dumps(before))
     reseal(folder, {n: (folder / n).read_bytes() for n in ("arrays.npz", "facts.json")})
-    with pytest.warns(CadenzaWarning, match=r"older version.* -m cadenza\.learning\.old_formats"):
+    with pytest.warns(CadenzaWarning, match=r"older version.* -m cadenza\.learning\.renew"):
         again = load_policy(folder)
     assert again.observation == learnt.observation
     for name, array in played(learnt).episode.arrays.items():
         if name != "metrics":  # times
             assert_array_equal(played(again).episode.arrays[name], array)
     with pytest.warns(CadenzaWarning, match="older version"):
-        old_formats._main([str(folder)])
+        renew(folder)
     with warnings.catch_warnings(action="error"):
         load_policy(folder)
     assert read_sealed(folder, "policy")[0]["about"] == {"step": 3}

@@ -1,14 +1,8 @@
-"""What the version before this one wrote, as this one writes it. To go with the next version.
-
-    python -m cadenza.learning.old_formats POLICY...
-
-writes the folders of policies anew.
-"""
+"""What the version before this one wrote, as this one writes it. To go with the next version."""
 
 from __future__ import annotations
 
 import re
-import sys
 import warnings
 from contextlib import closing
 from dataclasses import asdict
@@ -17,9 +11,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaWarning
 from cadenza.files import checked
-from cadenza.learning.sealed_folder import is_old, read_sealed
+from cadenza.learning.sealed_folder import is_old
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -72,7 +66,7 @@ def is_old_policy(folder: Path, facts: dict[str, Any]) -> bool:
     if old:
         warnings.warn(
             f"{folder}: written by an older version, and the next one will not read it; to write "
-            f"it anew: python -m {__spec__.name} {folder}",
+            f"it anew: python -m cadenza.learning.renew {folder}",
             CadenzaWarning,
             stacklevel=4,
         )
@@ -99,19 +93,3 @@ def renewed_policy(
     named = {re.sub("^plan/", "reference/", name): array for name, array in arrays.items()}
     kept = {name: value for name, value in facts.items() if name != "residual"}
     return kept | {"format": 3, "observation": asdict(spec)}, named
-
-
-def _main(folders: list[str]) -> None:
-    from cadenza.learning.policy_folder import load_policy, save_policy
-
-    for folder in map(Path, folders):
-        try:
-            facts, _ = read_sealed(folder, "policy", {})
-            save_policy(folder, load_policy(folder), facts["about"])
-        except (CadenzaError, OSError) as error:
-            sys.exit(str(error))
-
-
-if __name__ == "__main__":
-    warnings.simplefilter("ignore", CadenzaWarning)
-    _main(sys.argv[1:])

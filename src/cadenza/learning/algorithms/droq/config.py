@@ -1,15 +1,13 @@
-"""The options of DroQ (Hiraoka et al., ICLR 2022) on SAC. Imports nothing heavy."""
+"""The configuration of DroQ, by which the learner is named. Imports nothing heavy."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.learning.learner import Ends, LearnerConfig, Preset
-from cadenza.learning.policy import Activation
+from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
+from cadenza.learning.learner import Ends
 
 if TYPE_CHECKING:
     from cadenza.learning.algorithms.droq.learner import DroQ
@@ -17,96 +15,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class DroQConfig(LearnerConfig):
+class DroQConfig(Hyperparameters):
     """The defaults are those of the paper (Zakka et al., CoRL 2023)."""
-
-    hidden_sizes: tuple[int, ...] = (256, 256, 256)
-    """Hidden layer widths of the actor and the critics."""
-    activation: Activation = "relu"
-    """Activation function of the hidden layers."""
-    num_critics: int = 2
-    """Critics in the ensemble. The minimum of their Q-values is used."""
-    dropout: float = 0.01
-    """Dropout rate in the critics."""
-    layer_norm: bool = True
-    """Use layer normalisation in the critics, after dropout."""
-    log_std_min: float = -20.0
-    """Minimum log standard deviation of the policy, before tanh."""
-    log_std_max: float = 2.0
-    """Maximum log standard deviation of the policy, before tanh."""
-    initial_temperature: float = 1.0
-    """Initial entropy temperature. It is learnt."""
-    target_entropy: float | None = None
-    """Target entropy. By default minus half the action dimension."""
-    actor_learning_rate: float = 3e-4
-    """Learning rate of the actor (Adam)."""
-    critic_learning_rate: float = 3e-4
-    """Learning rate of the critics (Adam)."""
-    temperature_learning_rate: float = 3e-4
-    """Learning rate of the log temperature (Adam)."""
-    final_learning_rate_fraction: float = 1.0
-    """Fraction of the learning rates that is left at the end of a run. They decay linearly. If a
-    resumed run gets another end, they decay from their current values."""
-    adam_beta1: float = 0.9
-    """Adam's decay rate of the first moment."""
-    adam_beta2: float = 0.999
-    """Adam's decay rate of the second moment."""
-    discount: float = 0.99
-    """Discount factor per control step."""
-    tau: float = 0.005
-    """Soft update rate of the target critics."""
-    policy_delay: int = 1
-    """Critic updates per update of the actor and the temperature."""
-    actor_ema: float = 1.0
-    """Update rate of the exponential moving average of the actor, which is evaluated and saved.
-    With 1 it is the latest actor."""
-
-    @classmethod
-    def preset(cls, name: Preset, residual: bool) -> Self:
-        """What a run begins with.
-
-        fast: little entropy to begin with, as a temperature of 1 takes ten thousands of updates to
-        cool. What corrections spoil was nearly right: with `residual` changes are smaller, and
-        there is more to found each of them on.
-        """
-        if name == "paper":
-            return cls()
-        if name == "published":
-            return cls(discount=0.8, activation="gelu")
-        fast = cls(
-            actor_learning_rate=1e-3,
-            critic_learning_rate=1e-3,
-            temperature_learning_rate=1e-3,
-            initial_temperature=0.05,
-            discount=0.84,
-            actor_ema=0.01,
-            batch_size=128,
-        )
-        if not residual:
-            return fast
-        return replace(
-            fast,
-            actor_learning_rate=3e-4,
-            critic_learning_rate=3e-4,
-            initial_temperature=0.01,
-            final_learning_rate_fraction=0.1,
-            batch_size=256,
-        )
-
-    def check(self) -> None:
-        """Raises: CadenzaError: an option makes no sense."""
-        super().check()
-        check_ranges(self, _RANGES)
-        if not self.hidden_sizes or min(self.hidden_sizes) < 1:
-            raise CadenzaError(f"hidden_sizes {self.hidden_sizes}: give one width per layer")
-        for name in _BELOW_ONE:
-            if not 0 <= getattr(self, name) < 1:
-                raise CadenzaError(
-                    f"{name} {getattr(self, name)}: choose 0 or more and less than 1"
-                )
-        for name in _ABOVE_ZERO:
-            if not 0 < getattr(self, name) < math.inf:
-                raise CadenzaError(f"{name} {getattr(self, name)}: choose more than 0")
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> DroQ:
         """See `LearnerConfig.make`."""
@@ -117,20 +27,3 @@ class DroQConfig(LearnerConfig):
                 f"training needs more packages ({error}): pip install '.[train]'"
             ) from error
         return DroQ(self, inputs, action_size, ends)
-
-
-_RANGES = {
-    "num_critics": (1, MOST_COUNT),
-    "policy_delay": (1, MOST_COUNT),
-    "discount": (0, 1),
-    "tau": (0, 1),
-    "actor_ema": (0, 1),
-    "final_learning_rate_fraction": (0, 1),
-}
-_BELOW_ONE = ("dropout", "adam_beta1", "adam_beta2")
-_ABOVE_ZERO = (
-    "initial_temperature",
-    "actor_learning_rate",
-    "critic_learning_rate",
-    "temperature_learning_rate",
-)

@@ -16,7 +16,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
 from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
 from cadenza.learning.learner import Ends
@@ -79,7 +79,7 @@ class DroQ:
     """
 
     def __init__(
-        self, config: DroQConfig, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
+        self, config: Hyperparameters, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Args:
         config: what can be chosen.

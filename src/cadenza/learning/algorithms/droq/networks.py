@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
 from cadenza.learning.observation import Inputs
 
 _ACTIVATIONS = {"relu": nn.relu, "gelu": nn.gelu}
@@ -53,7 +53,7 @@ class FirstLayer(nn.Module):
 class HiddenLayers(nn.Module):
     """Linear layers, each with dropout and layer normalisation if asked for, and activation."""
 
-    config: DroQConfig
+    config: Hyperparameters
     inputs: Inputs
     dropout: float = 0.0
     layer_norm: bool = False
@@ -80,7 +80,7 @@ class Actor(nn.Module):
     An action is the hyperbolic tangent of what is drawn from that normal distribution.
     """
 
-    config: DroQConfig
+    config: Hyperparameters
     inputs: Inputs
     action_size: int
 
@@ -95,7 +95,7 @@ class Actor(nn.Module):
 class Critic(nn.Module):
     """Observations (..., D) and actions (..., A) to values (...)."""
 
-    config: DroQConfig
+    config: Hyperparameters
     inputs: Inputs
     """Of observations and actions together."""
 
