@@ -60,11 +60,11 @@ def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follow]:
 
 def test_a_song_library(follow: Follow, capsys: pytest.CaptureFixture[str]) -> None:
     follow("song-library")
-    Path("site/etudes/songs").mkdir()
-    write_midi(TUNE, Path("site/etudes/songs/thirds.mid"))
+    Path("site/studies/songs").mkdir()
+    write_midi(TUNE, Path("site/studies/songs/thirds.mid"))
     main(["songs"])
-    assert capsys.readouterr().out.splitlines()[-1].startswith("etudes/thirds ")
-    assert cadenza.load_song("etudes/thirds").notes == TUNE.notes
+    assert capsys.readouterr().out.splitlines()[-1].startswith("studies/thirds ")
+    assert cadenza.load_song("studies/thirds").notes == TUNE.notes
 
 
 def test_an_agent(follow: Follow) -> None:

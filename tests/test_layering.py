@@ -31,7 +31,7 @@ STANDS_ON: dict[str, set[str]] = {
     "cli": {"evaluation"},
 }
 LIBRARIES: dict[str, set[str]] = {
-    "music": {"numpy", "scipy", "mido", "partitura"},
+    "music": {"numpy", "scipy", "mido", "partitura", "filelock", "platformdirs"},
     "keyboards": {"numpy", "mujoco"},
     "hands": {"numpy", "mujoco"},
     "scene": {"numpy", "mujoco"},

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cadenza.errors import CadenzaError, CadenzaWarning
     from cadenza.learning.config import TrainingConfig
     from cadenza.music.arrangement import Arrangement
-    from cadenza.music.library import Piece, songs
+    from cadenza.music.bundled import Piece, songs
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
@@ -70,7 +70,7 @@ _MODULES = {
     "learning.config": ("TrainingConfig",),
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
-    "music.library": ("Piece", "songs"),
+    "music.bundled": ("Piece", "songs"),
     "music.score": ("Note", "PedalEvent", "Score"),
     "performing.setup": ("load_song",),
     "performing.performance": ("Performance", "play"),

@@ -16,7 +16,7 @@ from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
-from cadenza.cli import about, compare, plan, play, train
+from cadenza.cli import about, compare, plan, play, songs, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Performing
 from cadenza.cli.progress import QUIET
@@ -29,7 +29,8 @@ _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "compare": (compare.Compare, compare.compare),
     "train": (train.Train, train.train),
     "curves": (train.Curves, train.curves),
-    "songs": (about.Songs, about.songs),
+    "songs": (songs.Songs, songs.songs),
+    "libraries": (songs.Libraries, songs.libraries),
     "info": (about.Info, about.info),
 }
 

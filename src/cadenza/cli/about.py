@@ -1,15 +1,14 @@
-"""`cadenza songs` and `cadenza info`: what there is to play, and with what."""
+"""`cadenza info`: what a song is like, and what there is to play it with."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from cadenza.agents.registry import AGENTS
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -23,34 +22,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Songs:
-    """List the bundled songs, and those that other packages add."""
-
-
-@dataclass(frozen=True)
 class Info:
     """Describe a song: length, notes, range, fingering. Without a song, this installation."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
     """A bundled song, or a MIDI or MusicXML file."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
-
-
-def songs(_: Songs) -> None:
-    from cadenza.music.library import LIBRARIES, library
-    from cadenza.music.library import songs as pieces
-
-    for piece in pieces():
-        print(
-            f"{piece.name:34} {piece.difficulty:12} {piece.seconds:5.1f} s  "
-            f"{piece.title} ({piece.composer})"
-        )
-    for name, entry in LIBRARIES.entries().items():
-        try:
-            for song in library(name):
-                print(f"{name}/{song:33} {entry.about}")
-        except CadenzaError as error:
-            warnings.warn(str(error), CadenzaWarning, stacklevel=1)
 
 
 def info(command: Info) -> None:

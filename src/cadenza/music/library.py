@@ -1,116 +1,112 @@
-"""The bundled pieces, and how to load any score.
+"""Songs and libraries by name, and how to load any score.
 
-Listing the pieces reads one small index; MIDI is imported only when a score is loaded, because
-the names are wanted whenever Cadenza starts.
+Listing reads no more than an index; MIDI is imported only when a score is loaded, because the names
+are wanted whenever Cadenza starts.
 """
 
 from __future__ import annotations
 
 import os.path
-import tomllib
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import replace
 from difflib import get_close_matches
-from functools import cache
 from pathlib import Path
-from typing import Literal
 
 from cadenza.errors import CadenzaError, by_others
+from cadenza.music.bundled import Piece, bundled, songs
+from cadenza.music.folder import folder_library
+from cadenza.music.imported import imported, imported_libraries, is_imported
+from cadenza.music.reading import MUSIC, NOT_READ, read_score
 from cadenza.music.score import Score
-from cadenza.registry import Registry
+from cadenza.music.songs import Library, song_named
+from cadenza.registry import Entry, Registry
 
-_FOLDER = Path(__file__).parent / "pieces"
-_MIDI = (".mid", ".midi")
-_MUSICXML = (".musicxml", ".xml", ".mxl")
-_NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
-_SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"
-_SHEET = "convert the sheet music to MusicXML with a recognition program such as Audiveris"
-_NOT_READ = {  # what to do about formats that some may hold for music
-    **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
-    **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
-    **dict.fromkeys((".abc",), "convert it with abc2midi"),
-    **dict.fromkeys((".ly",), "have LilyPond write MIDI: add \\midi {} to its \\score block"),
-    **dict.fromkeys((".krn",), "convert it with hum2mid, or with Verovio"),
-    **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".m4a", ".aac", ".opus", ".mp4"), _SOUND),
-    **dict.fromkeys((".pdf", ".png", ".jpg", ".jpeg", ".tif", ".tiff"), _SHEET),
-}
+__all__ = ["LIBRARIES", "Piece", "libraries", "load_score", "open_library", "songs"]
 
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A bundled piece: it lasts `seconds` [s] and is played by one or two `hands`.
-
-    `source` names the work, why it is free to use, and who arranged and fingered it.
-    """
-
-    name: str
-    title: str
-    composer: str
-    source: str
-    difficulty: Literal["easy", "intermediate", "hard"]
-    seconds: float
-    hands: int
+LIBRARIES = Registry(
+    "song library",
+    "cadenza.songs",
+    {
+        "bundled": Entry("cadenza.music.bundled:bundled", "the pieces that come with Cadenza"),
+        "debug": Entry("cadenza.music.bundled:debug", "a few short ones of them"),
+        "etude-12": Entry("cadenza.music.pig:etude_12", "the twelve published etudes"),
+        "repertoire-150": Entry("cadenza.music.pig:repertoire_150", "the PIG dataset"),
+    },
+    otherwise="a folder",
+)
+"""What has a name without being imported: a library, a folder of songs (as other packages add
+them), or a function that returns one."""
 
 
-@cache
-def songs() -> tuple[Piece, ...]:
-    """The bundled pieces, from easy to hard."""
-    index = tomllib.loads((_FOLDER / "index.toml").read_text(encoding="utf-8"))
-    return tuple(Piece(name, **about) for name, about in index.items())
+def libraries() -> dict[str, str]:
+    """All libraries by name, and what they are."""
+    registered = {name: entry.about for name, entry in LIBRARIES.entries().items()}
+    found = {name: "imported" for name in imported_libraries() if name not in registered}
+    return {**registered, **found}
 
 
-LIBRARIES = Registry("song library", "cadenza.songs")
-"""Folders of songs that other packages add: a path, or a function that returns one."""
+def distinct_libraries() -> list[str]:
+    """The names of those that have no song in common with another of them, and an end."""
+    added = [name for name in LIBRARIES.entries() if name not in LIBRARIES.own]
+    return list(dict.fromkeys(["bundled", *imported_libraries(), *added]))
 
 
-def library(name: str) -> dict[str, Path]:
-    """The songs of a library of another package in alphabetical order: name -> file.
+def open_library(spec: str | Path) -> Library:
+    """A library by its name, or a folder; nothing but an index is read.
+
+    Args:
+        spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
+            files, which may have an index (see `cadenza.music.index`). With `:SPLIT` after it, only
+            the songs of that split, as in "repertoire:valid". A folder that has the same name as a
+            library wants a path with a separator, such as "./bundled".
 
     Raises:
-        CadenzaError: there is no such library, or it is no folder.
+        CadenzaError: there is no such library or split, it has not been imported yet, or its index
+            is damaged.
     """
-    place = LIBRARIES.load(name, object)
-    with by_others(f"song library {name}"):
-        place = place() if callable(place) else place
-    if not isinstance(place, str | Path) or not os.path.isdir(place):
-        raise CadenzaError(f"song library {name}: {place!r:.100} is not a folder")
-    files = sorted(Path(place).iterdir())
-    return {file.stem: file for file in files if file.suffix.lower() in (*_MIDI, *_MUSICXML)}
+    text = str(spec)
+    name, _, split = text.partition(":")
+    if not isinstance(spec, Path) and _is_library(name):
+        library = _named(name)
+    elif os.path.isdir(text):
+        library, split = folder_library(Path(text)), ""
+    elif os.path.isdir(path := text.rpartition(":")[0]):
+        library, split = folder_library(Path(path)), text[len(path) + 1 :]
+    else:
+        close = get_close_matches(name, list(libraries()), n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise CadenzaError(
+            f"no song library {text!r}: {hint}run `cadenza libraries` for all names, or give the "
+            "path of a folder"
+        )
+    return library.of_split(split) if split else library
 
 
 def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
-    """A piece by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
+    """A song by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
 
-    Pieces of a library that another package adds are called `library/piece`.
+    The bundled pieces are called by their names, those of other libraries `library/piece`.
 
     Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the file, the notes have its
     fingers, see `cadenza.music.fingering_file`.
 
     Args:
-        name_or_path: the piece or file.
+        name_or_path: the song or file.
         tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
 
     Raises:
-        CadenzaError: no such piece or track, a format that is not read, or a file that
+        CadenzaError: no such song or track, a format that is not read, or a file that
             `read_midi`, `read_musicxml` or `read_fingering` refuses.
     """
-    from cadenza.music.fingering_file import SUFFIX, read_fingering
-    from cadenza.music.midi import read_midi
-    from cadenza.music.musicxml import read_musicxml
-
     check_is_name(name_or_path)
     path = Path(name_or_path)
-    suffix = path.suffix.lower()
-    if suffix not in (*_MIDI, *_MUSICXML, *_NOT_READ) and not os.path.isfile(path):
-        path = _file_of(str(name_or_path))
-    if suffix in _NOT_READ:
-        raise CadenzaError(f"{path}: {suffix} files cannot be read; {_NOT_READ[suffix]}")
-    score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
-    sidecar = path.with_suffix(SUFFIX)
-    if not os.path.isfile(sidecar):  # also where that name is too long
-        return score
-    return read_fingering(sidecar, score, all_there=not tracks)
+    if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
+        return read_score(path, tracks)
+    name = str(name_or_path)
+    library, _, piece = name.partition("/")
+    among = _named(library) if piece and _is_library(library) else bundled()
+    return song_named(name, among.songs).load(tracks)
 
 
 def check_is_name(song: object) -> None:
@@ -122,19 +118,25 @@ def check_is_name(song: object) -> None:
         )
 
 
-def _file_of(name: str) -> Path:
-    """Of a bundled song, or of one of a library."""
-    prefix, _, song = name.partition("/")
-    if song and prefix in LIBRARIES.entries():
-        files = {f"{prefix}/{song}": file for song, file in library(prefix).items()}
-    else:
-        files = {piece.name: _FOLDER / f"{piece.name}.mid" for piece in songs()}
-    names = {known.lower(): known for known in files}
-    if name.lower() in names:
-        return files[names[name.lower()]]
-    close = [names[match] for match in get_close_matches(name.lower(), names, cutoff=0.5)]
-    hint = f"did you mean {' or '.join(close)}? " if close else ""
-    raise CadenzaError(
-        f"no song named {name!r}: {hint}run `cadenza songs` for all names, "
-        "or give the path of a MIDI or MusicXML file"
-    )
+def _is_library(name: str) -> bool:
+    return name in LIBRARIES.own or is_imported(name) or name in LIBRARIES.entries()
+
+
+def _named(name: str) -> Library:
+    """The library of this name.
+
+    Raises:
+        CadenzaError: it has not been imported yet, is none, or cannot be read.
+    """
+    if is_imported(name):
+        return imported(name)
+    about = LIBRARIES.entries()[name].about
+    place = LIBRARIES.load(name, object)
+    with by_others(f"song library {name}"):
+        place = place() if callable(place) else place
+    if isinstance(place, Library):
+        return place
+    if not isinstance(place, str | Path) or not os.path.isdir(place):
+        raise CadenzaError(f"song library {name}: {place!r:.100} is not a folder")
+    songs = folder_library(Path(place), name).songs
+    return Library(name, tuple(replace(song, source=song.source or about) for song in songs))

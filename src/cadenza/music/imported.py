@@ -1,0 +1,145 @@
+"""The libraries that a user has imported, each in a folder of its own with an index and files.
+
+The index is written last, as a whole, and says in which folder the files are. So a library is the
+old one or the new one, whenever an import is interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from cadenza.errors import CadenzaError
+from cadenza.fingers import hand_of
+from cadenza.music.index import INDEX, Facts, read_index, write_index
+from cadenza.music.reading import read_score
+from cadenza.music.score import Score
+from cadenza.music.songs import Library, Song
+from cadenza.music.user_data import libraries_folder
+
+_NAME = re.compile(r"\w[\w.-]{0,63}")
+_FILES = "files-"  # what the name of the folder of files begins with
+
+
+def imported_libraries() -> list[str]:
+    """Their names, in alphabetical order."""
+    try:
+        names = os.listdir(libraries_folder())
+    except OSError:
+        return []
+    return sorted(name for name in names if is_imported(name))
+
+
+def is_imported(name: str) -> bool:
+    """Whether there is such a library."""
+    return bool(_NAME.fullmatch(name)) and os.path.isfile(libraries_folder() / name / INDEX)
+
+
+def imported(name: str) -> Library:
+    """One that has been imported; only its index is read.
+
+    Raises:
+        CadenzaError: it is not there, or its index is damaged.
+    """
+    folder = libraries_folder() / name
+    songs = (
+        Song(f"{name}/{Path(file).stem}", partial(read_score, folder / file), **facts)
+        for file, facts in read_index(folder / INDEX).items()
+    )
+    return Library(name, tuple(songs))
+
+
+@dataclass(frozen=True)
+class NewLibrary:
+    """A library that is being made: files go into `folder`."""
+
+    name: str
+    folder: Path
+    rows: list[tuple[str, Facts]] = field(default_factory=list)
+
+    def add(self, file: str, score: Score, facts: Facts) -> None:
+        """Has a piece listed.
+
+        Args:
+            file: its name in the folder; what stands before its ending is the name of the piece.
+            score: what is in it, which is counted now, so that no listing has to read it.
+            facts: what else is known of it.
+        """
+        self.rows.append((f"{self.folder.name}/{file}", {**facts, **_counted(score)}))
+
+
+@contextmanager
+def new_library(name: str, replace: bool = False) -> Iterator[NewLibrary]:
+    """Yields a library to add pieces to, which is there when the block ends without an error.
+
+    Args:
+        name: of the library.
+        replace: whether it may take the place of one that is there.
+
+    Raises:
+        CadenzaError: the name cannot be one, there is such a library, nothing has been added, or
+            another import is running.
+    """
+    from filelock import FileLock, Timeout
+
+    if not _NAME.fullmatch(name):
+        raise CadenzaError(
+            f"library name {name!r}: give up to 64 letters, digits, dots, dashes or underscores"
+        )
+    all_libraries = libraries_folder()
+    place = all_libraries / name
+    all_libraries.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(all_libraries / ".lock", timeout=0):
+            if is_imported(name) and not replace:
+                raise CadenzaError(
+                    f"there is a library {name} already; import with --replace to replace it, or "
+                    "choose another --name"
+                )
+            library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}")
+            try:
+                library.folder.mkdir(parents=True)
+                yield library
+                if not library.rows:
+                    raise CadenzaError(f"{name}: there is not one piece that can be read")
+                write_index(place / INDEX, library.rows)
+            except BaseException:
+                shutil.rmtree(library.folder, ignore_errors=True)
+                raise
+            finally:
+                _tidy(place)
+    except Timeout:
+        raise CadenzaError("another import is running; try again when it has ended") from None
+
+
+def _tidy(place: Path) -> None:
+    """Removes files that belong to no library any more, and the folder if nothing is in it."""
+    with suppress(CadenzaError):
+        kept = {file.split("/")[0] for file in read_index(place / INDEX)}
+        for folder in place.glob(f"{_FILES}*"):
+            if folder.name not in kept:
+                shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        place.rmdir()
+
+
+def _counted(score: Score) -> Facts:
+    """What a listing says of a score."""
+    return {
+        "seconds": round(score.total_time, 2),
+        "notes": len(score.notes),
+        "hands": _hands(score),
+    }
+
+
+def _hands(score: Score) -> int | None:
+    """How many play, by the fingers or the tracks; None if neither says."""
+    hands = {hand_of(note.finger) for note in score.notes if note.finger >= 0}
+    return len(hands) or (2 if len(score.tracks) > 1 else None)

@@ -1,0 +1,107 @@
+"""The index of a folder of music: `index.csv`, a line a piece.
+
+    file,title,composer,split
+    midi/nocturne.mid,Nocturne,John Field,train
+
+The piece is named by `file` (also `path`, `filename`, `id` or `name`): the path of its file within
+the folder, or its name, with or without ending. All else is optional.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_atomically
+from cadenza.music.source import read_bytes
+from cadenza.music.titles import printable
+
+N = TypeVar("N", int, float)
+
+INDEX = "index.csv"
+_NAMES = ("file", "path", "filename", "id", "name")
+_TEXTS = ("title", "composer", "source", "split")
+_NUMBERS: Mapping[str, Callable[[str], float]] = {
+    "seconds": float,
+    "notes": int,
+    "hands": int,
+    "difficulty": float,
+}
+_COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
+_MAX_BYTES = 16 * 2**20
+
+Facts = dict[str, Any]
+"""What an index says of a piece, by the names of the fields of `Song`."""
+
+
+def read_index(path: Path) -> dict[str, Facts]:
+    """What the index says, by how it names the pieces, in its order.
+
+    Raises:
+        CadenzaError: it cannot be read, is no table, or names a piece twice.
+    """
+    rows: dict[str, Facts] = {}
+    reader = csv.reader(io.StringIO(text_of(path)), strict=True)
+    try:
+        header = [column.strip().lower() for column in next(reader, [])]
+        column = next((header.index(name) for name in _NAMES if name in header), None)
+        if column is None:
+            raise CadenzaError(
+                f"{path}:1: no column says which file a line is about; name one of the columns "
+                f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
+            )
+        for row in reader:
+            if not any(row):
+                continue
+            cells = dict(zip(header, row, strict=False))
+            name = row[column].strip() if column < len(row) else ""
+            if not name or name in rows:
+                wrong = f"a second line for {name!r}" if name else "names no file"
+                raise CadenzaError(f"{path}:{reader.line_num}: {wrong}; correct or remove it")
+            rows[name] = _facts(cells)
+    except csv.Error as error:
+        raise CadenzaError(f"{path}:{reader.line_num}: not a table as CSV ({error})") from error
+    return rows
+
+
+def text_of(path: Path) -> str:
+    """A text file in UTF-8.
+
+    Raises:
+        CadenzaError: it cannot be read, or is none.
+    """
+    try:
+        return read_bytes(path, _MAX_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise CadenzaError(f"{path}:{line}: not text in UTF-8; save it as that") from error
+
+
+def write_index(path: Path, rows: Iterable[tuple[str, Facts]]) -> None:
+    """Writes an index of files and what is known of them."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for file, facts in rows:
+        writer.writerow({_COLUMNS[0]: file, **facts})
+    with write_atomically(path) as out:
+        out.write(text.getvalue().encode())
+
+
+def _facts(cells: Mapping[str, str]) -> Facts:
+    """Of a line; what is no number where one should be is not known."""
+    texts = {name: printable(cells.get(name, "")) for name in _TEXTS}
+    return texts | {name: _number(cells.get(name, ""), kind) for name, kind in _NUMBERS.items()}
+
+
+def _number(text: str, kind: Callable[[str], float]) -> float | None:
+    try:
+        value = kind(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and value >= 0 else None

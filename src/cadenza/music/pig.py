@@ -1,0 +1,65 @@
+"""The PIG dataset of piano fingerings, which its authors do not allow to be passed on.
+
+The published benchmark plays it: all of it as `repertoire-150`, and twelve pieces as `etude-12`.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import replace
+
+from cadenza.errors import CadenzaError
+from cadenza.music.imported import imported, is_imported
+from cadenza.music.songs import Library
+
+ALL = "repertoire-150"
+TWELVE = "etude-12"
+_WEBSITE = "https://beam.kisarazu.ac.jp/~saito/research/PianoFingeringDataset/"
+_ETUDES = (
+    "French Suite No. 1 Allemande",
+    "French Suite No. 5 Sarabande",
+    "Piano Sonata D. 845 1st mov.",
+    "Partita No. 2 (6)",
+    "Waltz Op. 64 No. 1",
+    "Bagatelle Op. 3 No. 4",
+    "Kreisleriana Op. 16 No. 8",
+    "French Suite No. 5 Gavotte",
+    "Piano Sonata No. 23 2nd mov.",
+    "Golliwogg's Cakewalk",
+    "Piano Sonata No. 2 1st mov.",
+    "Piano Sonata K. 279 1st mov.",
+)
+_UNSAID = re.compile(r"\bin [a-h]\b([ -]?(flat|sharp))?( (major|minor))?|\b(no|mov|movement|mvt)\b")
+
+
+def repertoire_150() -> Library:
+    """The pieces of the dataset, once it has been imported.
+
+    Raises:
+        CadenzaError: it has not.
+    """
+    if not is_imported(ALL):
+        raise CadenzaError(
+            f"{ALL} and {TWELVE} are made of the PIG dataset, which may not be passed on: register "
+            f"at {_WEBSITE}, download it, and run `cadenza import pig FILE.zip`"
+        )
+    return imported(ALL)
+
+
+def etude_12() -> Library:
+    """Twelve of these pieces, in the order in which they were published.
+
+    Raises:
+        CadenzaError: the dataset has not been imported.
+    """
+    by_work = {_work(song.title): song for song in reversed(repertoire_150().songs)}
+    songs = (by_work[work] for work in map(_work, _ETUDES) if work in by_work)
+    return Library(TWELVE, tuple(replace(s, name=s.name.replace(ALL, TWELVE, 1)) for s in songs))
+
+
+def _work(title: str) -> str:
+    """The same for all ways to write a title: its words and numbers but "in C", "no.", "mov."."""
+    plain = unicodedata.normalize("NFKD", title).lower().replace("'", "").replace("’", "")
+    words = " ".join(re.findall(r"[a-z]+|\d+", plain))
+    return " ".join(_UNSAID.sub("", words).split())

@@ -1,0 +1,56 @@
+"""Reading a file of music of any format that is read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+
+from cadenza.errors import CadenzaError
+from cadenza.music.score import Score
+
+_MIDI = (".mid", ".midi")
+_MUSICXML = (".musicxml", ".xml", ".mxl")
+MUSIC = (*_MIDI, *_MUSICXML)
+"""Endings of the files that are read."""
+
+_NOTATION = "open it in a notation program such as MuseScore, and export it as MIDI or MusicXML"
+_SOUND = "convert the sound to MIDI with a transcription program such as Basic Pitch"
+_SHEET = "convert the sheet music to MusicXML with a recognition program such as Audiveris"
+NOT_READ = {  # what to do about formats that some may hold for music
+    **dict.fromkeys((".mscz", ".mscx", ".sib", ".musx", ".dorico", ".ptb", ".mei"), _NOTATION),
+    **dict.fromkeys((".gp", ".gp3", ".gp4", ".gp5", ".gpx", ".cap", ".capx"), _NOTATION),
+    **dict.fromkeys((".abc",), "convert it with abc2midi"),
+    **dict.fromkeys((".ly",), "have LilyPond write MIDI: add \\midi {} to its \\score block"),
+    **dict.fromkeys((".krn",), "convert it with hum2mid, or with Verovio"),
+    **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".m4a", ".aac", ".opus", ".mp4"), _SOUND),
+    **dict.fromkeys((".pdf", ".png", ".jpg", ".jpeg", ".tif", ".tiff"), _SHEET),
+}
+
+
+def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
+    """The score in a file of MIDI or MusicXML.
+
+    Where a file of the same name ending in .fingering lies next to the file, the notes have its
+    fingers, see `cadenza.music.fingering_file`.
+
+    Args:
+        path: the file; of an ending that is not known, it is read as MIDI.
+        tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+
+    Raises:
+        CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml` or
+            `read_fingering` refuses.
+    """
+    from cadenza.music.fingering_file import SUFFIX, read_fingering
+    from cadenza.music.midi import read_midi
+    from cadenza.music.musicxml import read_musicxml
+
+    suffix = path.suffix.lower()
+    if suffix in NOT_READ:
+        raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
+    score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
+    sidecar = path.with_suffix(SUFFIX)
+    if not os.path.isfile(sidecar):  # also where that name is too long
+        return score
+    return read_fingering(sidecar, score, all_there=not tracks)

@@ -1,0 +1,88 @@
+"""A song as a listing knows it, and libraries of songs. Nothing here opens a file of music."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+
+from cadenza.errors import CadenzaError
+from cadenza.music.score import Score
+
+Read = Callable[[Collection[int]], Score]
+"""Loads a score with the tracks of these numbers, or with all where none is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Song:
+    """A song that can be loaded; what is not known of it is empty or None.
+
+    `name` is what `cadenza play` takes. It lasts `seconds` [s] and has so many `notes`, for one or
+    two `hands`; `difficulty` is its grade from 1 to 10; `source` says where it is from, and `split`
+    what it is for, such as "train".
+    """
+
+    name: str
+    read: Read = field(repr=False, compare=False)
+    title: str = ""
+    composer: str = ""
+    source: str = ""
+    split: str = ""
+    seconds: float | None = None
+    notes: int | None = None
+    hands: int | None = None
+    difficulty: float | None = None
+
+    def load(self, tracks: Collection[int] = ()) -> Score:
+        """The score, under this title.
+
+        Args:
+            tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
+
+        Raises:
+            CadenzaError: it cannot be read, or has no such track.
+        """
+        score = self.read(tracks)
+        return replace(score, title=self.title or score.title)
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """Songs under one name."""
+
+    name: str
+    songs: tuple[Song, ...]
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Those that the songs are divided into, in alphabetical order."""
+        return tuple(sorted({song.split for song in self.songs} - {""}))
+
+    def of_split(self, split: str) -> Library:
+        """The songs of one split.
+
+        Raises:
+            CadenzaError: there is no such split.
+        """
+        songs = tuple(song for song in self.songs if song.split == split)
+        if not split or not songs:
+            there = f"choose from {', '.join(self.splits)}" if self.splits else "it has none"
+            raise CadenzaError(f"{self.name}: there is no split {split!r}; {there}")
+        return Library(f"{self.name}:{split}", songs)
+
+
+def song_named(name: str, songs: Iterable[Song]) -> Song:
+    """The one of `songs` that is so called, in upper or lower case.
+
+    Raises:
+        CadenzaError: there is none.
+    """
+    known = {song.name.lower(): song for song in songs}
+    if name.lower() in known:
+        return known[name.lower()]
+    close = [known[match].name for match in get_close_matches(name.lower(), known, cutoff=0.5)]
+    hint = f"did you mean {' or '.join(close)}? " if close else ""
+    raise CadenzaError(
+        f"no song named {name!r}: {hint}run `cadenza songs` for all names, "
+        "or give the path of a MIDI or MusicXML file"
+    )

@@ -1,0 +1,16 @@
+"""For all tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(autouse=True, scope="session")
+def no_data_of_the_user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What whoever runs the tests has imported plays no part in them."""
+    patch = pytest.MonkeyPatch()
+    patch.setenv("CADENZA_DATA", str(tmp_path_factory.mktemp("data")))
+    yield
+    patch.undo()

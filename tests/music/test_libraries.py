@@ -1,0 +1,124 @@
+"""Song libraries: bundled, of a folder, imported."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from cadenza.errors import CadenzaError
+from cadenza.music.library import libraries, load_score, open_library
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+TUNE = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)), title="Of the file")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With an index of two of its three files."""
+    place = tmp_path / "music"
+    for name in ("midi/one.mid", "midi/Two.MID", "three.mid", ".hidden/no.mid", "midi/._one.mid"):
+        write_midi(TUNE, place / name)
+    (place / "index.csv").write_bytes(
+        b"\xef\xbb\xbfID, Title ,composer,split,seconds,difficulty\r\n"
+        b'one,"One, or the first",Anna,train,1.5,3.5\r\n'
+        b"midi/Two.MID,,Bert,valid,nan,hard\r\n\r\n"
+    )
+    return place
+
+
+@pytest.mark.parametrize("name", ["bundled", "debug"])
+def test_bundled_songs_load_under_their_names(name: str) -> None:
+    library = open_library(name)
+    assert (library.name, library.splits) == (name, ())
+    assert 5 <= len(library.songs) <= 24
+    for song in library.songs:
+        score = song.load()
+        assert score == load_score(song.name)
+        assert (score.title, score.total_time) == (
+            song.title,
+            pytest.approx(song.seconds, abs=0.01),
+        )
+    assert all(song.seconds <= 20 for song in open_library("debug").songs)
+
+
+def test_a_folder_with_an_index(folder: Path) -> None:
+    library = open_library(folder)
+    by_file = {Path(song.name).name: song for song in library.songs}
+    one, two, three = (by_file.pop(name) for name in ("one.mid", "Two.MID", "three.mid"))
+    assert not by_file
+    assert (one.title, one.composer, one.split) == ("One, or the first", "Anna", "train")
+    assert (one.seconds, one.difficulty) == (1.5, 3.5)
+    assert (two.title, two.composer, two.seconds, two.difficulty) == ("", "Bert", None, None)
+    assert (three.title, three.split) == ("", "")
+    assert one.load().title == "One, or the first"
+    assert two.load() == load_score(two.name) == TUNE
+    assert pickle.loads(pickle.dumps(two)).load() == TUNE
+
+
+def test_splits(folder: Path) -> None:
+    assert open_library(folder).splits == ("train", "valid")
+    (song,) = open_library(f"{folder}:valid").songs
+    assert song.composer == "Bert"
+    with pytest.raises(CadenzaError, match=r"no split 'test'; choose from train, valid"):
+        open_library(f"{folder}:test")
+    with pytest.raises(CadenzaError, match=r"bundled: there is no split 'valid'; it has none"):
+        open_library("bundled:valid")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("title,composer\na,b\n", r"index\.csv:1: no column says which file"),
+        ("", r"index\.csv: the file is empty"),
+        ("file,title\none,\n,x\n", r"index\.csv:3: names no file"),
+        ("file\none\ntwo\none\n", r"index\.csv:4: a second line for 'one'"),
+        ('file\n"one\n', r"index\.csv:2: not a table as CSV"),
+        ("file\none\n\udcff\n", r"index\.csv:3: not text in UTF-8"),
+    ],
+)
+def test_an_index_that_is_wrong_is_said_to_be(folder: Path, content: str, message: str) -> None:
+    (folder / "index.csv").write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(CadenzaError, match=message):
+        open_library(folder)
+
+
+def test_libraries_that_there_are_not(folder: Path) -> None:
+    with pytest.raises(CadenzaError, match="no song library 'bundle': did you mean bundled"):
+        open_library("bundle")
+    with pytest.raises(CadenzaError, match="no song library '/nowhere:valid'"):
+        open_library("/nowhere:valid")
+    (folder / "empty").mkdir()
+    with pytest.raises(CadenzaError, match="there is no file of music in it"):
+        open_library(folder / "empty")
+
+
+@pytest.mark.parametrize("name", ["etude-12", "repertoire-150"])
+def test_a_dataset_that_is_not_there_says_how_to_get_it(name: str) -> None:
+    assert name in libraries()
+    for ask in (lambda: open_library(name), lambda: load_score(f"{name}/GolliwoggsCakewalk")):
+        with pytest.raises(CadenzaError, match=r"https://.*`cadenza import pig FILE\.zip`"):
+            ask()
+
+
+def test_the_list_of_libraries(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["libraries"])
+    said = capsys.readouterr()
+    rows = {line.split()[0]: line.split()[1:3] for line in said.out.splitlines()}
+    assert rows["bundled"] == ["24", "songs"]
+    assert rows["etude-12"] == ["not", "there"]
+    assert said.err.count("\n") == 1
+
+
+def test_songs_are_listed_and_sorted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["songs", "bundled", "--sort", "length"])
+    lines = capsys.readouterr().out.splitlines()
+    seconds = [float(line.split(" s ")[0].split()[-1]) for line in lines]
+    assert seconds == sorted(seconds)
+    main(["songs", str(folder), "--sort", "difficulty"])
+    assert "One, or the first (Anna)" in capsys.readouterr().out.splitlines()[0]
+    main(["songs", f"{folder}:valid"])
+    assert "Two.MID" in capsys.readouterr().out
