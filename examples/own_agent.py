@@ -1,22 +1,38 @@
 """An agent of one's own: the planner with trembling hands. docs/how-to/agent.md explains agents.
 
 python examples/own_agent.py [SONG]
+
+In the folder of this file:
+
+cadenza play OdeToJoy --agent own_agent:Trembling --trembling.noise 0.05
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 import cadenza
 
 
+@dataclass(frozen=True)
+class TremblingConfig:
+    """The planner with trembling hands."""
+
+    noise: float = 0.02
+    """Standard deviation of the noise on every actuator [m or rad]."""
+
+
 class Trembling(cadenza.Agent):
     """Does what the planner does, with noise on every actuator."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: TremblingConfig) -> None:
+        if config.noise < 0:
+            raise cadenza.CadenzaError(f"noise {config.noise}: choose 0 or more")
+        self.config = config
         self._planner = cadenza.make_agent("planner")
         self._rngs: dict[int, np.random.Generator] = {}
 
@@ -27,7 +43,7 @@ class Trembling(cadenza.Agent):
 
     def act(self, view: cadenza.View) -> np.ndarray:
         size, rngs = view.task.action_size, self._rngs
-        noise = [rngs[env].normal(0, 0.02, size) for env in view.env_ids.tolist()]
+        noise = [rngs[env].normal(0, self.config.noise, size) for env in view.env_ids.tolist()]
         action = self._planner.act(view) + noise
         return np.clip(action, view.task.action_low, view.task.action_high)
 
@@ -37,7 +53,7 @@ class Trembling(cadenza.Agent):
 
 if __name__ == "__main__":
     song = sys.argv[1] if len(sys.argv) > 1 else "CMajorScaleOneHand"
-    for agent in ("planner", Trembling()):
+    for agent in ("planner", Trembling(TremblingConfig())):
         performance = cadenza.play(song, agent)
         name = performance.settings["agent"]
         print(f"{name}: F1 {performance.metrics['f1']:.3f}")

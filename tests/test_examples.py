@@ -51,6 +51,8 @@ def test_an_agent_of_ones_own(run) -> None:
     said = dict(line.split(": F1 ") for line in run("own_agent", "Up.mid"))
     assert float(said["planner"]) >= float(said["Trembling"]) > 0.5
     assert Path("played/Trembling/report.html").exists()
+    settings = json.loads(Path("played/Trembling/settings.json").read_text())
+    assert settings["Trembling"] == {"noise": 0.02}
 
 
 def test_a_reward_of_ones_own(run) -> None:

@@ -72,6 +72,8 @@ def test_an_agent(follow: Follow) -> None:
     main(["play", "tune.mid", "--agent", "waving", "--no-video", "-o", "out"])
     tips = cadenza.load_episode(Path("out/episode.npz"))["fingertip_xpos"][:, 1, 2]
     assert np.ptp(tips) > 0.01
+    main(["play", "tune.mid", "--agent", "waving:Beat", "--beat.tempo", "90", "-o", "beat"])
+    assert json.loads(Path("beat/settings.json").read_text())["beat"] == {"tempo": 90.0}
     steps = [cadenza.play(TUNE, "waving:StepsEach", seed=seed) for seed in (3, 3, 4)]
     first, again, other = (performance.episode["action"] for performance in steps)
     np.testing.assert_array_equal(first, again)

@@ -6,11 +6,13 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.registry import AGENTS
+from cadenza.agents.registry import AGENTS, agent_options
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.music.midi import write_midi
@@ -127,6 +129,156 @@ def test_what_a_registry_gives_is_of_the_kind_asked_for(install: Install) -> Non
         numbers.load("two", str)
     with pytest.raises(CadenzaError, match=r"no number 'three': choose from two, one, or give "):
         numbers.load("three", int)
+
+
+# Options of agents
+
+BEATING = '''
+from __future__ import annotations
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+import numpy as np
+import cadenza
+
+@dataclass(frozen=True)
+class BeatConfig:
+    """Beats time."""
+    tempo: float = 60.0
+    """Beats per minute."""
+    hands: tuple[Literal["left", "right"], ...] = ("left", "right")
+    most: int | None = None
+    loud: bool = False
+
+class SlowBeat(cadenza.Agent):
+    def __init__(self, config: BeatConfig | None = None):
+        self._tempo = (config or BeatConfig()).tempo
+        if self._tempo <= 0:
+            raise ValueError("tempo: more than 0")
+
+    def act(self, view):
+        low, high = view.task.action_low, view.task.action_high
+        return np.tile(low + self._tempo / 1000 * (high - low), (len(view.env_ids), 1))
+
+class Seed(SlowBeat):
+    pass
+
+@dataclass(frozen=True)
+class Needed:
+    tempo: float
+
+class NeedsMore(SlowBeat):
+    def __init__(self, config: Needed): ...
+
+@dataclass(frozen=True)
+class Unplain:
+    where: Path = Path()
+
+class NotPlain(SlowBeat):
+    def __init__(self, config: Unplain): ...
+
+class Unknown(SlowBeat):
+    def __init__(self, config: Nowhere): ...
+
+class OfItsOwn(SlowBeat):
+    def __init__(self, config={"tempo": 3}):
+        super().__init__()
+'''
+
+
+@pytest.fixture
+def beating(install: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install("beating", BEATING, "[cadenza.agents]\nslow-beat = beating:SlowBeat\n")
+    write_midi(TUNE, tmp_path / "tune.mid")
+    monkeypatch.chdir(tmp_path)
+
+
+def play(*words: str, command: str = "play") -> None:
+    main([command, "tune.mid", *words, *["--no-video"] * (command == "play"), "-o", "out"])
+
+
+def result(name: str) -> Any:
+    return json.loads(Path("out", name).read_text())
+
+
+def action_share(episode: cadenza.Episode) -> np.ndarray:
+    """Where in the range of its actuator each action is."""
+    low, high = episode["action_min"], episode["action_max"]
+    return (episode["action"] - low) / (high - low)
+
+
+@pytest.mark.usefixtures("beating")
+@pytest.mark.parametrize("agent", ["slow-beat", "beating:SlowBeat"])
+def test_an_agent_of_another_package_has_options(
+    agent: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        play("--agent", agent, "--help-all")
+    said = " ".join(capsys.readouterr().out.replace("│", "").split())
+    assert "Beats time." in said
+    assert "--slow-beat.tempo FLOAT Beats per minute. (default: 60.0)" in said
+    options = ["--slow-beat.tempo", "90", "--slow-beat.hands", "left", "--slow-beat.loud"]
+    play(f"--agent={agent}", *options)
+    config = {"tempo": 90.0, "hands": ["left"], "most": None, "loud": True}
+    assert result("settings.json")["slow_beat"] == config
+    share = action_share(cadenza.load_episode(Path("out/episode.npz")))
+    np.testing.assert_allclose(share, 0.09, atol=1e-6)
+    play("--agents", "zero", agent, *options, command="compare")
+    assert result("compare.json")["settings"]["slow_beat"] == config
+
+
+@pytest.mark.usefixtures("beating")
+def test_options_of_another_package_in_python() -> None:
+    from beating import BeatConfig  # type: ignore[import-not-found]
+
+    agent = cadenza.make_agent("slow-beat", BeatConfig(tempo=np.int64(90)))
+    np.testing.assert_allclose(action_share(cadenza.play(TUNE, agent).episode), 0.09, atol=1e-6)
+    assert cadenza.play(TUNE, "slow-beat").settings["slow_beat"]["tempo"] == 60
+    with pytest.raises(CadenzaError, match="tempo 'x': give a number"):
+        cadenza.make_agent("slow-beat", BeatConfig(tempo="x"))
+    with pytest.raises(CadenzaError, match="3: give a BeatConfig"):
+        cadenza.make_agent("slow-beat", 3)
+    with pytest.raises(CadenzaError, match="has no options"):
+        cadenza.make_agent("beating:OfItsOwn", BeatConfig())
+
+
+@pytest.mark.usefixtures("beating")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("slow-beat --slow-beat.tempo x", "--slow-beat.tempo x: give a number"),
+        ("slow-beat --slow-beat.tempo 0", "agent slow-beat: ValueError: tempo: more than 0 ("),
+        ("slow-beat --tempo 3", "there is no option --tempo; did you mean --slow-beat.tempo?"),
+        ("zero --slow-beat.tempo 3", "there is no option --slow-beat.tempo"),
+        ("beating:Seed", "agent beating:Seed: its options cannot be called --seed"),
+        ("beating:NeedsMore", "tempo of Needed: give it a default"),
+        ("beating:NotPlain", "where of Unplain: an option is a bool, int, "),
+        ("beating:Unknown", "agent beating:Unknown: NameError: name 'Nowhere' is not defined"),
+    ],
+)
+def test_options_of_agents_that_make_no_sense(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        play("--agent", *words.split())
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"cadenza: {said}")
+    assert not Path("out").exists()
+
+
+@pytest.mark.usefixtures("beating")
+def test_two_agents_with_options_of_one_name(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        play("--agents", "slow-beat", "beating:SlowBeat", command="compare")
+    assert "its options cannot be called --slow-beat" in capsys.readouterr().err
+
+
+def test_our_agents_get_their_options_as_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table has them, too, so that --help need not import the planners."""
+    monkeypatch.setattr("cadenza.agents.registry.AGENTS", Registry("agent", "nothing"))
+    for name, entry in AGENTS.own.items():
+        assert agent_options(entry.place) is entry.config, name
 
 
 # Songs

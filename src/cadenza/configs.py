@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
-from types import UnionType
+from dataclasses import MISSING, fields
+from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -40,6 +40,29 @@ def as_config(value: Any, kind: type[T]) -> T:
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     return kind(**{name: _as(getattr(value, name), hints[name], name) for name in names})
+
+
+def check_kind(kind: type) -> None:
+    """That a dataclass of somebody else's is one that `as_config` takes.
+
+    Raises:
+        CadenzaError: a field has no default, or is of a type that no option has.
+    """
+    hints = get_type_hints(kind)
+    for field in fields(kind):
+        if field.default is field.default_factory is MISSING:
+            raise CadenzaError(f"{field.name} of {kind.__name__}: give it a default")
+        if not _is_plain(hints[field.name]):
+            raise CadenzaError(
+                f"{field.name} of {kind.__name__}: an option is a bool, int, float, str or "
+                "Literal, a tuple of them, or None"
+            )
+
+
+def _is_plain(hint: Any) -> bool:
+    if get_origin(hint) in (tuple, Union, UnionType):
+        return all(each is ... or _is_plain(each) for each in get_args(hint))
+    return hint in (*_WORDS, NoneType) or get_origin(hint) is Literal
 
 
 def whole_number(value: Any, name: str, least: int, most: int) -> int:

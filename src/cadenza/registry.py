@@ -29,7 +29,7 @@ class Entry:
     about: str = ""
     """What it is, in a line."""
     config: type | None = None
-    """The dataclass of its options, if it has any."""
+    """The dataclass of its options, if it has any; they are shown without importing the place."""
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,11 @@ Learnt policies are folders, see `cadenza.learning.policy_folder`.
 
 from __future__ import annotations
 
+import inspect
+import re
 import warnings
-from typing import TYPE_CHECKING, Any
+from dataclasses import is_dataclass
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from cadenza.agents.planning.config import (
     ILQGConfig,
@@ -14,7 +17,7 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
     TrackedPressesConfig,
 )
-from cadenza.configs import as_config
+from cadenza.configs import as_config, check_kind
 from cadenza.errors import CadenzaError, CadenzaWarning, by_others
 from cadenza.registry import Entry, Registry
 
@@ -63,9 +66,9 @@ def make_agent(name: str, config: Any = None) -> Agent:
 
     Args:
         name: one of `AGENTS`, or `module:Class`, a class of your own with the methods of
-            `cadenza.Agent`, which is called without arguments.
-        config: the options of a planner, see `cadenza.agents.planning.config`; its defaults where
-            there are none.
+            `cadenza.Agent`.
+        config: its options, of the type that `agent_options` tells; their defaults where there are
+            none.
 
     Raises:
         CadenzaError: there is no such agent, it has not the methods of one, or an option makes no
@@ -76,16 +79,47 @@ def make_agent(name: str, config: Any = None) -> Agent:
     if name in (PRETRAINED, PLAYBACK):
         raise CadenzaError(f"agent {name!r} depends on the song: pass it to cadenza.play")
     kind: Any = AGENTS.load(name, type)
-    options = AGENTS.own[name].config if name in AGENTS.own else None
-    if options is not None:
+    options = agent_options(name)
+    if options is None and config is not None:
+        raise CadenzaError(f"agent {name!r} has no options: give none")
+    given = () if options is None else (as_config(config, options),)
+    with by_others(f"agent {name}"):
+        agent = checked_agent(kind(*given), name)
+    if name in AGENTS.own:
         from cadenza.agents.one_environment import also_of_one  # heavy
 
-        return also_of_one(kind(as_config(config, options)))
-    if config is not None:
-        raise CadenzaError(f"agent {name!r} has no options: give none")
+        return also_of_one(agent)
+    return agent
+
+
+def agent_options(name: str) -> type | None:
+    """The dataclass of an agent's options, None where it has none.
+
+    It is the type of the parameter `config` that the agent's class is called with.
+
+    Raises:
+        CadenzaError: there is no such agent, or its options are none that can be given.
+    """
+    if (own := AGENTS.own.get(_RENAMED.get(name, name))) is not None:
+        return own.config
+    kind: Any = AGENTS.load(name, type)
     with by_others(f"agent {name}"):
-        agent = kind()
-    return checked_agent(agent, name)
+        if "config" not in inspect.signature(kind).parameters:
+            return None
+        hint = get_type_hints(kind.__init__).get("config")
+        for found in (hint, *get_args(hint)):
+            if isinstance(found, type) and is_dataclass(found):
+                check_kind(found)
+                return found
+    return None
+
+
+def options_name(name: str) -> str:
+    """What its options are called together: `planner`; of `module:SomeAgent`, `some_agent`."""
+    _, colon, last = name.rpartition(":")
+    if colon:
+        last = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", last.rpartition(".")[2]).lower()
+    return re.sub(r"\W", "_", last)
 
 
 def current_name(name: str) -> str:

@@ -18,7 +18,7 @@ from typing import NoReturn, TextIO, get_args
 
 from cadenza.cli import about, compare, plan, play, songs, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
-from cadenza.cli.performing import Performing
+from cadenza.cli.performing import Performing, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
 from cadenza.errors import CadenzaError, CadenzaWarning, by_others
@@ -67,6 +67,8 @@ def _run(arguments: list[str]) -> None:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
     _import_chosen(rest)
     kind, run = _COMMANDS[name]
+    if issubclass(kind, Performing):
+        kind = with_options_of_agents(kind, rest)
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
     read = partial(parse, kind, f"cadenza {name}", rest)
     command = read(default)
@@ -123,7 +125,10 @@ def _run_without_command(arguments: list[str]) -> None:
 
 
 def _about_all(arguments: list[str]) -> None:
-    kinds = {name: kind for name, (kind, _) in _COMMANDS.items()}
+    kinds = {
+        name: with_options_of_agents(kind, []) if issubclass(kind, Performing) else kind
+        for name, (kind, _) in _COMMANDS.items()
+    }
     help_or_completion(
         kinds,
         "cadenza",

@@ -12,7 +12,7 @@ import inspect
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import is_dataclass, make_dataclass, replace
+from dataclasses import fields, is_dataclass, make_dataclass, replace
 from types import NoneType, UnionType
 from typing import (
     Annotated,
@@ -296,8 +296,9 @@ def _options(kind: Any, prefix: str | None = "", default: Any = None) -> Iterato
     As for tyro, a `default` of a subclass brings the options of that.
     """
     kind = kind if default is None else type(default)
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        field, *marks = _parts(hint)
+    hints = get_type_hints(kind, include_extras=True)
+    for name in (each.name for each in fields(kind)):
+        field, *marks = _parts(hints[name])
         option = name.replace("_", "-")
         if is_dataclass(field):
             bare = prefix is None or tyro.conf.OmitArgPrefixes in marks

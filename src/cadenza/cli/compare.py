@@ -15,7 +15,7 @@ from cadenza.cli.arguments import Quiet
 from cadenza.cli.output import check_writable
 from cadenza.cli.performing import (
     Again,
-    WithOtherPlanners,
+    Performing,
     default_folder,
     selected,
     setting_up,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Compare(WithOtherPlanners):
+class Compare(Performing):
     """Compare agents on one song, in a table and on a page.
 
     Example: cadenza compare OdeToJoy --agents planner predictive-sampling --seeds 0 1 2

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
+from itertools import islice, takewhile
+from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
 
-from cadenza.agents.planning.config import (
-    ILQGConfig,
-    PredictiveSamplingConfig,
-    ScorePlannerConfig,
-    TrackedPressesConfig,
-)
-from cadenza.agents.registry import AGENTS
+from cadenza.agents.registry import AGENTS, agent_options, options_name
 from cadenza.cli.progress import stages
+from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -33,8 +31,9 @@ Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
 
 AGENTS_HELP = (
-    f'Who plays: {", ".join(AGENTS.own)}, the folder of a policy, or module:Class. "cadenza '
-    'info" lists more. By default the planner, or the policy whose folder is SONG.'
+    f"Who plays: {', '.join(AGENTS.own)}, the folder of a policy, or module:Class; with "
+    '--help-all also its options. "cadenza info" lists more. By default the planner, or the policy '
+    "whose folder is SONG."
 )
 
 
@@ -47,26 +46,61 @@ class Performing:
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
-    planner: ScorePlannerConfig = field(default_factory=ScorePlannerConfig)
     threads: int | None = None
     """Threads of a planner, one per core by default."""
+
+    of_ours: ClassVar[Sequence[str]] = [name for name, entry in AGENTS.own.items() if entry.config]
+    """Our agents whose options it has."""
+    options: ClassVar[Mapping[str, str]] = {}
+    """Agent -> the field that holds its options, see `with_options_of_agents`."""
 
     @property
     def configs(self) -> dict[str, Any]:
         """Agent -> its options."""
-        options = {
-            name: name.replace("-", "_") for name, entry in AGENTS.own.items() if entry.config
-        }
-        return {name: vars(self)[field] for name, field in options.items() if field in vars(self)}
+        return {agent: getattr(self, field) for agent, field in self.options.items()}
 
 
-@dataclass(frozen=True)
-class WithOtherPlanners(Performing):
-    """The planners to compare with have options of their own."""
+def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Command]:
+    """`kind` with a field more for the options of each of our agents, and of those in `words`.
 
-    predictive_sampling: PredictiveSamplingConfig = field(default_factory=PredictiveSamplingConfig)
-    ilqg: ILQGConfig = field(default_factory=ILQGConfig)
-    tracked_presses: TrackedPressesConfig = field(default_factory=TrackedPressesConfig)
+    Raises:
+        CadenzaError: `words` name an agent that there is not, or its options are called like
+            something else.
+    """
+    agents = {options_name(agent): agent for agent in kind.of_ours}
+    taken = {*dir(kind), *(each.name for each in fields(kind))}
+    for agent in dict.fromkeys(_named(words)):
+        if os.path.isdir(agent) or agent_options(agent) is None:
+            continue
+        name = options_name(agent)
+        if name in taken or not name.isidentifier() or iskeyword(name):
+            option = name.replace("_", "-")
+            raise CadenzaError(
+                f"agent {agent}: its options cannot be called --{option}, as something else is or "
+                "as that is no name; give the agent another one"
+            )
+        agents[name] = agent
+        taken.add(name)
+    configs: dict[str, Any] = {name: agent_options(agent) for name, agent in agents.items()}
+    return make_dataclass(
+        kind.__name__,
+        [(name, config, field(default_factory=config)) for name, config in configs.items()],
+        bases=(kind,),
+        namespace={
+            "__doc__": kind.__doc__,
+            "options": {agent: name for name, agent in agents.items()},
+        },
+        frozen=True,
+    )
+
+
+def _named(words: Sequence[str]) -> Iterator[str]:
+    """The agents that a command line names."""
+    parts = [part for word in words for part in word.split("=", 1)]
+    for i, option in enumerate(parts):
+        if option in ("--agent", "--agents"):
+            names = takewhile(lambda part: not part.startswith("-"), parts[i + 1 :])
+            yield from islice(names, 1 if option == "--agent" else None)
 
 
 def selected(command: Performing, agent: str | None, plan: Path | None = None) -> Selection:

@@ -42,6 +42,8 @@ class PlanCommand(Performing):
     """Random seed."""
     quiet: Quiet = False
 
+    of_ours = (PLANNER,)
+
 
 def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
     from cadenza.music.fingering_file import SUFFIX

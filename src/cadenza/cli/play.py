@@ -15,7 +15,7 @@ from cadenza.cli.output import check_writable
 from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
-    WithOtherPlanners,
+    Performing,
     default_folder,
     print_scores,
     print_what_was_lost,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PlayCommand(WithOtherPlanners):
+class PlayCommand(Performing):
     """Play a song, and write a report page with sound, scores, MIDI and a video.
 
     Example: cadenza play OdeToJoy -o joy

@@ -20,9 +20,11 @@ from cadenza.agents.registry import (
     PLANNER,
     PLAYBACK,
     PRETRAINED,
+    agent_options,
     checked_agent,
     current_name,
     make_agent,
+    options_name,
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
@@ -50,6 +52,8 @@ class Selection:
     name: str
     """The agent's."""
     agent: Agent
+    config: Any = None
+    """Its options, if it has any."""
     task: TaskConfig = field(default_factory=with_time_to_begin)
     """What holds unless other options are chosen: for a policy, what it was trained with."""
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -148,7 +152,8 @@ def select(
         agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
     if not isinstance(agent, str | Path):
         name = type(agent).__name__
-        return selection(name=name, agent=checked_agent(agent, name))
+        config = getattr(agent, "config", None)
+        return selection(name=name, agent=checked_agent(agent, name), config=config)
     name = current_name(str(agent))
     if (name == PLAYBACK) != (plan is not None):
         raise CadenzaError("--agent playback and --plan FILE.npz go together: give both or neither")
@@ -159,7 +164,9 @@ def select(
         return selection(name=name, agent=Playback(load_plan(plan)), scene=scene, plan=plan)
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
-    return selection(name=name, agent=make_agent(name, (configs or {}).get(name)))
+    config, options = (configs or {}).get(name), agent_options(name)
+    config = config if options is None else as_config(config, options)
+    return selection(name=name, agent=make_agent(name, config), config=config)
 
 
 def _policy(agent: str, song: str) -> LearntPolicy | None:
@@ -225,9 +232,8 @@ def set_up(
         "task": asdict(task),
         "scene": asdict(scene),
     }
-    config = getattr(selection.agent, "config", None)
-    if is_dataclass(config) and not isinstance(config, type):
-        settings[selection.name.replace("-", "_")] = asdict(config)
+    if is_dataclass(selection.config) and not isinstance(selection.config, type):
+        settings[options_name(selection.name)] = asdict(selection.config)
     looking = partial(progress, "fingers")
     with (
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
