@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
 
-.PHONY: play test check docs bench lock clean
+.PHONY: play test check docs bench sb3 lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -14,6 +14,7 @@ help:
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
 	@echo "make bench   measure speed, as ratios in one run"
+	@echo "make sb3     test the environments with Stable-Baselines3, which installs gigabytes"
 
 # The lock file pins every version; the stamp is renewed when it or the project changes.
 $(VENV)/installed: pyproject.toml requirements.lock
@@ -42,8 +43,15 @@ bench: $(VENV)/installed
 	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"
 	$(BIN)/python -m benchmarks.speed tests/data/episode_d.npz $$(test -x .venv-published/bin/python && echo --published .venv-published)
 
+# Not in $(VENV): it brings PyTorch.
+sb3:
+	$(PYTHON) -m venv .venv-sb3
+	.venv-sb3/bin/python -m pip install --quiet torch --index-url https://download.pytorch.org/whl/cpu
+	.venv-sb3/bin/python -m pip install --quiet --editable . 'stable-baselines3>=2.7,<3' 'pytest>=8,<10'
+	.venv-sb3/bin/python -m pytest -m slow tests/test_examples.py -k stable_baselines3
+
 lock:
 	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements.lock
 
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) .venv-sb3 .pytest_cache .ruff_cache .mypy_cache

@@ -2,11 +2,10 @@
 
 The single environment is used as it is; `VecEnvAdapter` gives the vectorised one the interface that
 Stable-Baselines3 has for such. docs/learning.md has what this printed. Stable-Baselines3 installs
-gigabytes, so take a virtual environment of its own:
+gigabytes; this gives it a virtual environment of its own, tests this program there, and runs it:
 
-    pip install torch --index-url https://download.pytorch.org/whl/cpu
-    pip install 'stable-baselines3>=2.7,<3'
-    python examples/train_with_stable_baselines3.py --steps 4000
+    make sb3
+    .venv-sb3/bin/python examples/train_with_stable_baselines3.py --steps 4000
 """
 
 from __future__ import annotations
