@@ -85,7 +85,7 @@ def help_of(
     return capsys.readouterr().out
 
 
-COMMANDS = ("play", "plan", "compare", "train", "curves", "songs", "libraries", "info")
+COMMANDS = ("play", "plan", "compare", "train", "curves", "songs", "libraries", "info", "etude")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -99,7 +99,7 @@ def test_help_fits_a_screen(
     asks = command in ("play", "plan", "compare", "train")
     for option in ("--stretch", "--transpose", "--hands", "--quiet", "--help-all"):
         assert (option in said) == asks
-    assert ("SONG" in said) == (command not in ("songs", "libraries", "curves"))
+    assert ("SONG" in said) == (command not in ("songs", "libraries", "curves", "etude"))
     assert not any(option in said for option in ("--gravity-compensation", "--planner.", "--tau"))
     assert help_of(capsys, monkeypatch, command, "-h") == said
 

@@ -1,0 +1,50 @@
+"""`cadenza etude`: a practice piece as a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cadenza.cli.output import check_name, check_writable
+from cadenza.music.etudes import KINDS
+
+
+@dataclass(frozen=True)
+class Etude:
+    """Write a practice piece to a MIDI file: another one for every seed.
+
+    Example: cadenza etude --kind arpeggios --difficulty 3 --seed 7 -o etude.mid
+    """
+
+    kind: Annotated[
+        str | None,
+        tyro.conf.arg(help=f"Kind: {', '.join(KINDS)}. Drawn from the seed if not given."),
+    ] = None
+    difficulty: int = 3
+    """1 to 10."""
+    seed: int | None = None
+    """Random seed. Drawn, and printed, if not given."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The file, KIND-DIFFICULTY-SEED.mid by default."""
+
+
+def etude(command: Etude) -> None:
+    import numpy as np
+
+    from cadenza.configs import MOST_SEED, whole_number
+    from cadenza.music.etudes.etude import make_etude
+    from cadenza.music.midi import write_midi
+
+    if command.output is not None:
+        check_name(command.output, ".mid", "an etude is a .mid file")
+    seed = int(np.random.default_rng().integers(2**31)) if command.seed is None else command.seed
+    rng = np.random.default_rng(whole_number(seed, "seed", 0, MOST_SEED))
+    kind = KINDS[int(rng.integers(len(KINDS)))] if command.kind is None else command.kind
+    score = make_etude(kind, command.difficulty, seed)
+    path = command.output or Path(f"{kind}-{command.difficulty}-{seed}.mid")
+    check_writable(path.parent)
+    write_midi(score, path)
+    print(f"{path}: {score.title} ({score.total_time:.1f} s, {len(score.notes)} notes)")

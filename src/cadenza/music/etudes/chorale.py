@@ -1,0 +1,143 @@
+"""Chorales: chords in two to four voices, led by the rules of strict writing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations, pairwise, product
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.music.etudes.choice import FORBIDDEN, Costs, cheapest, fancy
+from cadenza.music.etudes.harmony import LEADING, TONIC, Chord, progression
+from cadenza.music.etudes.keys import OCTAVE, STEPS
+from cadenza.music.etudes.sheet import Sheet, Tone
+from cadenza.music.etudes.voices import Pitches, are_hidden, are_parallel, is_awkward
+
+_RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62, 79)}
+_VOICES = (("bass", "soprano"), ("bass", "alto", "soprano"), tuple(_RANGES))
+_PHRASE = 7  # chords: six of a beat, one of two
+_WIDEST = OCTAVE + 7  # between the bass and the voice above it, where another hand plays that
+_DOUBLED_THIRD, _INVERSION, _NO_FIFTH, _HIDDEN, _NOT_RESOLVED = 40, 30, 60, 60, 80
+_SOPRANO_STAYS = 50
+_FAR = 12  # per semitone beyond a second
+_OFF_WISH = 8  # per semitone that the soprano is off where it is drawn to be
+_FANCY = 60
+
+
+class _Voicings(NamedTuple):
+    """What can be done about a chord: (n, v) degrees of the scale, and pitches."""
+
+    degrees: Pitches
+    pitches: Pitches
+    costs: Costs
+
+
+def chorale(sheet: Sheet) -> Iterator[Tone]:
+    """Phrases of eight beats; in harder ones thirds are filled with passing notes."""
+    names = _VOICES[0 if sheet.difficulty <= 2 else 1 if sheet.difficulty <= 4 else 2]
+    beats = sheet.bars * sheet.beats
+    chords = progression(sheet.rng, beats // (_PHRASE + 1), _PHRASE)
+    choices = [
+        _voicings(sheet, chord, names, ends=i % _PHRASE >= _PHRASE - 2)
+        for i, chord in enumerate(chords)
+    ]
+    steps = [_leading(was, will) for was, will in pairwise(choices)]
+    chosen = cheapest([each.costs for each in choices], steps)
+    degrees = [each.degrees[c] for each, c in zip(choices, chosen, strict=True)]
+    pitches = [each.pitches[c] for each, c in zip(choices, chosen, strict=True)]
+    for i, chord in enumerate(chords):
+        phrase, place = divmod(i, _PHRASE)
+        at = (phrase * (_PHRASE + 1) + place) * sheet.division
+        length = sheet.division * (2 if place == _PHRASE - 1 else 1)
+        passing = None
+        if sheet.difficulty >= 7 and place < _PHRASE - 1:
+            passing = _passing(sheet, chord, degrees[i : i + 2], pitches[i : i + 2])
+        for voice, pitch in enumerate(pitches[i].tolist()):
+            if passing and passing[0] == voice:
+                yield Tone(at, length / 2, pitch)
+                yield Tone(at + length / 2, length / 2, passing[1])
+            else:
+                yield Tone(at, length, pitch)
+
+
+def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _Voicings:
+    """All good ones; where a phrase ends, the root is in the bass."""
+    degrees = np.arange(-3 * STEPS, 3 * STEPS)
+    pitches = np.array([sheet.degree(int(degree), chord) for degree in degrees])
+    fits = np.array([chord.has(int(degree)) for degree in degrees])
+    within = [
+        (fits & (pitches >= low) & (pitches <= high)).nonzero()[0].tolist()
+        for low, high in (_RANGES[name] for name in names)
+    ]
+    all_of_them = np.array(list(product(*within)))
+    p, d = pitches[all_of_them], degrees[all_of_them]
+    tones = (d - chord.root) % STEPS  # 0 the root, 2 the third, 4 the fifth
+    gaps = np.diff(p, axis=1)
+    good = (gaps > 0).all(axis=1) & (gaps[:, 1:] <= OCTAVE).all(axis=1)
+    if len(names) == len(_RANGES):
+        good &= (gaps[:, 0] <= OCTAVE) & (tones == 0).any(axis=1) & (tones == 4).any(axis=1)
+    else:
+        good &= gaps[:, 0] <= (_WIDEST if len(names) > 2 else 3 * OCTAVE)
+    if len(names) > 2:
+        good &= (tones == 2).any(axis=1)
+    good &= tones[:, 0] != 4
+    good &= (d % STEPS == LEADING).sum(axis=1) <= 1
+    if _is_diminished(sheet, chord):
+        good &= tones[:, 0] == 2
+    elif ends:
+        good &= tones[:, 0] == 0
+    costs = fancy(sheet.rng, len(p), _FANCY)
+    low, high = _RANGES["soprano"]
+    costs += _OFF_WISH * np.abs(p[:, -1] - sheet.pick(*range(low, high)))
+    costs += _DOUBLED_THIRD * ((tones == 2).sum(axis=1) > 1)
+    costs += _INVERSION * (tones[:, 0] != 0)
+    costs += _NO_FIFTH * ~(tones == 4).any(axis=1)
+    return _Voicings(d[good], p[good], costs[good])
+
+
+def _is_diminished(sheet: Sheet, chord: Chord) -> bool:
+    root, fifth = (sheet.degree(chord.tone(i), chord) for i in (0, 2))
+    return fifth - root == OCTAVE // 2
+
+
+def _leading(was: _Voicings, will: _Voicings) -> Costs:
+    """(n, n') what it costs to go from one voicing to another."""
+    before, after = was.pitches[:, None], will.pitches
+    moved = after - before
+    far = np.abs(moved)
+    cost = _FAR * np.maximum(far[..., 1:] - 2, 0).sum(axis=-1)  # the bass may leap
+    cost += _SOPRANO_STAYS * (moved[..., -1] == 0)
+    degrees = will.degrees - was.degrees[:, None]
+    wrong = is_awkward(degrees, moved).any(axis=-1) | (far > OCTAVE).any(axis=-1)
+    wrong |= (far[..., 1:] > 7).any(axis=-1)
+    for low, high in combinations(range(before.shape[-1]), 2):
+        voices = before[..., low], before[..., high], after[..., low], after[..., high]
+        wrong |= are_parallel(*voices)
+        if high == low + 1:  # a voice passes where the one beside it was
+            wrong |= (voices[2] > voices[1]) | (voices[3] < voices[0])
+    outer = before[..., 0], before[..., -1], after[..., 0], after[..., -1]
+    cost += _HIDDEN * (are_hidden(*outer) & (far[..., -1] > 2))
+    led = (was.degrees % STEPS == LEADING)[:, None] & (moved != 1)
+    tonic = (will.degrees % STEPS == TONIC).any(axis=-1)
+    cost += _NOT_RESOLVED * led.any(axis=-1) * tonic
+    return np.where(wrong, FORBIDDEN, cost)
+
+
+def _passing(
+    sheet: Sheet, chord: Chord, degrees: Sequence[Pitches], pitches: Sequence[Pitches]
+) -> tuple[int, int] | None:
+    """A voice that moves by a third, and the pitch between, where no rule is against it."""
+    moved = degrees[1] - degrees[0]
+    for voice in reversed((np.abs(moved) == 2).nonzero()[0].tolist()):
+        between = pitches[0].copy()
+        between[voice] = sheet.degree(int(degrees[0][voice] + moved[voice] // 2), chord)
+        pairs = list(combinations(range(len(between)), 2))
+        faults = (
+            are_parallel(between[low], between[high], pitches[1][low], pitches[1][high])
+            for low, high in pairs
+        )
+        gaps = np.diff(between)
+        if (gaps > 0).all() and (gaps <= OCTAVE).all() and not any(faults):
+            return voice, int(between[voice])
+    return None

@@ -1,0 +1,142 @@
+"""Two voices against each other: note against note, then two or four notes against one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from cadenza.music.etudes.choice import FORBIDDEN, Costs, cheapest, fancy
+from cadenza.music.etudes.keys import STEPS, Form
+from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
+from cadenza.music.etudes.voices import (
+    Pitches,
+    are_hidden,
+    are_parallel,
+    is_awkward,
+    is_consonant,
+    is_perfect,
+)
+
+_RANGE = np.arange(-3, 6)  # degrees around the tonics on which both voices end
+_LOW, _HIGH = _RANGE - STEPS, STEPS - _RANGE[::-1]
+_INTERVALS = np.array([60, 0, 15, 40, 80])  # what it costs to move so many degrees
+_SIMILAR = 40  # both voices in one direction
+_REPEATED = 500  # the faster voice stays
+_FANCY = 100
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """A note of each voice, as degrees, and the minor scale that they are of."""
+
+    low: int
+    high: int
+    form: Form
+
+
+def counterpoint(sheet: Sheet) -> Iterator[Tone]:
+    """The voices take turns to move faster where there are more notes against one."""
+    against = 1 if sheet.difficulty <= 3 else 2 if sheet.difficulty <= 6 else 4
+    per_phrase = PHRASE * sheet.bar // against
+    pairs = _note_against_note(sheet, (sheet.length - sheet.bar) // against + 1, per_phrase)
+    *moving, last = pairs
+    yield Tone(sheet.length - sheet.bar, sheet.bar, sheet.key.pitch(last.low, last.form))
+    yield Tone(sheet.length - sheet.bar, sheet.bar, sheet.key.pitch(last.high, last.form))
+    for first in range(0, len(moving), per_phrase):
+        phrase = pairs[first : first + per_phrase + 1]
+        at = first * against
+        upper = (first // per_phrase) % 2 == 0
+        for i, pair in enumerate(phrase[:-1]):
+            held = pair.low if upper else pair.high
+            yield Tone(at + i * against, against, sheet.key.pitch(held, pair.form))
+        for i, pitch in enumerate(_florid(sheet, phrase, upper, against)):
+            yield Tone(at + i, 1, pitch)
+
+
+def _note_against_note(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
+    low, high = (grid.ravel() for grid in np.meshgrid(_LOW, _HIGH, indexing="ij"))
+    forms: list[Form] = ["natural"] * count
+    forms[-2] = "melodic"
+    pitches = [(_pitches(sheet, low, form), _pitches(sheet, high, form)) for form in forms]
+    costs = []
+    for i, (below, above) in enumerate(pitches):
+        cost = fancy(sheet.rng, len(low), _FANCY)
+        cost[~is_consonant(below, above)] = FORBIDDEN
+        if (i + 1) % per_phrase == 0:  # phrases end with an open sound
+            cost[~is_perfect(below, above)] = FORBIDDEN
+        costs.append(cost)
+    tonic = low == -STEPS
+    costs[0][~(tonic & np.isin(high, (4, STEPS)))] = FORBIDDEN
+    into = (low == 1 - STEPS) & (high == STEPS - 1) | (low == -1 - STEPS) & (high == STEPS + 1)
+    costs[-2][~into] = FORBIDDEN
+    costs[-1][~(tonic & (high == STEPS))] = FORBIDDEN
+    steps = [_moves(low, high, *now, *then) for now, then in pairwise(pitches)]
+    chosen = cheapest(costs, steps)
+    return [_Pair(int(low[c]), int(high[c]), form) for c, form in zip(chosen, forms, strict=True)]
+
+
+def _pitches(sheet: Sheet, degrees: Pitches, form: Form) -> Pitches:
+    return np.array([sheet.key.pitch(int(degree), form) for degree in degrees])
+
+
+def _moves(
+    low: Pitches, high: Pitches, below: Pitches, above: Pitches, then_below: Pitches, then: Pitches
+) -> Costs:
+    """(n, n) from a pair of notes to another, given by degrees and by pitches."""
+    cost = _leading(low, below, then_below) + _leading(high, above, then)
+    voices = below[:, None], above[:, None], then_below, then
+    cost += _SIMILAR * ((then_below - below[:, None]) * (then - above[:, None]) > 0)
+    wrong = are_parallel(*voices) | are_hidden(*voices)
+    wrong |= (low[:, None] == low) & (high[:, None] == high)
+    return np.where(wrong, FORBIDDEN, cost)
+
+
+def _leading(degrees: Pitches, pitches: Pitches, then: Pitches) -> Costs:
+    """(n, n) of one voice alone."""
+    moved = degrees - degrees[:, None]
+    far = np.abs(moved)
+    cost = _INTERVALS[np.minimum(far, len(_INTERVALS) - 1)]
+    wrong = (far >= len(_INTERVALS)) | is_awkward(moved, then - pitches[:, None])
+    return np.where(wrong, FORBIDDEN, cost)
+
+
+def _florid(sheet: Sheet, phrase: Sequence[_Pair], upper: bool, against: int) -> list[int]:
+    """The pitches of the faster voice up to the last pair, which begins what follows."""
+    degrees = _HIGH if upper else _LOW
+    costs, steps = [], []
+    for i, pair in enumerate(phrase):
+        notes = against if pair is not phrase[-1] else 1
+        for k in range(notes):
+            cost = fancy(sheet.rng, len(degrees), _FANCY)
+            if k == 0:
+                cost[degrees != (pair.high if upper else pair.low)] = FORBIDDEN
+            costs.append(cost)
+            then = pair if k + 1 < notes else phrase[min(i + 1, len(phrase) - 1)]
+            steps.append(_florid_moves(sheet, degrees, upper, pair, then))
+    chosen = cheapest(costs, steps[:-1])[:-1]
+    return [
+        sheet.key.pitch(int(degrees[c]), phrase[i // against].form) for i, c in enumerate(chosen)
+    ]
+
+
+def _florid_moves(sheet: Sheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair) -> Costs:
+    """(n, n) from a note over (or below) the held one of `now` to one over that of `then`."""
+    pitches, will = _pitches(sheet, degrees, now.form), _pitches(sheet, degrees, then.form)
+    held, held_then = (
+        _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)
+        for pair in (now, then)
+    )
+    cost = _leading(degrees, pitches, will)
+    by_step = np.abs(degrees - degrees[:, None]) == 1
+    before, after = _sorted(held, pitches[:, None]), _sorted(held_then, will)
+    free = is_consonant(*before) & is_consonant(*after)
+    wrong = are_parallel(*before, *after) | ~(free | by_step)
+    cost += _REPEATED * (pitches[:, None] == will)
+    return np.where(wrong, FORBIDDEN, cost)
+
+
+def _sorted(one: Pitches, many: Pitches) -> tuple[Pitches, Pitches]:
+    return np.minimum(one, many), np.maximum(one, many)

@@ -1,0 +1,129 @@
+"""Etudes by kind, difficulty and seed."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from cadenza.configs import MOST_SEED, whole_number
+from cadenza.errors import CadenzaError
+from cadenza.music.etudes.accompanied import alberti, leaps, trills
+from cadenza.music.etudes.chorale import chorale
+from cadenza.music.etudes.counterpoint import counterpoint
+from cadenza.music.etudes.figures import arpeggios, broken_chords, repeated_notes
+from cadenza.music.etudes.keys import draw_key
+from cadenza.music.etudes.runs import hanon, scales
+from cadenza.music.etudes.sheet import Sheet, Tone
+from cadenza.music.score import Score
+
+MOST_DIFFICULT = 10
+LIBRARY = "etudes"
+"""What the names of etudes begin with."""
+_TEMPI = range(50, 141)  # [beats / min] that are preferred
+_VARIATION = 0.08  # of the tempo
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What is called so, how it is written, and its steps per second, the least and the most."""
+
+    title: str
+    write: Callable[[Sheet], Iterator[Tone]]
+    slowest: float
+    fastest: float
+    divisions: tuple[int, ...] = (1, 2, 4)
+    metres: tuple[int, ...] = (4,)
+
+
+_KINDS = {
+    "scales": _Kind("Scales", scales, 1.5, 10),
+    "arpeggios": _Kind("Arpeggios", arpeggios, 1.3, 8, (1, 2, 3, 4)),
+    "broken-chords": _Kind("Broken chords", broken_chords, 1.4, 8),
+    "hanon": _Kind("Finger exercise", hanon, 1.5, 9),
+    "alberti": _Kind("Alberti bass", alberti, 1.6, 8),
+    "chorale": _Kind("Chorale", chorale, 1.2, 4, (2,)),
+    "counterpoint": _Kind("Counterpoint", counterpoint, 0.8, 6),
+    "leaps": _Kind("Leaps", leaps, 1, 6, (1, 2), (3, 4)),
+    "trills": _Kind("Trills", trills, 2.5, 11, (2, 4)),
+    "repeated-notes": _Kind("Repeated notes", repeated_notes, 1.5, 8),
+}
+KINDS = tuple(_KINDS)
+_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d+)-(\d+)")
+
+
+def make_etude(kind: str, difficulty: int, seed: int) -> Score:
+    """An etude of 15 to 40 s for two hands, without fingers; the same for the same arguments.
+
+    Args:
+        kind: one of `KINDS`.
+        difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once.
+        seed: of all that is drawn: key, tempo, chords, lines.
+
+    Raises:
+        CadenzaError: there is no such kind, difficulty or seed.
+    """
+    if kind not in _KINDS:
+        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(KINDS)}")
+    difficulty = whole_number(difficulty, "difficulty", 1, MOST_DIFFICULT)
+    seed = whole_number(seed, "seed", 0, MOST_SEED)
+    rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
+    sheet = _sheet(_KINDS[kind], difficulty, rng)
+    notes = tuple(sheet.note(tone) for tone in _KINDS[kind].write(sheet))
+    return Score(notes, title=f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}")
+
+
+def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
+    key = draw_key(rng, difficulty - 1)
+    beats = kind.metres[int(rng.integers(len(kind.metres)))]
+    rise = (difficulty - 1) / (MOST_DIFFICULT - 1)
+    rate = kind.slowest * (kind.fastest / kind.slowest) ** rise
+    rate *= 1 + _VARIATION * (2 * rng.random() - 1)
+    tempi = {division: round(60 * rate / division) for division in kind.divisions}
+    usual = [division for division, tempo in tempi.items() if tempo in _TEMPI]
+    usual = usual or [min(tempi, key=lambda division: abs(tempi[division] - 90))]
+    division = usual[int(rng.integers(len(usual)))]
+    return Sheet(difficulty, rng, key, tempi[division], beats, division)
+
+
+def etude_name(kind: str, difficulty: int, seed: int) -> str:
+    """Such as "etudes/scales-3-7", which can be given wherever a song can."""
+    return f"{LIBRARY}/{kind}-{difficulty}-{seed}"
+
+
+def etude(name: str) -> Score:
+    """The etude of a name such as "etudes/scales-3-7", of difficulty 3 with seed 7.
+
+    Raises:
+        CadenzaError: no etude is called so.
+    """
+    found = _NAME.fullmatch(name.lower())
+    if not found:
+        raise CadenzaError(
+            f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
+            f"such as {LIBRARY}/scales-3-7"
+        )
+    return make_etude(found[1], int(found[2]), int(found[3]))
+
+
+def etude_names(count: int, seed: int = 0) -> list[str]:
+    """Names of so many etudes, spread evenly over kinds and difficulties in an order drawn.
+
+    The first of a longer list are those of a shorter one with the same seed.
+
+    Raises:
+        CadenzaError: `seed` or `count` is no such number.
+    """
+    count = whole_number(count, "count", 1, 1_000_000)
+    rng = np.random.default_rng(whole_number(seed, "seed", 0, MOST_SEED))
+    names: list[str] = []
+    every = list(product(KINDS, range(1, MOST_DIFFICULT + 1)))
+    while len(names) < count:
+        for i in np.argsort(rng.random(len(every)), kind="stable"):
+            kind, difficulty = every[i]
+            names.append(etude_name(kind, difficulty, int(rng.integers(2**31))))
+    return names[:count]

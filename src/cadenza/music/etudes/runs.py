@@ -1,0 +1,87 @@
+"""Etudes of steps along the scale: scales, and figures that climb it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cadenza.music.etudes.keys import STEPS, Key
+from cadenza.music.etudes.sheet import Sheet, Tone
+
+_UNIT = 16  # steps of a scale of one octave up and down, with the last note held
+_TENTH = STEPS + 2
+
+
+def scales(sheet: Sheet) -> Iterator[Tone]:
+    """Up and down over one, two or four octaves; the third time in the relative key."""
+    at, count = 0, 0
+    while at < sheet.length:
+        motion = _motion(sheet, count)
+        octaves = 1 if sheet.difficulty <= 3 else 2 if sheet.difficulty <= 7 else 4
+        octaves = min(octaves, (sheet.length - at) // _UNIT)
+        if motion == "contrary":
+            octaves = min(octaves, 2)
+        last = at + _UNIT * octaves == sheet.length
+        key = sheet.key.relative if count % 4 == 2 and not last else sheet.key
+        if last and motion == "tenths":
+            motion = "parallel"  # so that it ends on the tonic
+        yield from _scale(key, motion, octaves, at)
+        at += _UNIT * octaves
+        count += 1
+
+
+def _motion(sheet: Sheet, count: int) -> str:
+    if sheet.difficulty <= 2:
+        return ("right", "left")[count % 2]
+    if sheet.difficulty == 3:
+        return ("right", "left", "parallel")[min(count, 2)]
+    if sheet.difficulty < 6 or count == 0:
+        return "parallel"
+    return ("parallel", "contrary", "tenths")[sheet.pick(0, 1, 2)]
+
+
+def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
+    top = STEPS * octaves
+    degrees = [*range(top), *range(top, -1, -1)]
+    low = -STEPS * (octaves // 4)
+    for i, degree in enumerate(degrees):
+        length = 1 if i < 2 * top else 2 * octaves
+        right = STEPS + degree if motion == "contrary" else low + degree
+        left = {"contrary": -degree, "tenths": low + degree - _TENTH}.get(
+            motion, low + degree - STEPS
+        )
+        if motion != "left":
+            yield Tone(at + i, length, key.pitch(right, "harmonic"))
+        if motion != "right":
+            yield Tone(at + i, length, key.pitch(left, "harmonic"))
+
+
+def hanon(sheet: Sheet) -> Iterator[Tone]:
+    """A figure of up to eight notes climbs the scale and, mirrored, comes down again."""
+    size = min(8, sheet.bar)
+    figure = _figure(sheet, size)
+    count = (sheet.length - sheet.bar) // size
+    contrary = sheet.difficulty >= 8 and sheet.pick(0, 1)
+    for unit in range(count):
+        climbs = 2 * unit < count
+        base = unit if climbs else count - 1 - unit
+        hands = sheet.hands(unit * size // sheet.bar)
+        for i, offset in enumerate(figure if climbs else figure[::-1]):
+            at, degree = unit * size + i, base + offset
+            if "right" in hands:
+                yield Tone(at, 1, sheet.degree(degree + STEPS * contrary))
+            if "left" in hands:
+                yield Tone(at, 1, sheet.degree(-degree if contrary else degree - STEPS))
+    yield from sheet.ending(left=-STEPS)
+
+
+def _figure(sheet: Sheet, size: int) -> list[int]:
+    """Degrees above the first note, all different from those beside them, within a sixth."""
+    widest = min(2 + sheet.difficulty // 2, STEPS - 2)
+    figure = [0]
+    while len(figure) < size:
+        step = sheet.pick(-2, -1, 1, 1, 2, 3)
+        # The figure a degree higher follows: its first note has to be another, too.
+        last = len(figure) == size - 1
+        if 0 <= figure[-1] + step <= widest and not (last and figure[-1] + step == 1):
+            figure.append(figure[-1] + step)
+    return figure
