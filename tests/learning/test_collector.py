@@ -14,7 +14,7 @@ from rl_examples import melody
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.control import control_of
 from cadenza.learning.observation import GoalTable, Observer
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.scene.config import SceneConfig
@@ -78,7 +78,7 @@ class Run:
         return self.replay.sample(np.random.default_rng(seed), (number,))
 
 
-def some_policy(run: Run) -> Policy:
+def some_policy(run: Run) -> Perceptron:
     rng = np.random.default_rng(1)
     inputs, actions = len(run.observer.inputs.kept), run.task.action_size
     weights = {
@@ -90,7 +90,7 @@ def some_policy(run: Run) -> Policy:
         }.items()
         for part, shape in {"kernel": sizes, "bias": sizes[1:]}.items()
     }
-    return Policy(weights, "relu", (-20, 2))
+    return Perceptron(weights, "relu", (-20, 2))
 
 
 def test_the_transitions_are_those_of_the_task() -> None:

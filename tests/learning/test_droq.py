@@ -22,7 +22,7 @@ from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, falling, weights_of
 from cadenza.learning.algorithms.on_jax import to_arrays
 from cadenza.learning.observation import Inputs
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch
 
 INPUTS, ACTIONS, BATCH = 10, 3, 8
@@ -347,7 +347,7 @@ def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
         )
         state, _ = learner.update(state, batch)
     observation = rng.standard_normal((200, INPUTS)).astype(np.float32)
-    best = Policy(weights_of(state.actor), "relu", (-20, 2)).mode(observation)
+    best = Perceptron(weights_of(state.actor), "relu", (-20, 2)).mode(observation)
     clear = np.abs(observation[:, 0]) > 0.5
     target = np.array([0.6, -0.5, 0.0]) * np.sign(observation[:, :1])
     assert np.abs(best - target)[clear].mean() < 0.2
@@ -383,8 +383,8 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
     for name, array in ours.items():
         assert_allclose(array, theirs[name], atol=1e-4, err_msg=name)
     shown = np.asarray(batch.observation[0])
-    best = Policy(weights_of(state.actor), "relu", (-20, 2)).mode(shown)
-    assert_allclose(Policy(theirs, "relu", (-20, 2)).mode(shown[:, kept]), best, atol=1e-4)
+    best = Perceptron(weights_of(state.actor), "relu", (-20, 2)).mode(shown)
+    assert_allclose(Perceptron(theirs, "relu", (-20, 2)).mode(shown[:, kept]), best, atol=1e-4)
 
 
 # Learning rates that fall

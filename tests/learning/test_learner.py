@@ -16,8 +16,9 @@ from cadenza.cli import main
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
 from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.sealed_folder import read_sealed
+from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.midi import write_midi
 
 # Linear regression on the actions, those that were rewarded most first; in numpy alone.
@@ -26,7 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import numpy as np
 from cadenza.learning.learner import LearnerConfig
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 
 @dataclass(frozen=True)
 class RegressionConfig(LearnerConfig):
@@ -57,7 +58,7 @@ class Regression:
         bias = np.zeros(self.shape[1], "f")
         weights = {"mean/kernel": state["mean"], "mean/bias": bias}
         weights |= {"log_std/kernel": 0 * state["mean"], "log_std/bias": bias - 1}
-        return Policy(weights, "relu", (-5.0, 2.0))
+        return Perceptron(weights, "relu", (-5.0, 2.0))
 
     behavior_policy = policy
 
@@ -66,6 +67,39 @@ class Regression:
 
     def from_arrays(self, arrays):
         return arrays
+
+# The same with a policy of its own, which is saved and read by the learner's name.
+
+@dataclass(frozen=True)
+class LinearConfig(RegressionConfig):
+    def make(self, inputs, action_size, ends):
+        return LinearLearner(self, len(inputs.kept), action_size)
+
+    @classmethod
+    def policy_of(cls, facts, arrays):
+        if arrays["kernel"].ndim != 2:
+            raise ValueError("no matrix")
+        return Linear(arrays["kernel"], facts["noise"])
+
+class LinearLearner(Regression):
+    def policy(self, state):
+        return Linear(state["mean"], 0.1)
+
+    behavior_policy = policy
+
+class Linear:
+    def __init__(self, kernel, noise):
+        self.kernel, self.noise = kernel, noise
+
+    def mode(self, observation):
+        return np.tanh(observation @ self.kernel)
+
+    def sample(self, observation, rng):
+        best = self.mode(observation)
+        return np.clip(best + rng.normal(0, self.noise, best.shape), -1, 1)  # in float64
+
+    def state(self):
+        return {"noise": self.noise}, {"kernel": self.kernel}
 
 @dataclass(frozen=True)
 class NoLearner:
@@ -86,6 +120,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (about / "entry_points.txt").write_text(
         "[cadenza.learners]\n"
         "regression = regression:RegressionConfig\n"
+        "linear = regression:LinearConfig\n"
         "none = regression:NoLearner\n"
     )
     monkeypatch.syspath_prepend(site)
@@ -111,9 +146,8 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.usefixtures("package")
 def test_a_learner_of_another_package_trains_resumes_and_plays(
-    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     train = ["train", str(tune), "--learner", "regression", "--step-size", "0.05", *OPTIONS]
@@ -135,6 +169,58 @@ def test_a_learner_of_another_package_trains_resumes_and_plays(
         load_policy(stopped / "last").policy.weights["mean/kernel"], newest(whole)["learner:mean"]
     )
     assert "its own options" in refused(capsys, "train", "--resume", whole, "--step-size", 1)
+    # A perceptron is read without the learner that made it.
+    (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
+    main(["play", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
+
+
+def trained(tune: Path, run: Path, learner: str, *options: str) -> Path:
+    main(["train", str(tune), "--learner", learner, *OPTIONS, *options, "-o", str(run)])
+    return run
+
+
+def test_a_learner_may_make_policies_of_another_kind(
+    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = trained(tune, tmp_path / "whole", "linear")
+    stopped = trained(tune, tmp_path / "stopped", "linear", "--num-steps", "104")
+    main(["train", "--resume", str(stopped), "--num-steps", "200", "--no-video"])
+    for name, array in newest(whole).items():
+        assert_array_equal(array, newest(stopped)[name], err_msg=name)
+    assert type(load_policy(whole / "last").policy).__name__ == "Linear"
+    facts, arrays = read_sealed(whole / "last", "policy")
+    assert (facts["learner"], facts["policy"]) == ("linear", {"noise": 0.1})
+    assert_array_equal(arrays["policy/kernel"], newest(whole)["learner:mean"])
+
+    rows = [json.loads(line) for line in (whole / "metrics.jsonl").read_text().splitlines()]
+    best = max(row["eval/f1"] for row in rows if "eval/f1" in row)
+    main(["play", str(whole / "best"), "--no-video", "-o", str(tmp_path / "out")])
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["f1"] == best
+    agents = ["--agents", "zero", str(whole / "best")]
+    main(["compare", str(tune), *agents, "-o", str(tmp_path / "compared")])
+
+    write_sealed(whole / "last", "policy", facts, arrays | {"policy/kernel": np.zeros(3)})
+    assert f"{whole / 'last'}: cannot be read: ValueError: no matrix (" in refused(
+        capsys, "play", whole / "last"
+    )
+    (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
+    assert f"{whole / 'best'}: no learner 'linear': choose from droq, or give" in refused(
+        capsys, "play", whole / "best"
+    )
+
+
+def test_no_policy_has_a_module_imported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a module would do on being imported, nobody has asked for."""
+    facts, arrays = read_sealed(pretrained_folder("TwinkleTwinkleLittleStar"), "policy")
+    facts = {n: v for n, v in facts.items() if n not in ("activation", "log_std_range")}
+    others = {"learner": "antigravity:Config", "policy": {}}
+    ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}
+    write_sealed(tmp_path / "policy", "policy", facts | others, ranges)
+    assert "learner 'antigravity:Config': " in refused(capsys, "play", tmp_path / "policy")
+    assert "antigravity" not in sys.modules
 
 
 @pytest.mark.usefixtures("package")

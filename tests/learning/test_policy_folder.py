@@ -19,7 +19,7 @@ from rl_examples import melody
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.observation import GoalTable, ObservationSpec, pruned
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.renew import renew
@@ -67,7 +67,7 @@ def some_policy(
     weights |= layer("mean", 16, actions) | layer("log_std", 16, actions)
     reference = reference_of(shown) if residual else None
     ranges = ranges_of(shown) if ranged else None
-    policy = Policy(weights, "gelu", (-20.0, 2.0))
+    policy = Perceptron(weights, "gelu", (-20.0, 2.0))
     return LearntPolicy(policy, observation, inputs, reference, ranges, config, scene, SONG)
 
 
@@ -150,7 +150,7 @@ def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
     program = f"""
 import sys
 from pathlib import Path
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import load_policy
 from cadenza.agents.rollout import play_episode
 from cadenza.tasks.piano_task import PianoTask
@@ -224,7 +224,9 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path, name: str) -> None:
         learnt.policy.weights | {name: learnt.policy.weights[name][:-1]},
     ):
         save_policy(
-            tmp_path / "policy", replace(learnt, policy=Policy(weights, "gelu", (-20.0, 2.0))), {}
+            tmp_path / "policy",
+            replace(learnt, policy=Perceptron(weights, "gelu", (-20.0, 2.0))),
+            {},
         )
         assert_refused(
             tmp_path / "policy", "not a policy that this version can read|from another version"

@@ -76,7 +76,7 @@ class Collector:
             if policy is None:
                 action = self._rng.uniform(-1, 1, self._action.shape).astype(np.float32)
             else:
-                action = policy.sample(self.observation, self._rng)
+                action = np.asarray(policy.sample(self.observation, self._rng), np.float32)
             finished += self._step(action)
         return finished
 

@@ -104,6 +104,15 @@ class LearnerConfig:
         """
         raise NotImplementedError(f"{type(self).__name__} makes no learner")
 
+    @classmethod
+    def policy_of(cls, facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Policy:
+        """The policy of such a learner whose `state` this was, if it is no `Perceptron`.
+
+        Raises:
+            CadenzaError: there is none.
+        """
+        raise NotImplementedError(f"{cls.__name__} reads no policy")
+
 
 def learner_config(name: str) -> type[LearnerConfig]:
     """The configuration of the learner of this name.

@@ -1,8 +1,8 @@
-"""A learnt policy: from observations to actions, without anything that learning needs."""
+"""Learnt policies: from observations to actions, without anything that learning needs."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,24 @@ def gelu(x: Floats) -> Floats:
 _ACTIVATIONS = {"relu": relu, "gelu": gelu}
 
 
-class Policy:
-    """A perceptron from observations (N, D) to a squashed normal distribution of actions (N, A)."""
+class Policy(Protocol):
+    """From observations (N, D) to actions (N, A) in [-1, 1]."""
+
+    def mode(self, observation: Floats) -> Floats:
+        """(N, A) what it finds best, as it is evaluated and played."""
+
+    def sample(self, observation: Floats, rng: np.random.Generator) -> Floats:
+        """(N, A) with what is random in gathering experience."""
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """What can be written as JSON and as arrays, for `LearnerConfig.policy_of`."""
+
+
+class Perceptron:
+    """A `Policy`: a perceptron from observations to a squashed normal distribution of actions.
+
+    It is read without the learner that made it.
+    """
 
     def __init__(
         self,
@@ -44,11 +60,6 @@ class Policy:
         depth = sum(name.endswith("/kernel") for name in weights) - 2
         self._hidden = [f"hidden_{i}" for i in range(depth)]
 
-    @property
-    def num_actions(self) -> int:
-        """A."""
-        return len(self.weights["mean/bias"])
-
     def mode(self, observation: Floats) -> Floats:
         """(N, A) the mean, squashed."""
         return np.tanh(self._layer("mean", self._features(observation)))
@@ -59,6 +70,11 @@ class Policy:
         mean, log_std = self._layer("mean", features), self._layer("log_std", features)
         noise = rng.standard_normal(mean.shape, np.float32)
         return np.tanh(mean + np.exp(np.clip(log_std, *self.log_std_range)) * noise)
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """What it was made with."""
+        facts = {"activation": self.activation, "log_std_range": self.log_std_range}
+        return facts, self.weights
 
     def _features(self, observation: Floats) -> Floats:
         x = observation

@@ -41,7 +41,7 @@ class PolicyAgent(Agent):
         self._task: TaskSpec | None = None
         self._begun: set[int] = set()
         self._first_row = np.zeros(0, np.intp)
-        self._action = np.zeros((0, policy.num_actions), np.float32)
+        self._action = np.zeros((0, 0), np.float32)
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         self._begun.update(env_ids)
@@ -64,7 +64,7 @@ class PolicyAgent(Agent):
             view.reward.astype(np.float32),
             view.steps == 0,
         )
-        self._action = self._policy.mode(observation)
+        self._action = np.asarray(self._policy.mode(observation), np.float32)
         return self._control.ctrl(self._action, step, view.state)
 
     def _prepare(self, view: View) -> None:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, ArrayOf, check_arrays, checked
+from cadenza.errors import CadenzaError, by_others
+from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
+from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
 from cadenza.learning.old_formats import is_old_policy, renewed_policy
-from cadenza.learning.policy import Activation, Policy
+from cadenza.learning.policy import Activation, Perceptron, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
@@ -25,7 +26,7 @@ from cadenza.tasks.piano_task import PianoTask
 
 _KIND = "policy"
 _FORMAT = 3
-_REFERENCE, _RANGES = "reference/", "ranges/"  # what names of their arrays begin with
+_REFERENCE, _RANGES, _POLICY = "reference/", "ranges/", "policy/"  # begin names of arrays
 _CHANGE_THE_REFERENCE = (
     "control_timestep",
     "trim_silence",
@@ -55,7 +56,7 @@ _CHANGE_WHAT_IS_OBSERVED = (
     "reduced_action_space",
     "forearm_dofs",
 )
-_EXPECTED = {
+_EXPECTED_OF_ALL = {
     "reference/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),
     "reference/gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
     "reference/expected": ArrayOf(FLOATS, ("steps + 1", "servos", 2), finite=True),
@@ -63,6 +64,9 @@ _EXPECTED = {
     "reference/reach": ArrayOf(FLOATS, ("servos",), finite=True),
     "ranges/joints": ArrayOf(FLOATS, (2, "joints"), finite=True),
     "ranges/actions": ArrayOf(FLOATS, (2, "actions"), finite=True),
+}
+_EXPECTED_OF_OTHERS = _EXPECTED_OF_ALL | {"policy/*": ArrayOf(NUMBERS, None)}
+_EXPECTED = _EXPECTED_OF_ALL | {
     "mean/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
     "mean/bias": ArrayOf(FLOATS, ("actions",), needed=True, finite=True),
     "log_std/kernel": ArrayOf(FLOATS, ("features", "actions"), needed=True, finite=True),
@@ -77,14 +81,26 @@ class _Facts:
     """What is written beside the arrays."""
 
     format: int
-    activation: Activation
-    log_std_range: tuple[float, float]
     observation: ObservationSpec
     inputs: Inputs
     task: TaskConfig
     scene: SceneConfig
     score: Score
     about: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _PerceptronFacts(_Facts):
+    activation: Activation
+    log_std_range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _OtherFacts(_Facts):
+    learner: str
+    """By whose name the policy is read."""
+    policy: dict[str, Any]
+    """What that has written."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,8 @@ class LearntPolicy:
     scene: SceneConfig
     score: Score
     """What it was trained to play."""
+    learner: str | None = None
+    """By whose name the policy is read, if it is no `Perceptron`."""
 
     @property
     def agent(self) -> PolicyAgent:
@@ -145,11 +163,14 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     Raises:
         CadenzaError: there is no room; what the folder held is still there.
     """
+    own, arrays = learnt.policy.state()
+    if learnt.learner is not None:
+        own = {"learner": learnt.learner, "policy": own}
+        arrays = {_POLICY + name: array for name, array in arrays.items()}
     facts = {
         "format": _FORMAT,
         "about": about,
-        "activation": learnt.policy.activation,
-        "log_std_range": learnt.policy.log_std_range,
+        **own,
         "observation": asdict(learnt.observation),
         "inputs": asdict(learnt.inputs),
         "task": asdict(learnt.task),
@@ -158,7 +179,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     }
     try:
         parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
-        write_sealed(folder, _KIND, facts, learnt.policy.weights | parts)
+        write_sealed(folder, _KIND, facts, arrays | parts)
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -182,11 +203,17 @@ def load_policy(folder: Path) -> LearntPolicy:
             f"{folder}: this policy has format {number!r}, but this version reads only up to "
             f"{_FORMAT}; install the version of Cadenza that wrote it"
         )
-    check_arrays(arrays, _EXPECTED, folder)
-    facts = checked(plain, _Facts, where)
+    of_others = "learner" in plain
+    check_arrays(arrays, _EXPECTED_OF_OTHERS if of_others else _EXPECTED, folder)
+    facts: _Facts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
     check_modules(facts.scene, where)
-    learnt = _learnt(facts, arrays)
-    if learnt is None or not _fits_together(learnt):
+    try:
+        with by_others("cannot be read"):
+            learnt = _learnt(facts, arrays)
+            fits = learnt is not None and _fits_together(learnt)
+    except CadenzaError as error:
+        raise CadenzaError(f"{folder}: {error}") from error
+    if learnt is None or not fits:
         raise CadenzaError(
             f"{folder}: not a policy that this version can read (its arrays do not belong "
             "together); use another copy"
@@ -208,9 +235,8 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | No
     for found, kind in ((reference, Reference), (ranges, Ranges)):
         if found and found.keys() != set(kind._fields):
             return None
-    weights = {n: a for n, a in arrays.items() if not n.startswith((_REFERENCE, _RANGES))}
     return LearntPolicy(
-        policy=Policy(weights, facts.activation, facts.log_std_range),
+        policy=_policy(facts, arrays),
         observation=facts.observation,
         inputs=facts.inputs,
         reference=Reference(**reference) if reference else None,
@@ -218,7 +244,16 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | No
         task=facts.task,
         scene=facts.scene,
         score=facts.score,
+        learner=facts.learner if isinstance(facts, _OtherFacts) else None,
     )
+
+
+def _policy(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> Policy:
+    if isinstance(facts, _OtherFacts):
+        return learner_config(facts.learner).policy_of(facts.policy, _with(_POLICY, arrays))
+    assert isinstance(facts, _PerceptronFacts)
+    weights = {n: a for n, a in arrays.items() if not n.startswith((_REFERENCE, _RANGES))}
+    return Perceptron(weights, facts.activation, facts.log_std_range)
 
 
 def _fits_together(learnt: LearntPolicy) -> bool:

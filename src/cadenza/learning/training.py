@@ -20,7 +20,9 @@ from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.control import control_of
+from cadenza.learning.learner import name_of
 from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
@@ -180,9 +182,9 @@ class Training:
         self._updates += self.config.gradient_steps
 
     def _learnt(self) -> LearntPolicy:
-        config = self.config
+        config, policy = self.config, self._learner.policy(self._state)
         return LearntPolicy(
-            policy=self._learner.policy(self._state),
+            policy=policy,
             observation=self._observation,
             inputs=self._inputs,
             reference=self._reference,
@@ -190,6 +192,7 @@ class Training:
             task=config.task,
             scene=config.scene,
             score=self._score,
+            learner=None if type(policy) is Perceptron else name_of(config.learner),
         )
 
     # Figures

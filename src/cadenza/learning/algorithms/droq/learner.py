@@ -21,7 +21,7 @@ from cadenza.learning.algorithms.droq.networks import Actor, Critic
 from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
-from cadenza.learning.policy import Policy
+from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch
 
 Params = Any  # nested dictionaries of arrays
@@ -62,7 +62,7 @@ def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
 
 
 def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:
-    """The weights of an actor as `Policy` names them."""
+    """The weights of an actor as `Perceptron` names them."""
     layers = actor["HiddenLayers_0"] | {name: actor[name] for name in ("mean", "log_std")}
     return {
         f"{layer}/{name}": np.asarray(array)
@@ -137,18 +137,18 @@ class DroQ:
         """
         return self._update_all(state, batches)
 
-    def policy(self, state: DroQState) -> Policy:
+    def policy(self, state: DroQState) -> Perceptron:
         """That of the averaged actor."""
         return self._policy(state.actor_ema)
 
-    def behavior_policy(self, state: DroQState) -> Policy:
+    def behavior_policy(self, state: DroQState) -> Perceptron:
         """That of the latest actor."""
         return self._policy(state.actor)
 
-    def _policy(self, actor: Params) -> Policy:
+    def _policy(self, actor: Params) -> Perceptron:
         config = self._config
         log_std_range = (config.log_std_min, config.log_std_max)
-        return Policy(weights_of(actor), config.activation, log_std_range)
+        return Perceptron(weights_of(actor), config.activation, log_std_range)
 
     def to_arrays(self, state: DroQState) -> dict[str, NDArray[Any]]:
         """To keep; see `from_arrays`."""
