@@ -50,7 +50,7 @@ LIBRARIES: dict[str, set[str]] = {
         "threadpoolctl",
     },
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
-    "evaluation": {"numpy", "scipy"},
+    "evaluation": {"numpy", "scipy", "filelock", "ray"},
 }
 
 

@@ -54,6 +54,26 @@ def test_step_metrics_by_hand():
     np.testing.assert_allclose(f1, [1, 0.5, 0, 0, 1])
 
 
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.02, 0.3]), st.sampled_from([0.0, 0.1]))
+def test_pooled_metrics_count_the_hits_of_all_steps(seed, density, wanted):
+    rng = np.random.default_rng(seed)
+    played, goal = rng.random((40, 88)) < density, rng.random((40, 88)) < wanted
+    hits = misses = extra = 0
+    for step in range(40):
+        for key in range(88):
+            hits += bool(played[step, key] and goal[step, key])
+            misses += bool(goal[step, key] and not played[step, key])
+            extra += bool(played[step, key] and not goal[step, key])
+    expected = {
+        "pooled_precision": hits / (hits + extra) if hits + extra else 1.0,
+        "pooled_recall": hits / (hits + misses) if hits + misses else 1.0,
+        "pooled_f1": 2 * hits / (2 * hits + misses + extra) if hits + misses + extra else 1.0,
+    }
+    metrics = playing_metrics(played, STILL, goal, STILL, 0.05, Score(()))
+    assert {name: metrics[name] for name in expected} == pytest.approx(expected)
+
+
 def note_f1(played, goal):
     metrics = of_rolls(played, STILL, goal, STILL, 0.05)
     return metrics["note_onset_f1"], metrics["note_onset_offset_f1"]

@@ -119,3 +119,13 @@ def test_initial_silence_is_what_trimming_takes_away(score, silence):
     later = trimmed.with_initial_silence(silence).with_silence_trimmed()
     for note, original in zip(later.notes, trimmed.notes, strict=True):
         assert note.start == pytest.approx(original.start, abs=1e-8)
+
+
+def test_the_beginning_counts_from_the_first_note_and_ends_what_goes_on():
+    notes = (Note(2, 3, 60), Note(2.5, 4, 64), Note(3.0, 3.5, 67))
+    pedal = (PedalEvent(0, 127), PedalEvent(2.9, 0), PedalEvent(3.2, 127))
+    beginning = Score(notes, pedal, "song").beginning(1.0)
+    assert beginning == Score((Note(2, 3, 60), Note(2.5, 3, 64)), pedal[:2], "song")
+    assert Score(()).beginning(1.0) == Score(())
+    with pytest.raises(CadenzaError, match="the first 0"):
+        Score(notes).beginning(0)

@@ -16,9 +16,9 @@ from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
-from cadenza.cli import about, compare, etude, plan, play, songs, train
+from cadenza.cli import about, bench, compare, etude, plan, play, songs, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
-from cadenza.cli.performing import Performing, with_options_of_agents
+from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
 from cadenza.errors import CadenzaError, CadenzaWarning, by_others
@@ -27,6 +27,7 @@ _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
     "compare": (compare.Compare, compare.compare),
+    "bench": (bench.Bench, bench.run),
     "train": (train.Train, train.train),
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),
@@ -68,13 +69,13 @@ def _run(arguments: list[str]) -> None:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
     _import_chosen(rest)
     kind, run = _COMMANDS[name]
-    if issubclass(kind, Performing):
+    if issubclass(kind, Options):
         kind = with_options_of_agents(kind, rest)
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
     read = partial(parse, kind, f"cadenza {name}", rest)
     command = read(default)
     with _warnings_in_a_line(), _quietly(getattr(command, "quiet", False)):
-        if isinstance(command, Performing):  # and may read its options over other defaults
+        if isinstance(command, Options):  # and may read its options over other defaults
             run(command, read)
         else:
             run(command)
@@ -127,7 +128,7 @@ def _run_without_command(arguments: list[str]) -> None:
 
 def _about_all(arguments: list[str]) -> None:
     kinds = {
-        name: with_options_of_agents(kind, []) if issubclass(kind, Performing) else kind
+        name: with_options_of_agents(kind, []) if issubclass(kind, Options) else kind
         for name, (kind, _) in _COMMANDS.items()
     }
     help_or_completion(

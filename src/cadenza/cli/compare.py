@@ -24,7 +24,6 @@ from cadenza.cli.performing import (
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
-from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
@@ -71,7 +70,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
             stages(f"{name}, seed {seed}") as progress,
         ):
             performance = perform(setup, progress)
-        runs.append(Run(name, seed, _figures(performance, own.task), performance.episode))
+        runs.append(Run(name, seed, _figures(performance), performance.episode))
     remarks = [
         f"{name} plays with {differing}, as it was trained"
         for name, own in commands.items()
@@ -102,16 +101,13 @@ def _differing(own: Compare, command: Compare) -> str:
     return ", ".join(f"{name} {v} instead of {others[name]}" for name, v in changed.items())
 
 
-def _figures(performance: Performance, config: TaskConfig) -> dict[str, float]:
-    """What is compared. The energy is that of all actuators, their power as of each step's end."""
-    metrics = performance.metrics
+def _figures(performance: Performance) -> dict[str, float]:
+    """What is compared."""
+    metrics, energy = performance.metrics, performance.energy
     figures = {name: metrics[name] for name in ("f1", "precision", "recall", "note_onset_f1")}
-    energy = math.nan
-    if config.energy_coefficient and "reward/energy" in metrics:
-        energy = -metrics["reward/energy"] / config.energy_coefficient * config.control_timestep
     error = metrics["timing_error"]
     return figures | {
         "timing_error": math.nan if error is None else error,
-        "energy": energy,
+        "energy": math.nan if energy is None else energy,
         "planning": metrics["planning_seconds"] / performance.seconds,
     }

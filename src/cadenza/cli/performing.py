@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection, Setup
 
-Command = TypeVar("Command", bound="Performing")
+Command = TypeVar("Command", bound="Options")
 Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
+
+TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
     f"Who plays: {', '.join(AGENTS.own)}, the folder of a policy, or module:Class; with "
@@ -38,11 +40,9 @@ AGENTS_HELP = (
 
 
 @dataclass(frozen=True)
-class Performing:
-    """What all that perform a song have in common."""
+class Options:
+    """What all that have agents play have in common."""
 
-    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")]
-    """A bundled song (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
@@ -60,6 +60,14 @@ class Performing:
         return {agent: getattr(self, field) for agent, field in self.options.items()}
 
 
+@dataclass(frozen=True)
+class Performing(Options):
+    """A song is performed."""
+
+    song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
+    """A bundled song (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
+
+
 def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Command]:
     """`kind` with a field more for the options of each of our agents, and of those in `words`.
 
@@ -70,7 +78,7 @@ def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Co
     agents = {options_name(agent): agent for agent in kind.of_ours}
     taken = {*dir(kind), *(each.name for each in fields(kind))}
     for agent in dict.fromkeys(_named(words)):
-        if os.path.isdir(agent) or agent_options(agent) is None:
+        if agent.startswith(TRAIN) or os.path.isdir(agent) or agent_options(agent) is None:
             continue
         name = options_name(agent)
         if name in taken or not name.isidentifier() or iskeyword(name):
@@ -100,7 +108,13 @@ def _named(words: Sequence[str]) -> Iterator[str]:
     for i, option in enumerate(parts):
         if option in ("--agent", "--agents"):
             names = takewhile(lambda part: not part.startswith("-"), parts[i + 1 :])
-            yield from islice(names, 1 if option == "--agent" else None)
+            for name in islice(names, 1 if option == "--agent" else None):
+                yield from agents_in(name) if option == "--agents" else (name,)
+
+
+def agents_in(words: str) -> list[str]:
+    """The agents in "planner,zero". The folder of a policy may have commas in its name."""
+    return [words] if os.path.isdir(words) else [name for name in words.split(",") if name]
 
 
 def selected(command: Performing, agent: str | None, plan: Path | None = None) -> Selection:
@@ -118,7 +132,7 @@ def with_defaults_of(command: Command, selection: Selection, again: Again[Comman
 
 
 @contextmanager
-def setting_up(selection: Selection, command: Performing, seed: int = 0) -> Iterator[Setup]:
+def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterator[Setup]:
     """`set_up` with the command's task and scene; shows how far the search for fingers is."""
     from cadenza.performing.setup import set_up
 

@@ -151,13 +151,18 @@ class RunFolder:
 
     # What it is
 
+    @property
+    def begun(self) -> bool:
+        """Whether it has been said what the run is."""
+        return self._about.exists()
+
     def begin(self, config: TrainingConfig, score: Score) -> None:
         """Writes down what is asked for.
 
         Raises:
             CadenzaError: the folder holds a run already.
         """
-        if self._about.exists():
+        if self.begun:
             raise CadenzaError(
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
                 "choose another folder with --output"
@@ -184,7 +189,7 @@ class RunFolder:
             file.write((json.dumps(asdict(about), indent=1) + "\n").encode())
 
     def _read(self) -> _About:
-        if not self._about.exists():
+        if not self.begun:
             raise CadenzaError(f"{self.path}: holds no run to resume")
         about = read_json(self._about, dict[str, Any])
         config = renewed_config(about.get("config"))

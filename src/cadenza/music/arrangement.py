@@ -17,6 +17,8 @@ class Arrangement:
     """Play only these tracks, numbered as in "cadenza info SONG"."""
     reduce: Literal["off", "melody-bass"] = "off"
     """Reduce the song to its melody and its bass: the highest and the lowest voice."""
+    first_seconds: float | None = None
+    """Play only what begins in so many seconds from the first note on [s]."""
 
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.
@@ -24,6 +26,10 @@ class Arrangement:
         Raises:
             CadenzaError: it cannot be read, or has no such tracks.
         """
+        score = self._reduced(song)
+        return score if self.first_seconds is None else score.beginning(self.first_seconds)
+
+    def _reduced(self, song: str) -> Score:
         from cadenza.music.library import load_score
         from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 

@@ -10,6 +10,7 @@ import os.path
 from collections.abc import Collection
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, by_others
@@ -18,7 +19,7 @@ from cadenza.music.folder import folder_library
 from cadenza.music.imported import imported, imported_libraries, is_imported
 from cadenza.music.reading import MUSIC, NOT_READ, read_score
 from cadenza.music.score import Score
-from cadenza.music.songs import Library, song_named
+from cadenza.music.songs import Library, Song, song_named
 from cadenza.registry import Entry, Registry
 
 __all__ = ["LIBRARIES", "Piece", "libraries", "load_score", "open_library", "songs"]
@@ -82,7 +83,7 @@ def open_library(spec: str | Path) -> Library:
     return library.of_split(split) if split else library
 
 
-def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
+def find_song(name_or_path: str | Path) -> Song:
     """A song by its name (upper or lower case), or a file of MIDI or MusicXML by its path.
 
     The bundled pieces are called by their names, those of other libraries `library/piece`.
@@ -90,6 +91,21 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the file, the notes have its
     fingers, see `cadenza.music.fingering_file`.
+
+    Raises:
+        CadenzaError: there is no such song.
+    """
+    check_is_name(name_or_path)
+    path, name = Path(name_or_path), str(name_or_path)
+    if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
+        return Song(name, partial(read_score, path))
+    library, _, piece = name.partition("/")
+    among = _named(library) if piece and _is_library(library) else bundled()
+    return song_named(name, among.songs)
+
+
+def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
+    """The score of a song, see `find_song`.
 
     Args:
         name_or_path: the song or file.
@@ -99,14 +115,7 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
         CadenzaError: no such song or track, a format that is not read, or a file that
             `read_midi`, `read_musicxml` or `read_fingering` refuses.
     """
-    check_is_name(name_or_path)
-    path = Path(name_or_path)
-    if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
-        return read_score(path, tracks)
-    name = str(name_or_path)
-    library, _, piece = name.partition("/")
-    among = _named(library) if piece and _is_library(library) else bundled()
-    return song_named(name, among.songs).load(tracks)
+    return find_song(name_or_path).load(tracks)
 
 
 def check_is_name(song: object) -> None:

@@ -28,6 +28,12 @@ def step_metrics(
     return _ratio(hits, sounding), _ratio(hits, wanted), _ratio(2 * hits, sounding + wanted)
 
 
+def _pooled(played: NDArray[Any], goal: NDArray[Any]) -> dict[str, float]:
+    all_together = step_metrics(played.reshape(1, -1), goal.reshape(1, -1))
+    names = ("pooled_precision", "pooled_recall", "pooled_f1")
+    return {name: float(value[0]) for name, value in zip(names, all_together, strict=True)}
+
+
 def playing_metrics(
     key_activation: NDArray[Any],
     sustain_activation: NDArray[Any],
@@ -41,6 +47,9 @@ def playing_metrics(
 
     `precision`, `recall`, `f1` of the keys (T, K) and `sustain_*` of the pedal (T,): of each step
     as in `step_metrics`, then the mean over steps, as the published RoboPianist computes them.
+
+    `pooled_precision`, `pooled_recall`, `pooled_f1` of the keys: of the hits of all steps together,
+    so that silence counts for nothing.
 
     `note_onset_f1`, `note_onset_offset_f1`: whole notes compared as mir_eval's transcription
     metrics do (Raffel et al., ISMIR 2014) at their defaults, but in a time and a memory that grow
@@ -71,6 +80,7 @@ def playing_metrics(
         "precision": float(precision.mean()),
         "recall": float(recall.mean()),
         "f1": float(f1.mean()),
+        **_pooled(key_activation, goal_keys),
         "sustain_precision": float(pedal[0].mean()),
         "sustain_recall": float(pedal[1].mean()),
         "sustain_f1": float(pedal[2].mean()),

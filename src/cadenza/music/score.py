@@ -157,6 +157,19 @@ class Score:
         check_length(self.total_time + seconds, "with the silence before it, the song")
         return self._shifted(seconds)
 
+    def beginning(self, seconds: float) -> Score:
+        """What begins in the first `seconds` from the first note on; it ends there at the latest.
+
+        Raises:
+            CadenzaError: `seconds` is not a positive number.
+        """
+        if not 0 < seconds < float("inf"):
+            raise CadenzaError(f"the first {seconds} s: give a positive number")
+        until = round(min((note.start for note in self.notes), default=0.0) + seconds, 9)
+        notes = (replace(n, end=min(n.end, until)) for n in self.notes if n.start < until)
+        pedal = (event for event in self.pedal if event.time < until)
+        return replace(self, notes=tuple(notes), pedal=tuple(pedal))
+
     def _shifted(self, seconds: float) -> Score:
         # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
         # put the note a control step too early.

@@ -69,6 +69,15 @@ class Performance:
         )
 
     @property
+    def energy(self) -> float | None:
+        """Of all actuators, their power as of each step's end [J]; None if the task counts none."""
+        task = self.settings["task"]
+        cost, weight = self.metrics.get("reward/energy"), task["energy_coefficient"]
+        if cost is None or not weight:
+            return None
+        return float(-cost / weight * task["control_timestep"])
+
+    @property
     def seconds(self) -> float:
         """How much of the music was played [s]; less than all where the episode ended early."""
         return self.episode.num_steps * self.episode.dt
@@ -80,6 +89,7 @@ class Performance:
         progress: Progress = silent,
         picture: Picture | None = None,
         loudness: Loudness = "struck",
+        page: bool = True,
     ) -> None:
         """Writes what `cadenza play` leaves: report.html, metrics.json, episode.npz and so on.
 
@@ -89,6 +99,7 @@ class Performance:
             progress: is told how far each stage is.
             picture: how the video looks; 1280 x 720 from the player's side by default.
             loudness: of the notes that are heard, see `Loudness`.
+            page: report.html too; without it there is no sound and no video either.
         """
         folder, played = Path(folder), self.played
         if loudness == "score":
@@ -100,6 +111,8 @@ class Performance:
         if self.misses is not None:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
+        if not page:
+            return
         progress("making the sound", 0, 2)
         goal = encode_mp3(synthesize(self.goal), bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)

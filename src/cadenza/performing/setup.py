@@ -173,7 +173,12 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     """The policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(song))
-    return load_policy(Path(agent)) if agent not in AGENTS.own and os.path.isdir(agent) else None
+    return load_policy(Path(agent)) if is_policy_folder(agent) else None
+
+
+def is_policy_folder(agent: str) -> bool:
+    """Whether an agent is named by the folder of a policy."""
+    return agent not in AGENTS.own and os.path.isdir(agent)
 
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:

@@ -1,0 +1,314 @@
+"""`cadenza bench`: many agents play many songs, in runs that can be stopped and resumed."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
+
+import tyro
+
+from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
+from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.output import check_writable
+from cadenza.cli.performing import TRAIN, Again, Options, agents_in
+from cadenza.cli.progress import QUIET
+from cadenza.cli.stopping import asked_to_stop
+from cadenza.configs import MOST_SEED, whole_number
+from cadenza.errors import CadenzaError
+from cadenza.learning.config import preset
+from cadenza.learning.learner import Preset
+from cadenza.sim.threads import MOST_THREADS
+
+if TYPE_CHECKING:
+    from cadenza.evaluation.bench import Executor, State
+    from cadenza.evaluation.job import Job
+    from cadenza.evaluation.matrix import Contender
+
+_MOST_SEEDS = 10_000
+
+
+@dataclass(frozen=True)
+class Bench(Options):
+    """Have agents play all songs of a library, with several seeds. Ctrl-C stops it; the same
+    command goes on.
+
+    Example: cadenza bench --songs bundled --agents planner,zero --seeds 0-2 -o results
+    """
+
+    songs: str = "debug"
+    """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
+    agents: tuple[str, ...] = ("planner",)
+    """Who plays, with commas or spaces between: as in "cadenza play", or train:fast, train:paper,
+    train:published for a policy that is trained on each song first. All but playback."""
+    seeds: tuple[str, ...] = ("0",)
+    """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
+    """Folder of the runs. One that holds some already is extended."""
+    retry: bool = False
+    """Carry out again what has failed before."""
+    jobs: int | None = None
+    """How many runs at once, as many as the cores allow by default."""
+    threads: int = 1
+    """Threads of each run."""
+    num_steps: int | None = None
+    """Environment steps of training, for train:PRESET; what the preset says by default."""
+    pages: Advanced[Literal["first-seed", "all", "none"]] = "first-seed"
+    """Which runs leave a page to watch and hear."""
+    executor: Literal["local", "ray"] = "local"
+    """Where the runs are carried out: on this machine, or on a Ray cluster."""
+    address: Advanced[str | None] = None
+    """Of a Ray cluster, such as auto. By default one is started on this machine."""
+    quiet: Quiet = False
+
+
+def run(command: Bench, again: Again[Bench]) -> None:
+    from cadenza.evaluation.bench import bench
+    from cadenza.evaluation.matrix import matrix, write_plan
+    from cadenza.music.library import open_library
+
+    agents, seeds = _agents(command), _seeds(command.seeds)
+    for name in "threads", "jobs":
+        if (number := getattr(command, name)) is not None:
+            whole_number(number, name, 1, MOST_THREADS)
+    if command.executor == "local" and command.address is not None:
+        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
+    who = _contenders(command, again, agents)
+    jobs = matrix(open_library(command.songs), who, seeds, command.arrangement, command.pages)
+    check_writable(command.output)
+    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
+    with (
+        closing(_executor(command)) as executor,
+        _shown() as shown,
+        asked_to_stop("a checkpoint of the runs that train") as stop,
+    ):
+        stop()  # from now on
+
+        def goes_on(state: State) -> bool:
+            shown.show(state)
+            return not stop()
+
+        state = bench(jobs, command.output, executor, shown.ended, goes_on, command.retry)
+    _tell_what_is_left(state, command.output)
+
+
+def _agents(command: Bench) -> list[str]:
+    agents = [name for words in command.agents for name in agents_in(words)]
+    if not agents:
+        raise CadenzaError("nobody plays: name at least one agent")
+    agents = list(dict.fromkeys(map(current_name, agents)))
+    if PLAYBACK in agents:
+        raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
+    return agents
+
+
+def _seeds(parts: Sequence[str]) -> list[int]:
+    """From 0-2 or 0,5: whole numbers, each once."""
+    seeds: dict[int, None] = {}
+    for part in (part for given in parts for part in given.split(",") if part):
+        first, _, last = part.partition("-")
+        try:
+            ends = int(first), int(last or first)
+        except ValueError as error:
+            raise CadenzaError(f"seeds {part}: give whole numbers such as 0-2 or 0,5") from error
+        for end in ends:
+            whole_number(end, "seed", 0, MOST_SEED)
+        if not 0 <= ends[1] - ends[0] < _MOST_SEEDS:
+            raise CadenzaError(f"seeds {part}: give them as FIRST-LAST, at most {_MOST_SEEDS}")
+        seeds |= dict.fromkeys(range(ends[0], ends[1] + 1))
+    if not seeds:
+        raise CadenzaError("no seed: name at least one")
+    return list(seeds)
+
+
+# Who plays
+
+
+def _contenders(
+    command: Bench, again: Again[Bench], agents: Sequence[str]
+) -> Callable[[str], list[Contender]]:
+    """Song -> who plays it, each with the options of the command, over what it was made with."""
+    fixed = {name: _contender(command, again, name) for name in agents if name != PRETRAINED}
+
+    def who(song: str) -> list[Contender]:
+        return [
+            fixed[name] if name in fixed else _of_the_song(command, again, song) for name in agents
+        ]
+
+    return who
+
+
+def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
+    from cadenza.agents.registry import make_agent
+    from cadenza.evaluation.matrix import Contender
+    from cadenza.performing.setup import is_policy_folder
+
+    if agent.startswith(TRAIN):
+        return _trained(command, again, agent)
+    if is_policy_folder(agent):
+        return _with_policy(command, again, agent, Path(agent))
+    config = command.configs.get(agent)
+    make_agent(agent, config)  # who is not there is told before anyone plays
+    return Contender(agent, command.task, command.scene, config)
+
+
+def _of_the_song(command: Bench, again: Again[Bench], song: str) -> Contender:
+    from cadenza.learning.pretrained import pretrained_folder
+
+    return _with_policy(command, again, PRETRAINED, pretrained_folder(song))
+
+
+def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) -> Contender:
+    from cadenza.evaluation.matrix import Contender
+    from cadenza.learning.policy_folder import load_policy
+
+    learnt = load_policy(folder)
+    own = again(replace(command, task=learnt.task, scene=learnt.scene))
+    digest = hashlib.sha256((folder / "manifest.json").read_bytes()).hexdigest()[:12]
+    return Contender(agent, own.task, own.scene, digest=digest)
+
+
+def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
+    from cadenza.evaluation.matrix import Contender
+    from cadenza.learning.config import check
+
+    name: Any = agent.removeprefix(TRAIN)
+    if name not in get_args(Preset):
+        known = ", ".join(TRAIN + known for known in get_args(Preset))
+        raise CadenzaError(f"no agent {agent!r}: choose from {known}")
+    begun = preset(name)
+    own = again(replace(command, task=begun.task, scene=begun.scene))
+    steps = begun.num_steps if command.num_steps is None else command.num_steps
+    config = replace(begun, task=own.task, scene=own.scene, num_steps=steps)
+    check(config)
+    return Contender(agent, own.task, own.scene, config)
+
+
+def _executor(command: Bench) -> Executor:
+    if command.executor == "ray":
+        from cadenza.evaluation.executors.ray import Ray
+
+        return Ray(command.threads, command.jobs, command.address)
+    from cadenza.evaluation.executors.local import Local
+
+    return Local(command.threads, command.jobs)
+
+
+# What is shown
+
+
+class _Shown(Protocol):
+    def show(self, state: State) -> None:
+        """How far it is now."""
+
+    def ended(self, state: State, job: Job) -> None:
+        """A run has finished or failed."""
+
+
+@contextmanager
+def _shown() -> Iterator[_Shown]:
+    """A table of the runs under way on a terminal; a line for each that ends anywhere else."""
+    if QUIET.get() or not sys.stderr.isatty():
+        yield _Lines()
+        return
+    table = _Table()
+    try:
+        yield table
+    finally:
+        table.clear()
+
+
+class _Lines:
+    def show(self, state: State) -> None:
+        pass
+
+    def ended(self, state: State, job: Job) -> None:
+        if not QUIET.get():
+            done = state.finished + len(state.failed)
+            print(f"{done} of {state.total}: {_how_it_went(state, job)}", file=sys.stderr)
+
+
+class _Table:
+    """Drawn anew in its place twice a second; what has ended scrolls by above it."""
+
+    def __init__(self) -> None:
+        self._lines = 0
+        self._began: dict[str, float] = {}
+
+    def show(self, state: State) -> None:
+        columns, rows = shutil.get_terminal_size()
+        lines = [*self._rows(state)][: rows - 2]
+        self.clear()
+        print(
+            *(line[: columns - 1] for line in [*lines, _in_all(state)]), sep="\n", file=sys.stderr
+        )
+        self._lines = len(lines) + 1
+
+    def ended(self, state: State, job: Job) -> None:
+        self.clear()
+        print(_how_it_went(state, job), file=sys.stderr)
+
+    def clear(self) -> None:
+        if self._lines:
+            print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
+        self._lines = 0
+
+    def _rows(self, state: State) -> Iterator[str]:
+        from cadenza.evaluation.run import progress_of
+
+        now = time.monotonic()
+        for name, job in state.running.items():
+            seconds = now - self._began.setdefault(name, now)
+            at = progress_of(state.folder / name)
+            how_far = "beginning" if at is None else at.stage
+            if at is not None and at.total:
+                how_far += f" {100 * at.done // at.total} %"
+            yield f"{_named(job):<60} {how_far:<20} {seconds:6.0f} s"
+
+
+def _named(job: Job) -> str:
+    return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
+
+
+def _how_it_went(state: State, job: Job) -> str:
+    from cadenza.evaluation.results import read_result
+
+    if job.spec.name in state.failed:
+        return f"{_named(job)}: failed: {state.failed[job.spec.name]}"
+    try:
+        result = read_result(state.folder / job.spec.name)
+    except (CadenzaError, OSError) as error:
+        return f"{_named(job)}: {error}"
+    return f"{_named(job)}: F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s"
+
+
+def _in_all(state: State) -> str:
+    parts = [f"{state.finished} of {state.total} runs finished"]
+    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
+    parts += [f"{len(state.running)} under way"] * bool(state.running)
+    parts += [f"{len(state.elsewhere)} under way elsewhere"] * bool(state.elsewhere)
+    return ", ".join(parts)
+
+
+def _tell_what_is_left(state: State, folder: Path) -> None:
+    """Raises: KeyboardInterrupt or CadenzaError: not all runs are finished."""
+    parts = [f"{state.finished} of {state.total} runs finished"]
+    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
+    parts += [f"{state.left} left"] * bool(state.left)
+    print(f"{', '.join(parts)}, in {folder}")
+    for name, why in state.failed.items():
+        print(f"{name}: {why}", file=sys.stderr)
+    if state.left:
+        print("run the same command again to go on", file=sys.stderr)
+        raise KeyboardInterrupt
+    if state.failed:
+        raise CadenzaError(
+            f"{len(state.failed)} of {state.total} runs failed; add --retry to carry them out again"
+        )

@@ -1,0 +1,149 @@
+"""Carries out many runs, as many at once as an executor has room for."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from cadenza.evaluation.job import Job
+from cadenza.evaluation.results import RESULT, RUNS, failure
+from cadenza.evaluation.run import locked, write_failure
+
+_BETWEEN_LOOKS = 0.5  # [s]
+
+
+class Executor(Protocol):
+    """Where runs are carried out, each by a process of its own."""
+
+    @property
+    def capacity(self) -> int:
+        """How many runs at once."""
+
+    def start(self, job: Job, folder: Path) -> None:
+        """Begins `cadenza.evaluation.run.carry_out`."""
+
+    def ended(self, seconds: float) -> list[tuple[Job, str]]:
+        """Runs whose process has ended, waited for at most so long [s].
+
+        With each stands what became of a process that crashed, in a line; nothing for others,
+        which leave a result or say why there is none.
+        """
+
+    def stop(self) -> None:
+        """Ends all runs under way, so that they can be taken up again."""
+
+    def close(self) -> None:
+        """Lets go of all that it needed."""
+
+
+@dataclass
+class State:
+    """How far a bench is. Runs are named as their folders."""
+
+    folder: Path
+    """Of all runs."""
+    total: int
+    todo: deque[Job] = field(default_factory=deque)
+    running: dict[str, Job] = field(default_factory=dict)
+    elsewhere: list[Job] = field(default_factory=list)
+    """Which another process has been found at work on."""
+    finished: int = 0
+    failed: dict[str, str] = field(default_factory=dict)
+    """With why."""
+
+    @property
+    def left(self) -> int:
+        """Neither finished nor failed."""
+        return self.total - self.finished - len(self.failed)
+
+
+def bench(
+    jobs: Sequence[Job],
+    folder: Path,
+    executor: Executor,
+    ended: Callable[[State, Job], None],
+    goes_on: Callable[[State], bool],
+    retry: bool = False,
+) -> State:
+    """Carries out what is not finished yet.
+
+    Args:
+        jobs: all runs that there are to be.
+        folder: of the bench.
+        executor: where they are carried out.
+        ended: is told of a run that has finished or failed.
+        goes_on: is asked now and then; where it is false, all ends that is under way.
+        retry: runs that have failed before are carried out again.
+
+    Raises:
+        CadenzaError: what became of a run before cannot be read.
+    """
+    state = State(folder / RUNS, len(jobs))
+    for job in jobs:
+        if not _is_finished(state, job) and (retry or not _has_failed(state, job)):
+            state.todo.append(job)
+    while state.todo or state.running or state.elsewhere:
+        if not goes_on(state):
+            executor.stop()
+            break
+        while state.todo and len(state.running) < executor.capacity:
+            _start(state, state.todo.popleft(), executor)
+        if not state.running:
+            time.sleep(_BETWEEN_LOOKS)
+        for job, crash in executor.ended(_BETWEEN_LOOKS) if state.running else ():
+            del state.running[job.spec.name]
+            if _has_ended(state, job, crash):
+                ended(state, job)
+            else:
+                state.elsewhere.append(job)
+        _look_elsewhere(state, ended)
+    return state
+
+
+def _start(state: State, job: Job, executor: Executor) -> None:
+    state.running[job.spec.name] = job
+    executor.start(job, state.folder / job.spec.name)
+
+
+def _is_finished(state: State, job: Job) -> bool:
+    finished = (state.folder / job.spec.name / RESULT).exists()
+    state.finished += finished
+    return finished
+
+
+def _has_failed(state: State, job: Job) -> bool:
+    why = failure(state.folder / job.spec.name)
+    if why is not None:
+        state.failed[job.spec.name] = why
+    return why is not None
+
+
+def _has_ended(state: State, job: Job, crash: str) -> bool:
+    """Of a run whose process has ended; else another process is at work on it."""
+    folder = state.folder / job.spec.name
+    if _is_finished(state, job):
+        return True
+    with locked(folder) as ours:
+        if not ours:
+            return False
+        if crash or failure(folder) is None:
+            write_failure(folder, crash or "its process ended without a result; see log.txt")
+    return _has_failed(state, job)
+
+
+def _look_elsewhere(state: State, ended: Callable[[State, Job], None]) -> None:
+    """Takes up runs that others have given up."""
+    waiting, state.elsewhere = state.elsewhere, []
+    for job in waiting:
+        with locked(state.folder / job.spec.name) as ours:
+            pass
+        if _is_finished(state, job) or (ours and _has_failed(state, job)):
+            ended(state, job)
+        elif ours:
+            state.todo.append(job)
+        else:
+            state.elsewhere.append(job)

@@ -1,0 +1,90 @@
+"""Runs as processes of this machine, one each: one that crashes takes nothing else with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from multiprocessing import connection, get_context, parent_process
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from threading import Thread
+
+from cadenza.evaluation.job import Job
+from cadenza.evaluation.run import carry_out
+from cadenza.sim.threads import available_cores
+
+_SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
+
+
+class Local:
+    """At most `capacity` processes at once, each with `num_threads` threads for its planner."""
+
+    def __init__(self, num_threads: int, num_jobs: int | None = None) -> None:
+        """As many processes as there are cores for their threads, unless a number is given."""
+        self.capacity = num_jobs or max(available_cores() // num_threads, 1)
+        self._num_threads = num_threads
+        self._running: list[tuple[Job, BaseProcess]] = []
+
+    def start(self, job: Job, folder: Path) -> None:
+        process = _SPAWN.Process(target=_work, args=(job, folder, self._num_threads))
+        # Ctrl-C of a terminal goes to all of its processes, and only we are to act on it.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        self._running.append((job, process))
+
+    def ended(self, seconds: float) -> list[tuple[Job, str]]:
+        connection.wait([process.sentinel for _, process in self._running], seconds)
+        ended = [(job, process) for job, process in self._running if not process.is_alive()]
+        self._running = [entry for entry in self._running if entry not in ended]
+        return [(job, _crash(process)) for job, process in ended]
+
+    def stop(self) -> None:
+        for _, process in self._running:
+            process.terminate()
+        for _, process in self._running:
+            process.join()
+        self._running.clear()
+
+    def close(self) -> None:
+        """Ends at once what is still under way."""
+        for _, process in self._running:
+            process.kill()
+
+
+def _crash(process: BaseProcess) -> str:
+    """What became of the process, in a line; nothing if it ended in good order."""
+    process.join()
+    status = process.exitcode or 0
+    process.close()
+    if status == -signal.SIGKILL:
+        return "its process was killed (SIGKILL), as a system does when memory runs out"
+    if status < 0:
+        return f"its process crashed ({signal.Signals(-status).name}); see log.txt"
+    return f"its process ended with status {status}; see log.txt" if status else ""
+
+
+def _work(job: Job, folder: Path, num_threads: int) -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
+    stop = _asked_to_stop() if job.spec.training is not None else lambda: False
+    carry_out(job, folder, num_threads, stop)
+    sys.stdout.flush()
+
+
+def _end_with_parent() -> None:
+    """Whoever kills a bench wants no runs that go on without it."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _asked_to_stop() -> Callable[[], bool]:
+    """Says whether the process has been told to end, which training does with a checkpoint."""
+    asked = list[int]()
+    signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
+    return lambda: bool(asked)

@@ -1,0 +1,91 @@
+"""Runs spread over a Ray cluster. Their folder has to be one that all machines share."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.job import Job
+from cadenza.evaluation.run import carry_out
+
+_RETRIES = 3  # of a run whose process or machine dies, which Ray takes up elsewhere
+
+
+class Ray:
+    """As many runs at once as the cluster has cores for, also when it grows or shrinks."""
+
+    def __init__(
+        self, num_threads: int, num_jobs: int | None = None, address: str | None = None
+    ) -> None:
+        """Joins the cluster at `address`, or starts one on this machine.
+
+        Args:
+            num_threads: of a run, for each of which Ray reserves a core.
+            num_jobs: how many runs at once, if not as many as there are cores for.
+            address: as `ray.init` takes it, such as "auto" or "ray.example.org:6379".
+
+        Raises:
+            CadenzaError: Ray is not installed, or there is no such cluster.
+        """
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        try:
+            import ray
+        except ImportError as error:
+            raise CadenzaError("Ray is not installed: pip install 'cadenza[ray]'") from error
+        cores = num_jobs * num_threads if num_jobs and address is None else None
+        try:
+            ray.init(
+                address or "local", num_cpus=cores, log_to_driver=False, include_dashboard=False
+            )
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            said = " ".join(str(error).split())
+            raise CadenzaError(f"no Ray cluster at {address}: {said}") from error
+        self._ray = ray
+        self._num_threads, self._num_jobs = num_threads, num_jobs
+        self._running: dict[Any, Job] = {}
+        # A process a run, as on one machine: it leaves no memory behind.
+        self._carry_out = ray.remote(
+            num_cpus=num_threads, max_calls=1, max_retries=_RETRIES, retry_exceptions=False
+        )(_work)
+
+    @property
+    def capacity(self) -> int:
+        cores = int(self._ray.cluster_resources().get("CPU", 0))
+        return self._num_jobs or max(cores // self._num_threads, 1)
+
+    def start(self, job: Job, folder: Path) -> None:
+        place = self._carry_out.remote(job, folder.resolve(), self._num_threads, os.getcwd())
+        self._running[place] = job
+
+    def ended(self, seconds: float) -> list[tuple[Job, str]]:
+        places = list(self._running)
+        ready, _ = self._ray.wait(places, num_returns=len(places), timeout=seconds)
+        return [(self._running.pop(place), self._crash(place)) for place in ready]
+
+    def _crash(self, place: Any) -> str:
+        try:
+            self._ray.get(place)
+        except self._ray.exceptions.RayError as error:
+            said = str(error).strip().splitlines()[0]
+            return f"its process crashed on the cluster ({type(error).__name__}: {said})"
+        return ""
+
+    def stop(self) -> None:
+        for place in self._running:
+            self._ray.cancel(place, force=True)
+        self._running.clear()
+
+    def close(self) -> None:
+        """Leaves the cluster; one that was started here ends."""
+        self._ray.shutdown()
+
+
+def _work(job: Job, folder: Path, num_threads: int, started_in: str) -> None:
+    if os.path.isdir(started_in):  # names of files are as they were given
+        os.chdir(started_in)
+    if started_in not in sys.path:
+        sys.path.append(started_in)  # `module:Name` of an agent or a hand may lie there
+    carry_out(job, folder, num_threads)

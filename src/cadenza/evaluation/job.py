@@ -1,0 +1,89 @@
+"""What a run is: a pure value, whose hash names the folder of its results."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from cadenza.files import folder_name, plain
+from cadenza.learning.config import TrainingConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+_MOST_OF_A_NAME = 80  # characters of a song or an agent in the name of a folder
+_HASH = 12  # hexadecimal digits
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """All that the result of a run depends on, but for the versions of programs."""
+
+    song: str
+    """As `cadenza play` takes it."""
+    song_digest: str
+    """Of what is played, see `cadenza.evaluation.songs`."""
+    agent: str
+    """As `cadenza play` takes it, or train:PRESET for a policy that is trained first."""
+    seed: int
+    task: TaskConfig
+    scene: SceneConfig
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    config: Any = None
+    """The agent's options, a dataclass; a `TrainingConfig` for one that is trained first."""
+    agent_digest: str = ""
+    """Of the files of a policy."""
+
+    @property
+    def training(self) -> TrainingConfig | None:
+        """How a policy is trained before it plays; None for all others."""
+        return self.config if isinstance(self.config, TrainingConfig) else None
+
+    def as_json(self) -> dict[str, Any]:
+        """The same as JSON has it."""
+        content: dict[str, Any] = plain(asdict(self))
+        return content
+
+    @property
+    def key(self) -> str:
+        """A hash, the same on every machine."""
+        text = json.dumps(self.as_json(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
+
+    @property
+    def name(self) -> str:
+        """SONG--AGENT--sSEED--HASH, the name of its folder."""
+        song, agent = (
+            folder_name("-".join(path.split("/")[-2:]))[-_MOST_OF_A_NAME:]
+            for path in (self.song, self.agent)
+        )
+        return f"{song}--{agent}--s{self.seed}--{self.key}"
+
+
+@dataclass(frozen=True)
+class SongFacts:
+    """What is worth knowing about a song; a result does not depend on it."""
+
+    name: str
+    title: str = ""
+    composer: str = ""
+    library: str = ""
+    split: str = ""
+    difficulty: float | None = None
+    """1 to 10."""
+    seconds: float | None = None
+    """Of all of it."""
+    notes: int | None = None
+    """That were to be played."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be carried out."""
+
+    spec: JobSpec
+    song: SongFacts
+    page: bool = True
+    """Whether it leaves a page to watch and hear."""

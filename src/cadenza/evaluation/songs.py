@@ -1,0 +1,47 @@
+"""What is kept of a song with a run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os.path
+from dataclasses import astuple
+from pathlib import Path
+
+from cadenza.evaluation.job import SongFacts
+from cadenza.music.fingering_file import SUFFIX
+from cadenza.music.songs import Library, Song
+
+_HASH = 12  # hexadecimal digits
+
+
+def facts_of(song: Song, library: Library) -> SongFacts:
+    """What the library's index says."""
+    return SongFacts(
+        song.name,
+        song.title,
+        song.composer,
+        library.name.partition(":")[0],
+        song.split,
+        song.difficulty,
+        song.seconds,
+        song.notes,
+    )
+
+
+def digest_of(song: Song) -> str:
+    """A hash of what is played: of the song's files, so that many are planned in a moment.
+
+    Raises:
+        CadenzaError: a song without a file cannot be made.
+        OSError: a file cannot be read.
+    """
+    files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
+    if files:
+        fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
+        content = b"".join(path.read_bytes() for path in (*files, *fingers))
+    else:
+        score = song.load()
+        notes = [astuple(note) for note in score.notes], [astuple(event) for event in score.pedal]
+        content = json.dumps(notes).encode()
+    return hashlib.sha256(content).hexdigest()[:_HASH]

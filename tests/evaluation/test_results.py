@@ -1,0 +1,123 @@
+"""Results are read as they were written; what is corrupt is told and left out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.job import Job, JobSpec
+from cadenza.evaluation.matrix import Contender, matrix, write_plan
+from cadenza.evaluation.results import read_results
+from cadenza.evaluation.run import carry_out
+from cadenza.evaluation.songs import digest_of, facts_of
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.library import find_song
+from cadenza.music.songs import Library
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+SCALE = Library("debug", (find_song("CMajorScaleOneHand"),))
+
+
+def job(agent: str = "zero", seed: int = 0, page: bool = False, seconds: float = 0.4) -> Job:
+    (song,), beginning = SCALE.songs, Arrangement(first_seconds=seconds)
+    spec = JobSpec(song.name, digest_of(song), agent, seed, TaskConfig(), SceneConfig(), beginning)
+    return Job(spec, facts_of(song, SCALE), page)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("finished")
+    carry_out(job(), folder, num_threads=1)
+    return (folder / "result.json").read_text()
+
+
+def content(text: str, **changes: Any) -> str:
+    return json.dumps(json.loads(text) | changes)
+
+
+def test_a_result_says_what_was_played_and_how_well(tmp_path: Path) -> None:
+    run = tmp_path / "runs" / job().spec.name
+    carry_out(job(page=True), run, num_threads=1)
+    (result,) = read_results(tmp_path).results
+    metrics = json.loads((run / "metrics.json").read_text())
+    energy = result.metrics["energy"]
+    assert result.metrics == metrics | {"energy": energy}
+    assert energy == pytest.approx(-metrics["reward/energy"] / 0.005 * 0.05)  # [J]
+    assert {"f1", "pooled_f1", "note_onset_f1"} <= metrics.keys()
+    assert (result.agent, result.seed, result.song.title) == ("zero", 0, SCALE.songs[0].title)
+    assert result.song.notes == 1  # in 0.4 s
+    assert result.timing.music_seconds == pytest.approx(0.45)
+    assert (run / str(result.pages["report"])).exists()
+    assert {"cadenza", "mujoco", "numpy", "python", "platform"} <= result.versions.keys()
+    assert result.job == job().spec.as_json()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "\xff", '{"format": 1}'])
+def test_what_is_corrupt_is_told_and_left_out(tmp_path: Path, finished: str, text: str) -> None:
+    for name, written in ("a", text), ("b", finished), ("c", finished[:-30]):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "result.json").write_text(written)
+    found = read_results(tmp_path)
+    assert [result.folder.name for result in found.results] == ["b"]
+    assert [without.name for without in found.broken] == ["a", "c"]
+    assert all("\n" not in without.why for without in found.broken)
+
+
+def test_what_is_not_of_this_format_is_told(tmp_path: Path, finished: str) -> None:
+    changes: dict[str, Any] = {
+        "a": {"format": 2},
+        "b": {"metrics": {"f1": "good"}},
+        "c": {"job": {"song": "x"}},
+        "d": {"song": {}},
+    }
+    for name, change in changes.items():
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "result.json").write_text(content(finished, **change))
+    found = read_results(tmp_path)
+    assert not found.results
+    assert [without.name for without in found.broken] == list(changes)
+
+
+def test_what_is_missing_is_told(tmp_path: Path, finished: str) -> None:
+    jobs = [job(seed=seed) for seed in range(3)]
+    write_plan(tmp_path, "cadenza bench", jobs)
+    first, second, third = (tmp_path / "runs" / job.spec.name for job in jobs)
+    for run in first, second:
+        run.mkdir(parents=True)
+    (first / "result.json").write_text(finished)
+    (second / "failed.json").write_text('{"format": 1, "error": "out of luck"}')
+    found = read_results(tmp_path)
+    assert len(found.results) == 1
+    assert {(run.name, run.why) for run in found.unfinished} == {
+        (second.name, "out of luck"),
+        (third.name, "not finished"),
+    }
+    with pytest.raises(CadenzaError, match="holds no runs"):
+        read_results(first)
+
+
+def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
+    one = job().spec
+    others = [job("random").spec, job(seed=1).spec, job(seconds=0.5).spec]
+    assert job(page=True).spec == one
+    assert one.name.startswith("CMajorScaleOneHand--zero--s0--")
+    assert len({spec.key for spec in [one, *others]}) == 4
+
+
+def test_a_matrix_names_every_run_once_and_the_first_seed_first() -> None:
+    def who(_: str) -> list[Contender]:
+        return [Contender(name, TaskConfig(), SceneConfig()) for name in ("zero", "random", "zero")]
+
+    jobs = matrix(SCALE, who, [4, 2, 4], Arrangement())
+    runs = [(job.spec.agent, job.spec.seed, job.page) for job in jobs]
+    assert runs == [
+        ("zero", 4, True),
+        ("random", 4, True),
+        ("zero", 2, False),
+        ("random", 2, False),
+    ]
