@@ -1,7 +1,6 @@
 import io
 import itertools
 import tracemalloc
-import wave
 
 import av
 import numpy as np
@@ -11,7 +10,7 @@ from scipy import signal
 
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.report import sound
-from cadenza.report.sound import SAMPLE_RATE, encode_mp3, synthesize, write_wav
+from cadenza.report.sound import SAMPLE_RATE, encode_mp3, synthesize
 
 
 def heard(score):
@@ -185,15 +184,6 @@ def test_the_same_score_always_sounds_the_same():
 def test_no_notes_no_sound():
     silence = synthesize(Score((), (PedalEvent(0, 127),)))
     assert silence.shape == silence[:].shape == (0, 2)
-
-
-def test_wav_is_read_back(tmp_path):
-    audio = synthesize(Score((Note(0, 0.3, 60),)))[:]
-    write_wav(tmp_path / "a.wav", audio)
-    with wave.open(str(tmp_path / "a.wav")) as file:
-        assert (file.getframerate(), file.getnchannels()) == (SAMPLE_RATE, 2)
-        read = np.frombuffer(file.readframes(file.getnframes()), "<i2").reshape(-1, 2)
-    np.testing.assert_array_equal(read, audio)
 
 
 def decoded(mp3):

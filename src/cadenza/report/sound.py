@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import io
 import tempfile
-import wave
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
-from pathlib import Path
 from typing import IO, Any
 
 import av
@@ -28,7 +26,6 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 from threadpoolctl import threadpool_limits
 
-from cadenza.files import write_atomically
 from cadenza.music.score import NUM_KEYS, Note, Score
 
 SAMPLE_RATE = 44100  # [Hz]
@@ -108,15 +105,6 @@ def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
             first += block.shape[1]
     _level(sound, 10 ** ((_LOUDNESS - meter.integrated) / 20), sample_rate)
     return sound
-
-
-def write_wav(path: Path, audio: NDArray[np.int16], sample_rate: int = SAMPLE_RATE) -> None:
-    """Writes `audio`, (n,) or (n, 2), as PCM."""
-    with write_atomically(path) as raw, wave.open(raw, "wb") as file:
-        file.setnchannels(1 if audio.ndim == 1 else audio.shape[1])
-        file.setsampwidth(2)
-        file.setframerate(sample_rate)
-        file.writeframes(np.ascontiguousarray(audio, "<i2").data)
 
 
 def encode_mp3(
