@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_episode
 from headless import Browser, needs_chromium
 
 from cadenza.report.comparison import COLUMNS, Run, in_text, means, write_comparison
+from cadenza.report.page import asset
+from conftest import make_episode
 
 
 def run(agent: str, seed: int, f1: float, **figures: float) -> Run:
@@ -98,6 +99,12 @@ def test_the_page_stands_alone(page: str) -> None:
             assert (attributes.get(name) or "data:").startswith("data:"), (tag, attributes)
     assert "default-src 'none'" in page
     assert "{{" not in page
+
+
+def test_what_the_page_and_its_runs_share_is_there_once(page: str) -> None:
+    for script in ("uplot.min.js", "three.min.js"):
+        word = max(re.findall(r"\w+", asset(script)), key=len)
+        assert page.count(word) == asset(script).count(word), script
 
 
 def opened(browser: Browser, path: Path) -> None:

@@ -78,6 +78,8 @@ def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = (
     """Writes the page of `runs`, of at least one, to `path`, with `remarks` on how they differ."""
     longest = max((run.episode for run in runs), key=_duration)
     title = html.escape(longest.song or "Untitled")
+    shared = shared_parts()
+    uplot = shared.pop("uplot")  # this page runs it, too, and has it where that can be done
     parts = {
         "title": title,
         "facts": _facts(runs, longest),
@@ -91,8 +93,8 @@ def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = (
         ),
         "duration": f"{_duration(longest):g}",
         "runs": chain.from_iterable(map(_embedded, runs)),
-        "shared": in_json(list(shared_parts().values())),
-        "uplot": asset("uplot.min.js"),
+        "shared": in_json(shared),
+        "uplot": uplot,
         "js": asset("chart.js") + asset("comparison.js"),
         "css": "".join(map(asset, _STYLES)),
     }
@@ -108,7 +110,7 @@ def _name(run: Run) -> str:
 
 
 def _embedded(run: Run) -> Iterator[str]:
-    """The page of a run as JSON: its texts, and a number where a part is shared with the others."""
+    """The page of a run as JSON: its texts, and a list of a name for a part that all runs share."""
     episode = run.episode
     rows = episode["key_activation"], episode["sustain_activation"]
     depth, lowest = episode.key_depth, episode.lowest_pitch
@@ -118,7 +120,7 @@ def _embedded(run: Run) -> Iterator[str]:
     own = own_parts(episode, run.figures, settings, embedded(episode, audio, SAMPLE_RATE))
     yield '<script type="application/json" class="run">[""'
     for name, text in pieces("page.html", own | shared):
-        yield f",{list(shared).index(name) if name in shared else in_json(text)}"
+        yield f",{in_json([name] if name in shared else text)}"
     yield "]</script>"
 
 

@@ -3,7 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const read = (element) => JSON.parse(element.textContent);
 const frame = $("frame"), choice = $("choice"), strips = document.querySelector(".strips");
-const shared = read($("shared")), runs = document.querySelectorAll(".run");
+const shared = { uplot: $("uplot").textContent, ...read($("shared")) }, runs = document.querySelectorAll(".run");
 const comparison = window.comparison = { ready: false };
 let turns = 0;
 
@@ -66,7 +66,7 @@ async function show(index, time = player()?.time ?? 0) {
   comparison.ready = false;
   choice.value = index;
   for (const button of document.querySelectorAll("button[data-run]")) button.setAttribute("aria-pressed", button.dataset.run === choice.value);
-  frame.srcdoc = read(runs[index]).map((piece) => (typeof piece === "number" ? shared[piece] : piece)).join("");
+  frame.srcdoc = read(runs[index]).map((piece) => (Array.isArray(piece) ? shared[piece[0]] : piece)).join("");
   await new Promise((loaded) => { frame.onload = loaded; });
   if (turn !== turns) return;
   const { documentElement: root } = frame.contentDocument, { cadenza } = frame.contentWindow;
