@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import shutil
@@ -359,6 +360,9 @@ def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[
     assert json.loads((here / "part" / "metrics.json").read_text())["steps"] == 3
     assert (here / "part" / "report.html").exists()
     assert (here / "part" / "played.mid").exists()
+    page = (here / "part" / "report.html").read_text()
+    goal = base64.b64decode(page.split('class="goal">')[1].split("<")[0])
+    assert 0 < len(goal) < 0.4 * 48_000 / 8  # what should have been heard in 0.15 s, 48 kbit/s
 
 
 @pytest.mark.parametrize("agent", ["own:MoreImpatient", "own:NeverBegins"])

@@ -88,11 +88,28 @@ def test_initial_silence_delays_everything():
             TWO.with_initial_silence(wrong)
 
 
+@given(scores(), st.floats(0, 10))
+def test_what_is_heard_until_a_time_is_what_begins_before_it(score, seconds):
+    until = score.until(seconds)
+    for note, original in zip(until.notes, score.notes, strict=False):
+        assert note.start == original.start < seconds
+        assert note.end == min(original.end, seconds)
+    assert all(note.start >= seconds for note in score.notes[len(until.notes) :])
+    assert list(until.pedal) == [event for event in score.pedal if event.time < seconds]
+    assert score.until(score.total_time + 1).notes == score.notes
+
+
 def test_an_empty_score_survives_every_change():
     empty = Score(())
     assert empty.total_time == 0
     assert not empty.has_fingering
-    assert empty.stretched(2) == empty.transposed(5) == empty.with_silence_trimmed() == empty
+    assert (
+        empty.stretched(2)
+        == empty.transposed(5)
+        == empty.until(1)
+        == empty.with_silence_trimmed()
+        == empty
+    )
 
 
 @given(scores())

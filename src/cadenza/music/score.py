@@ -146,6 +146,12 @@ class Score:
         held = [replace(before[-1], time=start)] if before else []
         return replace(self, pedal=tuple(held + during))._shifted(-start)
 
+    def until(self, seconds: float) -> Score:
+        """What sounds before `seconds`; notes that would go on end there."""
+        notes = (replace(n, end=min(n.end, seconds)) for n in self.notes if n.start < seconds)
+        pedal = (event for event in self.pedal if event.time < seconds)
+        return replace(self, notes=tuple(notes), pedal=tuple(pedal))
+
     def with_initial_silence(self, seconds: float) -> Score:
         """Everything later by `seconds`, so that the hands have time to get into place.
 

@@ -114,7 +114,8 @@ class Performance:
         if not page:
             return
         progress("making the sound", 0, 2)
-        goal = encode_mp3(synthesize(self.goal), bit_rate=48_000, mono=True, seconds=self.seconds)
+        goal = synthesize(self.goal.until(self.seconds))
+        goal_mp3 = encode_mp3(goal, bit_rate=48_000, mono=True, seconds=self.seconds)
         progress("making the sound", 1, 2)
         audio = synthesize(played)
         path, drawn = folder / "video.mp4", False
@@ -128,7 +129,7 @@ class Performance:
                 self.settings,
                 audio,
                 misses=lost,
-                goal_mp3=goal,
+                goal_mp3=goal_mp3,
                 midi=(folder / "played.mid").read_bytes(),
                 video=path.name if drawn else "",
             )
