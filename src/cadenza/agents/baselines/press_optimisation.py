@@ -236,7 +236,7 @@ class PressOptimisation:
         return ((keys**2).sum(axis=1) + (tips**2).sum(axis=(1, 2))) / 2
 
     def _misses(self, state: State, step: int) -> tuple[Array, Array]:
-        """Weighted residuals (N, 88), (N, 5, 3) of the states after `step`."""
+        """Weighted residuals (N, K), (N, F, 3) of the states after `step`."""
         part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
         lacking = np.where(part.mine[step], depth - 1.0, 0.0)
         harm = np.where(part.wrong[step], np.maximum(depth - _NO_HARM, 0.0), 0.0)
@@ -244,7 +244,7 @@ class PressOptimisation:
         return np.sqrt(_ALMOST) * (lacking + harm), self._tip_weight(step) * offset
 
     def _tip_weight(self, step: int) -> Array:
-        """(5, 3)"""
+        """(F, 3)"""
         weight = np.sqrt(np.where(self._part.playing[step + 1], _PLAYING, _IDLE))
         return weight[:, None] * np.array([_ALONG_KEY, 1.0, 1.0])
 

@@ -84,7 +84,7 @@ class TrackingPlanner:
         mine = [press.first - 1 for press in nominal.presses if press.side == side]
         return PressOptimisation(
             hand.scene,
-            HandPart(self.plan, side, dt),
+            HandPart(self.plan, side),
             np.array(mine, np.intp),
             nominal.tracking.of(hand.servos),
             self._config,

@@ -61,12 +61,12 @@ class HandPart:
         playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
     """
 
-    def __init__(self, plan: SongPlan, side: Side, dt: float) -> None:
+    def __init__(self, plan: SongPlan, side: Side) -> None:
         """Args:
         plan: of the song.
         side: of the hand.
-        dt: control step [s].
         """
+        dt = plan.track.config.control_timestep
         hand, count = SIDES.index(side), len(plan.scene.hand.fingers)
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.mine = keys & (fingers >= 0) & (hand_of(fingers) == hand)

@@ -70,10 +70,9 @@ class SongPlanner:
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._hands = []
         dt = task.config.control_timestep
-        self._dt = dt
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
             alone, servos, joints = hand_alone(task.scene, side)
-            part, tracking = HandPart(self.plan, side, dt), self.plan.nominal.tracking.of(servos)
+            part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
             hand = HandRefinement(alone, part, tracking, config, dt, num_threads, hand_rng)
             self._hands.append((hand, servos, joints))
 
@@ -94,7 +93,7 @@ class SongPlanner:
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
             for (hand, servos, _), side in zip(self._hands, self._sides, strict=True):
-                part = HandPart(self.plan, side, self._dt)
+                part = HandPart(self.plan, side)
                 hand.follow(part, self.plan.nominal.tracking.of(servos))
 
 
