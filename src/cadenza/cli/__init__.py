@@ -16,7 +16,7 @@ from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
-from cadenza.cli import about, bench, compare, etude, plan, play, songs, train
+from cadenza.cli import about, bench, compare, etude, importing, plan, play, songs, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
@@ -32,6 +32,7 @@ _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),
     "libraries": (songs.Libraries, songs.libraries),
+    "import": (importing.Import, importing.run),
     "info": (about.Info, about.info),
     "etude": (etude.Etude, etude.etude),
 }

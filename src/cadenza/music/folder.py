@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
+import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
+from cadenza.music.fingering_file import SUFFIX
+from cadenza.music.imported import NewLibrary, Progress, new_library, silent
 from cadenza.music.index import INDEX, Facts, read_index
 from cadenza.music.reading import MUSIC, read_score
 from cadenza.music.songs import Library, Song
+from cadenza.music.titles import printable
+
+_LONGEST = 120  # bytes of the name of a piece
 
 
 def folder_library(folder: Path, name: str = "") -> Library:
@@ -39,6 +47,64 @@ def folder_library(folder: Path, name: str = "") -> Library:
         for piece, file in zip(names, files, strict=True)
     )
     return Library(name or str(folder), tuple(songs))
+
+
+def import_folder(
+    folder: Path, name: str, replace: bool = False, progress: Progress = silent
+) -> NewLibrary:
+    """Copies the files of music in a folder, with what its index says, to a library of the user's.
+
+    Files that cannot be read are left out.
+
+    Args:
+        folder: where they are, see `folder_library`.
+        name: of the library.
+        replace: whether it may take the place of one that is there.
+        progress: is told how many files are read.
+
+    Raises:
+        CadenzaError: nothing can be read, the index is damaged, or there is such a library.
+    """
+    if not os.path.isdir(folder):
+        raise CadenzaError(f"{folder}: there is no such folder")
+    files, index = music_files(folder), index_of(folder)
+    names = _safe_names(files)
+    with new_library(name, replace) as library:
+        for done, (file, piece) in enumerate(zip(files, names, strict=True)):
+            progress(done, len(files))
+            with library.leaving_out_what_is_wrong():
+                score = read_score(folder / file)
+                copy = library.folder / f"{piece}{file.suffix.lower()}"
+                shutil.copyfile(folder / file, copy)
+                if os.path.isfile(fingers := (folder / file).with_suffix(SUFFIX)):
+                    shutil.copyfile(fingers, copy.with_suffix(SUFFIX))
+                facts = facts_of(file, index)
+                library.add(copy.name, score, {**facts, "title": facts.get("title") or score.title})
+        known = {name for file in files for name in names_of(file)}
+        library.left_out.extend(
+            f"{folder / INDEX}: there is no file of music {name!r}"
+            for name in index
+            if name not in known
+        )
+    return library
+
+
+def _safe_names(files: Sequence[Path]) -> list[str]:
+    """A name for each file that any file system, shell and terminal takes.
+
+    Where several files in different folders have the same name, those of the folders precede it.
+    """
+    stems = Counter(file.stem.casefold() for file in files)
+    return unique(
+        _safe(file.stem if stems[file.stem.casefold()] == 1 else str(file.with_suffix("")))
+        for file in files
+    )
+
+
+def _safe(name: str) -> str:
+    """Letters, digits, dashes and underscores only, and not too many."""
+    safe = re.sub(r"[^\w-]+", "-", unicodedata.normalize("NFC", printable(name))).strip("-")
+    return safe.encode()[:_LONGEST].decode(errors="ignore") or "song"
 
 
 def music_files(folder: Path) -> list[Path]:

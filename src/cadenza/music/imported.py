@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import hand_of
@@ -56,6 +57,17 @@ def imported(name: str) -> Library:
     return Library(name, tuple(songs))
 
 
+class Progress(Protocol):
+    """What an import calls as it gets on."""
+
+    def __call__(self, done: int, total: int) -> None:
+        """Pieces done and in all."""
+
+
+def silent(done: int, total: int) -> None:
+    """Tells nobody."""
+
+
 @dataclass(frozen=True)
 class NewLibrary:
     """A library that is being made: files go into `folder`."""
@@ -63,6 +75,10 @@ class NewLibrary:
     name: str
     folder: Path
     rows: list[tuple[str, Facts]] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    """What could not be read, and why."""
+    doubtful: list[str] = field(default_factory=list)
+    """What looks wrong but could be read."""
 
     def add(self, file: str, score: Score, facts: Facts) -> None:
         """Has a piece listed.
@@ -73,6 +89,14 @@ class NewLibrary:
             facts: what else is known of it.
         """
         self.rows.append((f"{self.folder.name}/{file}", {**facts, **_counted(score)}))
+
+    @contextmanager
+    def leaving_out_what_is_wrong(self) -> Iterator[None]:
+        """Goes on after a CadenzaError, which is noted."""
+        try:
+            yield
+        except CadenzaError as error:
+            self.left_out.append(str(error))
 
 
 @contextmanager
@@ -108,7 +132,10 @@ def new_library(name: str, replace: bool = False) -> Iterator[NewLibrary]:
                 library.folder.mkdir(parents=True)
                 yield library
                 if not library.rows:
-                    raise CadenzaError(f"{name}: there is not one piece that can be read")
+                    first = "".join(library.left_out[:1])
+                    raise CadenzaError(
+                        f"{name}: not one piece can be read; {first or 'none is there'}"
+                    )
                 write_index(place / INDEX, library.rows)
             except BaseException:
                 shutil.rmtree(library.folder, ignore_errors=True)
@@ -122,7 +149,8 @@ def new_library(name: str, replace: bool = False) -> Iterator[NewLibrary]:
 def _tidy(place: Path) -> None:
     """Removes files that belong to no library any more, and the folder if nothing is in it."""
     with suppress(CadenzaError):
-        kept = {file.split("/")[0] for file in read_index(place / INDEX)}
+        index = read_index(place / INDEX) if os.path.isfile(place / INDEX) else {}
+        kept = {file.split("/")[0] for file in index}
         for folder in place.glob(f"{_FILES}*"):
             if folder.name not in kept:
                 shutil.rmtree(folder, ignore_errors=True)

@@ -14,14 +14,12 @@ import io
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.music.source import read_bytes
 from cadenza.music.titles import printable
-
-N = TypeVar("N", int, float)
 
 INDEX = "index.csv"
 _NAMES = ("file", "path", "filename", "id", "name")
@@ -45,28 +43,42 @@ def read_index(path: Path) -> dict[str, Facts]:
     Raises:
         CadenzaError: it cannot be read, is no table, or names a piece twice.
     """
-    rows: dict[str, Facts] = {}
-    reader = csv.reader(io.StringIO(text_of(path)), strict=True)
+    header, rows = read_table(text_of(path), path)
+    column = next((name for name in _NAMES if name in header), None)
+    if column is None:
+        raise CadenzaError(
+            f"{path}:1: no column says which file a line is about; name one of the columns "
+            f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
+        )
+    index: dict[str, Facts] = {}
+    for line, cells in rows:
+        name = cells.get(column, "")
+        if not name or name in index:
+            wrong = f"a second line for {name!r}" if name else "names no file"
+            raise CadenzaError(f"{path}:{line}: {wrong}; correct or remove it")
+        index[name] = _facts(cells)
+    return index
+
+
+def read_table(text: str, where: object) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """The names of the columns of a CSV file in lower case, and its lines with their numbers.
+
+    Empty lines are left out, and so are cells that no column has a name for.
+
+    Raises:
+        CadenzaError: it is no CSV; `where` and the line are named.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        header = [column.strip().lower() for column in next(reader, [])]
-        column = next((header.index(name) for name in _NAMES if name in header), None)
-        if column is None:
-            raise CadenzaError(
-                f"{path}:1: no column says which file a line is about; name one of the columns "
-                f"{', '.join(_NAMES[:-1])} or {_NAMES[-1]}"
-            )
-        for row in reader:
-            if not any(row):
-                continue
-            cells = dict(zip(header, row, strict=False))
-            name = row[column].strip() if column < len(row) else ""
-            if not name or name in rows:
-                wrong = f"a second line for {name!r}" if name else "names no file"
-                raise CadenzaError(f"{path}:{reader.line_num}: {wrong}; correct or remove it")
-            rows[name] = _facts(cells)
+        header = [printable(name).lower() for name in next(reader, [])]
+        rows = [
+            (reader.line_num, dict(zip(header, map(str.strip, row), strict=False)))
+            for row in reader
+            if any(row)
+        ]
     except csv.Error as error:
-        raise CadenzaError(f"{path}:{reader.line_num}: not a table as CSV ({error})") from error
-    return rows
+        raise CadenzaError(f"{where}:{reader.line_num}: not a table as CSV ({error})") from error
+    return header, rows
 
 
 def text_of(path: Path) -> str:

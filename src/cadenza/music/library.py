@@ -118,6 +118,14 @@ def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:
     return find_song(name_or_path).load(tracks)
 
 
+def check_is_free(name: str) -> None:
+    """Raises: CadenzaError: a library that is not imported has this name."""
+    if name in (entries := LIBRARIES.entries()):
+        raise CadenzaError(
+            f"there is a library {name} already ({entries[name].about}); choose another --name"
+        )
+
+
 def check_is_name(song: object) -> None:
     """Raises: CadenzaError: it is nothing that names a song."""
     if not isinstance(song, str | Path):

@@ -15,7 +15,7 @@ from cadenza.music.songs import Library
 
 ALL = "repertoire-150"
 TWELVE = "etude-12"
-_WEBSITE = "https://beam.kisarazu.ac.jp/~saito/research/PianoFingeringDataset/"
+WEBSITE = "https://beam.kisarazu.ac.jp/~saito/research/PianoFingeringDataset/"
 _ETUDES = (
     "French Suite No. 1 Allemande",
     "French Suite No. 5 Sarabande",
@@ -42,7 +42,7 @@ def repertoire_150() -> Library:
     if not is_imported(ALL):
         raise CadenzaError(
             f"{ALL} and {TWELVE} are made of the PIG dataset, which may not be passed on: register "
-            f"at {_WEBSITE}, download it, and run `cadenza import pig FILE.zip`"
+            f"at {WEBSITE}, download it, and run `cadenza import pig FILE.zip`"
         )
     return imported(ALL)
 
@@ -56,6 +56,12 @@ def etude_12() -> Library:
     by_work = {_work(song.title): song for song in reversed(repertoire_150().songs)}
     songs = (by_work[work] for work in map(_work, _ETUDES) if work in by_work)
     return Library(TWELVE, tuple(replace(s, name=s.name.replace(ALL, TWELVE, 1)) for s in songs))
+
+
+def published_name(title: str) -> str:
+    """What the published benchmark calls a piece, such as PianoSonataD8451StMov."""
+    words = re.sub(r"[\W_]+", " ", re.sub("[.,'’]", "", title))
+    return words.title().replace(" ", "") or "Piece"
 
 
 def _work(title: str) -> str:

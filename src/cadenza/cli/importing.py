@@ -1,0 +1,58 @@
+"""`cadenza import`: makes a song library of files."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from cadenza.cli.arguments import Quiet
+from cadenza.cli.progress import progress
+from cadenza.errors import CadenzaError, CadenzaWarning
+
+
+@dataclass(frozen=True)
+class Import:
+    """Make a song library of a folder of music, or of the PIG dataset.
+
+    Examples: cadenza import midi FOLDER --name NAME; cadenza import pig PianoFingeringDataset.zip
+    """
+
+    kind: Annotated[
+        tyro.conf.Positional[Literal["midi", "pig"]], tyro.conf.arg(metavar="{midi,pig}")
+    ]
+    """midi: a folder of MIDI or MusicXML files, with an index.csv if you like. pig: the PIG
+    dataset, which has repertoire-150 and etude-12."""
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
+    """Where the files are. The PIG dataset may also be the ZIP file."""
+    name: str | None = None
+    """What a library of midi is to be called."""
+    replace: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Replace the library if there is one of this name."""
+    quiet: Quiet = False
+
+
+def run(command: Import) -> None:
+    from cadenza.music.folder import import_folder
+    from cadenza.music.library import check_is_free
+    from cadenza.music.pig_dataset import import_pig
+
+    if (command.kind == "midi") != (command.name is not None):
+        raise CadenzaError("--name NAME goes with `cadenza import midi`, which needs it")
+    with progress("importing", "files") as advance:
+        if command.name is None:
+            library = import_pig(command.source, command.replace, advance)
+        else:
+            check_is_free(command.name)
+            library = import_folder(command.source, command.name, command.replace, advance)
+    for message in (*library.doubtful, *library.left_out):
+        warnings.warn(message, CadenzaWarning, stacklevel=1)
+    kept, lost = len(library.rows), len(library.left_out)
+    print(f"{kept} songs; to list them: cadenza songs {library.name}")
+    if lost:
+        raise CadenzaError(
+            f"{library.name}: {lost} of {kept + lost} could not be read and were left out"
+        )

@@ -1,0 +1,342 @@
+"""Reads the PIG dataset as its authors ship it, and makes a library of it.
+
+`List.csv` has a line a piece, with its number, composer and title. A file in `FingeringFiles`, such
+as `012-1_fingering.txt`, has the notes of piece 12 with the fingers of annotator 1; of several
+annotators the first is taken. Its lines have eight columns: number of the note, onset [s], offset
+[s], pitch such as C#4 or Ebb3, velocity at the onset and at the offset, channel (0 right hand, 1
+left), finger (1 to 5 right, -1 to -5 left; 4_1 changes from the fourth to the first, and the fourth
+is taken). Lines that begin with // are comments.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from math import inf
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from cadenza.errors import CadenzaError
+from cadenza.files import opened
+from cadenza.fingers import finger_number, hand_of
+from cadenza.music.fingering_file import SUFFIX, write_fingering
+from cadenza.music.folder import unique
+from cadenza.music.imported import NewLibrary, Progress, new_library, silent
+from cadenza.music.index import read_table
+from cadenza.music.midi import write_midi
+from cadenza.music.pig import ALL, WEBSITE, published_name
+from cadenza.music.repair import Sounding, repaired, repairs
+from cadenza.music.score import MAX_SECONDS, PITCHES, Note, Score
+from cadenza.music.source import MAX_BYTES, read_bytes
+from cadenza.music.titles import printable
+
+_LIST, _FINGERINGS = "list.csv", "FingeringFiles"
+_FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)
+_DEEPEST = 3  # folders from the one that is given down to the files
+
+_SECONDS = re.compile(r"\d+(\.\d*)?([eE][-+]?\d+)?", re.ASCII)
+_WHOLE = re.compile(r"\d{1,9}", re.ASCII)
+_PITCH = re.compile(r"([A-G])(##|#|x|bb|b|)(\d)", re.ASCII)
+_FINGER = re.compile(r"(-?)([1-5])(_(-?[1-5])?)*", re.ASCII)
+_NATURALS = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}
+_ACCIDENTALS = {"": 0, "#": 1, "##": 2, "x": 2, "b": -1, "bb": -2}
+_COLUMNS = "number, onset, offset, pitch, two velocities, channel, finger"
+_MOST_NAMED = 10  # other lines of a file that are wrong
+
+_Files = Mapping[PurePosixPath, Callable[[], bytes]]
+"""The files of a dataset by their paths within it, with what reads them."""
+
+
+def import_pig(source: Path, replace: bool = False, progress: Progress = silent) -> NewLibrary:
+    """Makes the library `repertoire-150` of the dataset; damaged pieces are left out.
+
+    Args:
+        source: its folder, or the ZIP file, as downloaded.
+        replace: whether it may take the place of one that is there.
+        progress: is told how many pieces are read.
+
+    Raises:
+        CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
+    """
+    with _files(source) as files, new_library(ALL, replace) as library:
+        list_file = _list_file(files, source)
+        pieces = _pieces(files[list_file](), f"{source}/{list_file}", library.left_out)
+        fingered = _first_fingerings(files, list_file.parent)
+        names = unique(published_name(piece.title) for piece in pieces)
+        for done, (piece, name) in enumerate(zip(pieces, names, strict=True)):
+            progress(done, len(pieces))
+            with library.leaving_out_what_is_wrong():
+                file = fingered.pop(piece.number, None)
+                if file is None:
+                    raise CadenzaError(f"{piece.where}: no file of fingers for {piece.title!r}")
+                _add(library, name, piece, files[file], f"{source}/{file}")
+        for file in fingered.values():
+            library.left_out.append(f"{source}/{file}: there is no such piece in {list_file.name}")
+    return library
+
+
+class _Piece(NamedTuple):
+    where: str
+    """The line of the list."""
+    number: int
+    title: str
+    composer: str
+
+
+def _add(
+    library: NewLibrary, name: str, piece: _Piece, read: Callable[[], bytes], where: str
+) -> None:
+    score = replace(read_fingered(read(), where), title=piece.title)
+    path = library.folder / f"{name}.mid"
+    write_midi(score, path)
+    write_fingering(score, path.with_suffix(SUFFIX))
+    source = f"PIG {piece.number:03d}"
+    facts = {"title": piece.title, "composer": piece.composer, "source": source}
+    library.add(path.name, score, facts)
+    library.doubtful.extend(score.remarks)
+
+
+# The files of the dataset
+
+
+@contextmanager
+def _files(source: Path) -> Iterator[_Files]:
+    """Those of a folder, or of a ZIP file, of which nothing is unpacked to the disk."""
+    if os.path.isdir(source):
+        yield {path: partial(read_bytes, source / path) for path in _in_folder(source)}
+        return
+    with ExitStack() as stack:
+        try:
+            stream = stack.enter_context(opened(source))
+            archive = stack.enter_context(zipfile.ZipFile(stream))
+        except FileNotFoundError:
+            raise CadenzaError(f"{source}: there is no such folder or ZIP file") from None
+        except OSError as error:
+            raise CadenzaError(f"{source}: cannot be read ({error.strerror})") from error
+        except Exception as error:  # damage shows in many ways
+            raise CadenzaError(
+                f"{source}: neither a folder nor a readable ZIP file; get the dataset at {WEBSITE}"
+            ) from error
+        members = [member for member in archive.infolist() if not member.is_dir()]
+        for member in members:
+            path = PurePosixPath(member.filename)
+            if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
+                raise CadenzaError(
+                    f"{source}: has a file that would lie outside it, {member.filename!r}; get the "
+                    f"dataset at {WEBSITE}"
+                )
+        yield {
+            PurePosixPath(member.filename): partial(_unpacked, archive, member, source)
+            for member in members
+        }
+
+
+def _in_folder(folder: Path) -> Iterator[PurePosixPath]:
+    for place, folders, names in os.walk(folder):
+        here = Path(place).relative_to(folder)
+        if len(here.parts) == _DEEPEST:
+            folders.clear()
+        yield from (PurePosixPath(here.as_posix()) / name for name in names)
+
+
+def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Path) -> bytes:
+    """Of a member, which is never unpacked further than a file may be large, whatever it says."""
+    where = f"{source}/{member.filename}"
+    try:
+        with archive.open(member) as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except Exception as error:  # damage shows in many ways
+        raise CadenzaError(f"{where}: cannot be unpacked ({error})") from error
+    if len(data) > MAX_BYTES:
+        raise CadenzaError(f"{where}: over {MAX_BYTES >> 20} MiB, too large for a song")
+    return data
+
+
+def _list_file(files: _Files, source: Path) -> PurePosixPath:
+    """Of several, the one in the fewest folders."""
+    lists = [path for path in files if path.name.lower() == _LIST]
+    if not lists:
+        raise CadenzaError(
+            f"{source}: there is no List.csv in it; give the PIG dataset as downloaded at {WEBSITE}"
+        )
+    return min(lists, key=lambda path: (len(path.parts), path))
+
+
+def _first_fingerings(files: _Files, folder: PurePosixPath) -> dict[int, PurePosixPath]:
+    """The file of the first annotator, by the number of the piece."""
+    found = []
+    for path in files:
+        match = _FILE.fullmatch(path.name)
+        if match and path.parent == folder / _FINGERINGS:
+            found.append((int(match[1]), int(match[2]), path))
+    return {number: path for number, _, path in sorted(found, reverse=True)}
+
+
+# The list of pieces
+
+
+def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
+    """Those of `List.csv`; lines that name none are added to `left_out`.
+
+    Raises:
+        CadenzaError: it is no table, or there is no column of titles.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:  # as spreadsheets may save it
+        text = content.decode("cp1252", errors="replace")
+    header, rows = read_table(text, where)
+    if "piece" not in header:
+        raise CadenzaError(f"{where}:1: there is no column Piece, which has the titles")
+    column = "id" if "id" in header else header[0]
+    pieces: dict[int, _Piece] = {}
+    for line, cells in rows:
+        number, title = cells.get(column, ""), printable(cells.get("piece", ""))
+        if not _WHOLE.fullmatch(number):
+            left_out.append(f"{where}:{line}: {number!r} is not the number of a piece")
+        elif not title:
+            left_out.append(f"{where}:{line}: piece {number} has no title")
+        elif int(number) in pieces:
+            left_out.append(f"{where}:{line}: a second line for piece {number}")
+        else:
+            composer = printable(cells.get("composer", ""))
+            pieces[int(number)] = _Piece(f"{where}:{line}", int(number), title, composer)
+    return list(pieces.values())
+
+
+# The files of notes
+
+
+def read_fingered(content: bytes, where: str) -> Score:
+    """The notes in a file, with their fingers; `Score.remarks` says what looks wrong.
+
+    What cannot be played on one piano is repaired as by `read_midi`, and a remark, too.
+
+    Args:
+        content: of the file.
+        where: how errors call it; the number of a line follows.
+
+    Raises:
+        CadenzaError: it is no text or has no notes, it lasts over an hour, or a line is wrong.
+    """
+    notes: list[Sounding] = []
+    ids: dict[int, int] = {}  # where the notes stand
+    wrong: dict[int, str] = {}
+    other_hand: list[int] = []
+    for number, line in enumerate(_lines(content, where), start=1):
+        if not line.strip() or line.lstrip().startswith("//"):
+            continue
+        try:
+            id_, note, channel = _note(line)
+        except CadenzaError as error:
+            wrong[number] = str(error)
+            continue
+        if id_ in ids:
+            wrong[number] = f"note {id_} stands in line {ids[id_]} already"
+        ids.setdefault(id_, number)
+        notes.append(note)
+        if hand_of(note.finger) != channel:
+            other_hand.append(number)
+    if wrong:
+        first, *others = wrong
+        raise CadenzaError(f"{where}:{first}: {wrong[first]}{_and_lines(others)}")
+    doubts = []
+    if other_hand:
+        first, *others = other_hand
+        doubts = [
+            f"{where}:{first}: channel and finger are of different hands, the finger is taken"
+            f"{_and_lines(others)}"
+        ]
+    return _score(notes, doubts, where)
+
+
+def _lines(content: bytes, where: str) -> list[str]:
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise CadenzaError(f"{where}:{line}: not text in UTF-8") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _note(line: str) -> tuple[int, Sounding, int]:
+    """A line's note, and before and after it its number and its channel.
+
+    Raises:
+        CadenzaError: it is wrong.
+    """
+    cells = line.split()
+    if len(cells) != 8:
+        raise CadenzaError(f"{len(cells)} columns; expected eight: {_COLUMNS}")
+    id_, onset, offset, pitch, loud, release, channel, finger = cells
+    if not _WHOLE.fullmatch(id_):
+        raise CadenzaError(f"{id_!a:.30} is not the number of a note")
+    start, end = _seconds("onset", onset), _seconds("offset", offset)
+    if end < start:
+        raise CadenzaError(f"offset {offset} is before onset {onset}")
+    if channel not in ("0", "1"):
+        raise CadenzaError(
+            f"channel {channel!a:.30}; expected 0 for the right hand or 1 for the left"
+        )
+    velocity, _ = _velocity("onset", loud, 1), _velocity("offset", release, 0)
+    note = Sounding(start, end, _pitch(pitch), velocity, True, _finger(finger))
+    return int(id_), note, int(channel)
+
+
+def _seconds(what: str, text: str) -> float:
+    seconds = float(text) if _SECONDS.fullmatch(text) else inf
+    if seconds > MAX_SECONDS:
+        raise CadenzaError(f"{what} {text!a:.30}; expected seconds, at most {MAX_SECONDS:.0f}")
+    return seconds
+
+
+def _velocity(what: str, text: str, least: int) -> int:
+    if not _WHOLE.fullmatch(text) or not least <= int(text) <= 127:
+        raise CadenzaError(f"{what} velocity {text!a:.30}; expected {least} to 127")
+    return int(text)
+
+
+def _pitch(text: str) -> int:
+    """The MIDI number of a spelled pitch, in which middle C is C4 and the B below it Cb4."""
+    match = _PITCH.fullmatch(text)
+    if not match:
+        raise CadenzaError(f"pitch {text!a:.30}; expected one such as C4, F#4, Bb3 or Abb5")
+    pitch = 12 * (int(match[3]) + 1) + _NATURALS[match[1]] + _ACCIDENTALS[match[2]]
+    if pitch not in PITCHES:
+        raise CadenzaError(f"pitch {text} is outside the piano's 88 keys, A0 to C8")
+    return pitch
+
+
+def _finger(text: str) -> int:
+    match = _FINGER.fullmatch(text)
+    if not match:
+        raise CadenzaError(
+            f"finger {text!a:.30}; expected 1 to 5, -1 to -5, or several such as 4_1"
+        )
+    return finger_number(1 if match[1] else 0, int(match[2]) - 1)
+
+
+def _score(found: list[Sounding], doubts: list[str], where: str) -> Score:
+    counts = Counter[str]()
+    notes = tuple(
+        Note(note.start, note.end, note.pitch, note.velocity, note.finger)
+        for note in repaired(found, counts)
+    )
+    if not notes:
+        raise CadenzaError(f"{where}: there are no notes")
+    return Score(notes, remarks=(*doubts, *(f"{where}: {said}" for said in repairs(counts))))
+
+
+def _and_lines(numbers: list[int]) -> str:
+    """Where else."""
+    if not numbers:
+        return ""
+    named = ", ".join(map(str, numbers[:_MOST_NAMED]))
+    more = f" and {len(numbers) - _MOST_NAMED} more" if len(numbers) > _MOST_NAMED else ""
+    return f"; also wrong: line{'s' * (len(numbers) > 1)} {named}{more}"

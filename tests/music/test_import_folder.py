@@ -1,0 +1,160 @@
+"""Folders of music that become libraries of the user's."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from cadenza.music.folder import import_folder
+from cadenza.music.index import write_index
+from cadenza.music.library import libraries, load_score, open_library
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+ROOT = Path(__file__).parents[2]
+PIECES = ROOT / "src/cadenza/music/pieces"
+TUNE = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)), title="Of the file")
+SHEET = """<?xml version="1.0"?><score-partwise version="3.1"><part-list><score-part id="P">
+<part-name>P</part-name></score-part></part-list><part id="P"><measure number="1"><attributes>
+<divisions>1</divisions></attributes><note><pitch><step>C</step><octave>4</octave></pitch>
+<duration>4</duration><type>whole</type></note></measure></part></score-partwise>"""
+
+
+@pytest.fixture(autouse=True)
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("CADENZA_DATA", str(tmp_path / "data"))
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    place = tmp_path / "music"
+    for name in ("a/01.mid", "b/01.MIDI", "Prélude: nº 1; $(rm).mid", "a/one.mid", "a/ONE.midi"):
+        write_midi(TUNE, place / name)
+    for suffix in (".mid", ".fingering"):
+        shutil.copy(PIECES / f"OdeToJoy{suffix}", place / f"joy{suffix}")
+    (place / "sheet.musicxml").write_text(SHEET)
+    (place / "notes.txt").write_text("no music")
+    (place / "index.csv").write_text(
+        "file,title,composer,split\na/01,First,Anna,train\njoy.mid,,Bert,valid\n"
+    )
+    return place
+
+
+def test_names_are_safe_and_unique_and_facts_come_along(folder: Path) -> None:
+    imported = import_folder(folder, "mine")
+    assert imported.left_out == []
+    library = open_library("mine")
+    songs = {song.name.removeprefix("mine/"): song for song in library.songs}
+    assert sorted(songs) == sorted(
+        ["a-01", "b-01", "a-ONE", "a-one-2", "Prélude-nº-1-rm", "joy", "sheet"]
+    )
+    assert library.splits == ("train", "valid")
+    assert [song.title for song in open_library("mine:train").songs] == ["First"]
+    joy = songs["joy"]
+    assert (joy.title, joy.composer, joy.notes, joy.hands) == ("Ode to Joy", "Bert", 39, 2)
+    assert joy.load().notes == load_score("OdeToJoy").notes
+    assert joy.load().has_fingering
+    assert songs["b-01"].title == "Of the file"
+    assert songs["a-01"].load().title == load_score("mine/A-01").title == "First"
+    assert (songs["sheet"].seconds, songs["sheet"].notes) == (2.0, 1)
+    for song in library.songs:
+        assert song.load().total_time == pytest.approx(song.seconds, abs=0.01)
+    shutil.rmtree(folder)
+    assert len(load_score("mine/sheet").notes) == 1
+
+
+def test_what_cannot_be_read_is_left_out_and_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "bad.mid").write_bytes(b"MThd")
+    (folder / "list.xml").write_text("<list/>")
+    (folder / "a" / "one.fingering").write_text("0 99 1\n")
+    with (folder / "index.csv").open("a") as file:
+        file.write("nowhere,,,\n")
+    with pytest.raises(SystemExit) as stop:
+        main(["import", "midi", str(folder), "--name", "mine"])
+    assert stop.value.code == 2
+    said = capsys.readouterr()
+    assert said.out.startswith("6 songs; ")
+    *lines, last = said.err.splitlines()
+    assert [line.split(":")[0].removeprefix(f"{folder}/") for line in lines] == [
+        "a/one.fingering, line 1",
+        "bad.mid",
+        "list.xml",
+        "index.csv",
+    ]
+    assert last == "cadenza: mine: 4 of 10 could not be read and were left out"
+    assert len(open_library("mine").songs) == 6
+
+
+def test_importing_again(folder: Path, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again = ["import", "midi", str(folder), "--name", "mine", "--quiet"]
+    main(again)
+    kept = sorted(data.rglob("*.mid*"))
+    (folder / "joy.mid").unlink()
+    with pytest.raises(SystemExit):
+        main(again)
+    assert "there is a library mine already; import with --replace" in capsys.readouterr().err
+    assert sorted(data.rglob("*.mid*")) == kept
+    (folder / "index.csv").write_text("broken")
+    with pytest.raises(SystemExit):
+        main([*again, "--replace"])
+    assert sorted(data.rglob("*.mid*")) == kept
+    (folder / "index.csv").unlink()
+    main([*again, "--replace"])
+    assert len(open_library("mine").songs) == 6
+    assert len(list(data.rglob("*.mid*"))) == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["midi", "music"], "--name NAME goes with `cadenza import midi`"),
+        (["pig", "music", "--name", "x"], "--name NAME goes with"),
+        (["midi", "music", "--name", "bundled"], "there is a library bundled already"),
+        (["midi", "music", "--name", "a/b"], "library name 'a/b': give up to 64 letters"),
+        (["midi", "music", "--name", ".."], "library name '..': give up to"),
+        (["midi", "music", "--name", "a:b"], "library name 'a:b': give up to"),
+        (["midi", "nowhere", "--name", "x"], "nowhere: there is no such folder"),
+        (["midi", "music/empty", "--name", "x"], "x: not one piece can be read; none is there"),
+        (["mp3", "music"], "{midi,pig} mp3: choose from midi, pig"),
+    ],
+)
+def test_imports_that_make_no_sense(
+    folder: Path,
+    data: Path,
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (folder / "empty").mkdir()
+    monkeypatch.chdir(folder.parent)
+    with pytest.raises(SystemExit) as stop:
+        main(["import", *arguments])
+    assert stop.value.code == 2
+    assert message in capsys.readouterr().err
+    assert "mine" not in libraries()
+    assert not list(data.rglob("*.mid"))
+
+
+def test_a_thousand_songs_are_listed_at_once(data: Path, capsys: pytest.CaptureFixture) -> None:
+    """From the index alone: there are no files."""
+    rows = ((f"files-0/song{i}.mid", {"title": f"Song {i}", "seconds": i}) for i in range(1000))
+    write_index(data / "libraries" / "many" / "index.csv", rows)
+    began = time.process_time()
+    main(["songs", "many", "--sort", "length"])
+    took = time.process_time() - began
+    assert len(capsys.readouterr().out.splitlines()) == 1000
+    assert took < 0.3
+
+
+def test_progress_is_told(folder: Path) -> None:
+    told: list[tuple[int, int]] = []
+    import_folder(folder, "mine", progress=lambda done, total: told.append((done, total)))
+    assert told == [(done, 7) for done in range(7)]
