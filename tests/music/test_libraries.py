@@ -86,6 +86,23 @@ def test_an_index_that_is_wrong_is_said_to_be(folder: Path, content: str, messag
         open_library(folder)
 
 
+def test_etudes() -> None:
+    library = open_library("etudes:30:7")
+    assert len({song.name for song in library.songs}) == len(library.songs) == 30
+    assert library.songs == open_library("etudes:40:7").songs[:30]
+    assert library.songs != open_library("etudes:30").songs
+    song = pickle.loads(pickle.dumps(library.songs[0]))
+    assert song.load() == load_score(song.name)
+    assert {song.difficulty for song in library.songs} <= {float(i) for i in range(1, 11)}
+    with pytest.raises(CadenzaError, match="has no tracks to choose from"):
+        song.load((1,))
+    for wrong in ("etudes:", "etudes:x", "etudes:1:2:3", "etudes:" + 5000 * "9"):
+        with pytest.raises(CadenzaError, match="give how many, such as etudes:300"):
+            open_library(wrong)
+    with pytest.raises(CadenzaError, match="no etude named 'etudes/scales'"):
+        load_score("etudes/scales")
+
+
 def test_libraries_that_there_are_not(folder: Path) -> None:
     with pytest.raises(CadenzaError, match="no song library 'bundle': did you mean bundled"):
         open_library("bundle")

@@ -24,6 +24,7 @@ from cadenza.registry import Entry, Registry
 
 __all__ = ["LIBRARIES", "Piece", "libraries", "load_score", "open_library", "songs"]
 
+ETUDES = "etudes"
 LIBRARIES = Registry(
     "song library",
     "cadenza.songs",
@@ -31,6 +32,9 @@ LIBRARIES = Registry(
         "bundled": Entry("cadenza.music.bundled:bundled", "the pieces that come with Cadenza"),
         "debug": Entry("cadenza.music.bundled:debug", "a few short ones of them"),
         "etude-12": Entry("cadenza.music.pig:etude_12", "the twelve published etudes"),
+        ETUDES: Entry(
+            "cadenza.music.etudes.library:etude_library", "etudes:N has N practice pieces"
+        ),
         "repertoire-150": Entry("cadenza.music.pig:repertoire_150", "the PIG dataset"),
     },
     otherwise="a folder",
@@ -58,7 +62,8 @@ def open_library(spec: str | Path) -> Library:
     Args:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
             files, which may have an index (see `cadenza.music.index`). With `:SPLIT` after it, only
-            the songs of that split, as in "repertoire:valid". A folder that has the same name as a
+            the songs of that split, as in "repertoire:valid". `etudes:N` are so many etudes, drawn
+            from the seed 0 or from that of `etudes:N:SEED`. A folder that has the same name as a
             library wants a path with a separator, such as "./bundled".
 
     Raises:
@@ -67,6 +72,10 @@ def open_library(spec: str | Path) -> Library:
     """
     text = str(spec)
     name, _, split = text.partition(":")
+    if text.startswith(f"{ETUDES}:"):
+        from cadenza.music.etudes.library import etude_library
+
+        return etude_library(split)
     if not isinstance(spec, Path) and _is_library(name):
         library = _named(name)
     elif os.path.isdir(text):
@@ -100,6 +109,10 @@ def find_song(name_or_path: str | Path) -> Song:
     if path.suffix.lower() in (*MUSIC, *NOT_READ) or os.path.isfile(path):
         return Song(name, partial(read_score, path))
     library, _, piece = name.partition("/")
+    if library == ETUDES and piece:
+        from cadenza.music.etudes.library import etude_song
+
+        return etude_song(name)
     among = _named(library) if piece and _is_library(library) else bundled()
     return song_named(name, among.songs)
 

@@ -101,13 +101,22 @@ def etude(name: str) -> Score:
     Raises:
         CadenzaError: no etude is called so.
     """
+    return make_etude(*kind_difficulty_seed(name))
+
+
+def kind_difficulty_seed(name: str) -> tuple[str, int, int]:
+    """What the name of an etude says.
+
+    Raises:
+        CadenzaError: it is none.
+    """
     found = _NAME.fullmatch(name.lower())
     if not found:
         raise CadenzaError(
             f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
             f"such as {LIBRARY}/scales-3-7"
         )
-    return make_etude(found[1], int(found[2]), int(found[3]))
+    return found[1], int(found[2]), int(found[3])
 
 
 def etude_names(count: int, seed: int = 0) -> list[str]:
