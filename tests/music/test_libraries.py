@@ -101,6 +101,8 @@ def test_etudes() -> None:
             open_library(wrong)
     with pytest.raises(CadenzaError, match="no etude named 'etudes/scales'"):
         load_score("etudes/scales")
+    with pytest.raises(CadenzaError, match="no etude named"):
+        load_score("etudes/scales-3-" + 5000 * "9")
 
 
 def test_libraries_that_there_are_not(folder: Path) -> None:
