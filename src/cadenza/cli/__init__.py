@@ -16,7 +16,7 @@ from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
-from cadenza.cli import about, bench, compare, etude, importing, plan, play, songs, train
+from cadenza.cli import about, bench, compare, etude, importing, plan, play, results, songs, train
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
@@ -28,6 +28,7 @@ _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "plan": (plan.PlanCommand, plan.run),
     "compare": (compare.Compare, compare.compare),
     "bench": (bench.Bench, bench.run),
+    "results": (results.Results, results.results),
     "train": (train.Train, train.train),
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),

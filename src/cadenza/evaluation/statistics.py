@@ -45,13 +45,16 @@ def performance_profile(scores: Scores, thresholds: ArrayLike) -> Scores:
     The "score distribution" of section 4.2: for M pieces of N runs each,
     `F(t) = 1/M sum_m 1/N sum_n [x_nm > t]`.
     """
-    return np.stack(
-        [
-            mean(np.where(np.isnan(scores), np.nan, scores > threshold))
-            for threshold in np.asarray(thresholds, float)
-        ],
-        axis=-1,
-    )
+    thresholds = np.asarray(thresholds, float)
+    there = ~np.isnan(scores)
+    weights = there / there.sum(axis=-2, keepdims=True) / scores.shape[-1]
+    batch = scores.reshape(-1, *scores.shape[-2:])
+    # A run's bin is how many thresholds lie below it; every batch has bins of its own.
+    bins = len(thresholds) + 1
+    below = np.searchsorted(thresholds, batch) + bins * np.arange(len(batch))[:, None, None]
+    shares = np.bincount(below.ravel(), weights.ravel(), bins * len(batch)).reshape(-1, bins)
+    better = shares[:, ::-1].cumsum(axis=1)[:, -2::-1]
+    return better.reshape(*scores.shape[:-2], -1)
 
 
 def bootstrap_interval(
@@ -89,10 +92,11 @@ def mean_interval(scores: Scores, confidence: float = CONFIDENCE) -> tuple[Score
     """Of each piece the mean over its runs, and from where to where it lies; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
-    of few runs is too narrow. NaN from and to for a piece with a single run.
+    of few runs is too narrow. NaN from and to for a piece with a single run, all NaN
+    for one with none.
     """
     count = np.sum(~np.isnan(scores), axis=0)
-    middle = np.nanmean(scores, axis=0)
+    middle = np.nansum(scores, axis=0) / np.where(count, count, np.nan)
     squares = np.nansum((scores - middle) ** 2, axis=0)
     several = np.where(count > 1, count, np.nan)
     error = np.sqrt(squares / (several - 1) / several)

@@ -16,6 +16,7 @@ from pathlib import Path
 from cadenza.episode import Episode
 from cadenza.music.keyboard import is_black, note_name
 from cadenza.music.performance import key_runs, performed_score
+from cadenza.report.bars import Bar, bars
 from cadenza.report.page import asset, own_parts, pieces, shared_parts, write_page
 from cadenza.report.recording import VERDICTS, embedded, in_json, verdict
 from cadenza.report.sound import SAMPLE_RATE, synthesize
@@ -158,13 +159,9 @@ def _bars(name: str, runs: Sequence[Run]) -> str:
     lines = []
     for agent, figures in means(runs).items():
         each = [run.figures[name] for run in runs if run.agent == agent]
-        dots = "".join(f'<u style="left:{100 * x:.1f}%"></u>' for x in each if len(each) > 1)
-        lines.append(
-            f"<dt>{html.escape(agent)}</dt><dd><span>"
-            f'<i style="width:{100 * figures[name]:.1f}%"></i>{dots}</span>'
-            f"<b>{_shown(name, figures[name])}</b></dd>"
-        )
-    return f"<section><h3>{COLUMNS[name][0]}</h3><dl>{''.join(lines)}</dl></section>"
+        dots = each if len(each) > 1 else ()
+        lines.append(Bar(agent, figures[name], _shown(name, figures[name]), dots))
+    return bars(COLUMNS[name][0], lines)
 
 
 def _roll(episode: Episode) -> str:

@@ -1,4 +1,4 @@
-"""A chart of lines as HTML: the numbers, which `training.js` has uPlot draw."""
+"""A chart of lines as HTML: the numbers, which `curves.js` has uPlot draw."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def write_training(
         "renewed": " data-renewed" if going_on else "",
         "uplot": asset("uplot.min.js"),
         "css": "".join(map(asset, _STYLES)),
-        "js": asset("chart.js") + asset("training.js"),
+        "js": "".join(map(asset, ("chart.js", "curves.js", "training.js"))),
     }
     write_page(path, "training.html", parts)
 

@@ -97,8 +97,8 @@ const EXPLAINED = {
 };
 
 function followKeysAndFingers(chart) {
-  const { over } = chart, last = chart.data[0].length - 1;
-  const show = (index) => chart.setCursor({ left: chart.valToPos(chart.data[0][Math.min(Math.max(index, 0), last)], "x"), top: 0 });
+  const { over } = chart, last = () => chart.data[0].length - 1;
+  const show = (index) => chart.setCursor({ left: chart.valToPos(chart.data[0][Math.min(Math.max(index, 0), last())], "x"), top: 0 });
   const hide = () => chart.setCursor({ left: -10, top: -10 });
   over.tabIndex = 0;
   over.setAttribute("role", "figure");
@@ -108,10 +108,10 @@ function followKeysAndFingers(chart) {
       if (event.pointerType !== "mouse") chart.setCursor({ left: event.clientX - over.getBoundingClientRect().left, top: 0 });
     });
   }
-  over.addEventListener("focus", () => { if (over.matches(":focus-visible") && chart.cursor.idx === null) show(last); });
+  over.addEventListener("focus", () => { if (over.matches(":focus-visible") && chart.cursor.idx === null) show(last()); });
   over.addEventListener("blur", hide);
   over.addEventListener("keydown", (event) => {
-    const at = chart.cursor.idx ?? -1, to = { ArrowLeft: at - 1, ArrowRight: at + 1, Home: 0, End: last }[event.key];
+    const at = chart.cursor.idx ?? -1, to = { ArrowLeft: at - 1, ArrowRight: at + 1, Home: 0, End: last() }[event.key];
     if (event.key === "Escape") hide();
     if (to === undefined) return;
     event.preventDefault();

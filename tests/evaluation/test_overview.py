@@ -1,0 +1,237 @@
+"""What is told of a bench, against figures worked out by hand and plain loops."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import statistics
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.overview import overview, with_f1
+from cadenza.evaluation.results import read_results
+from cadenza.evaluation.tables import write_tables
+from cadenza.report.results_page import FIGURES, SHARES, Overview
+from evaluation.made_up import result, write_bench, write_result
+
+
+def write(bench: Path, f1: dict[tuple[str, str, int], float], **song: str) -> None:
+    """A run each of (piece, agent, seed)."""
+    for (piece, agent, seed), value in f1.items():
+        content = result(piece, agent, seed, {"f1": value}, **song)
+        write_result(bench, f"{piece}-{Path(agent).name}-{seed}", content)
+
+
+def told(bench: Path) -> Overview:
+    return overview(read_results(bench), "made up")
+
+
+def remarks(bench: Path) -> dict[str, list[str]]:
+    return {line: list(cases) for line, cases in told(bench).remarks}
+
+
+TWO_AGENTS = {
+    ("a", "good", 0): 0.9, ("a", "good", 1): 0.7, ("b", "good", 0): 0.5, ("b", "good", 1): 0.5,
+    ("a", "bad", 0): 0.3, ("a", "bad", 1): 0.2, ("b", "bad", 0): 0.1, ("b", "bad", 1): 0.0,
+}  # fmt: skip
+
+
+def test_figures_worked_out_by_hand(tmp_path: Path) -> None:
+    write(tmp_path, TWO_AGENTS)
+    about = told(tmp_path)
+    assert about.agents == ["good", "bad"]
+    assert [piece.name for piece in about.pieces] == ["a", "b"]
+    (group,) = about.groups
+    good = group.standings["good"]
+    assert (group.name, good.pieces, good.runs) == ("made-up", 2, 4)
+    assert good.mean["f1"].value == pytest.approx(0.65)
+    assert good.iqm["f1"].value == pytest.approx(0.6)  # of 0.5 0.5 0.7 0.9 the middle two
+    # Only the runs of a differ: their mean is 0.7, 0.8 or 0.9, the ends a quarter of the time.
+    assert good.mean["f1"].low == pytest.approx(0.6)
+    assert good.mean["f1"].high == pytest.approx(0.7)
+    value, low, high = (part[0] for part in about.of_pieces["f1"])
+    assert value == pytest.approx([0.8, 0.5])
+    # Student's t of one degree of freedom is 12.7: from below 0 to above 1, where no F1 can be.
+    assert (low[0], high[0]) == (0, 1)
+    assert (low[1], high[1]) == (0.5, 0.5)
+    assert np.isnan(about.of_pieces["recall"].value).all()
+
+
+def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None:
+    content = result("a", "planner", 0, {"f1": 0.5, "energy": 300.0})
+    content["timing"] = {"wall_seconds": 15.0, "music_seconds": 20.0, "threads": 1}
+    write_result(tmp_path, "a", content)
+    (run,) = told(tmp_path).runs
+    assert run.figures["wall_per_music"] == 0.75
+    assert run.figures["power"] == 15.0
+    assert math.isnan(run.figures["precision"])
+
+
+def test_who_played_the_most_pieces_comes_first_and_of_these_who_played_best(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path, TWO_AGENTS | {("a", "brilliant", 0): 1.0})
+    about = told(tmp_path)
+    assert about.agents == ["good", "bad", "brilliant"]
+    assert list(about.groups[0].standings) == about.agents
+
+
+def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path: Path) -> None:
+    write(tmp_path, TWO_AGENTS | {("b", "third", 0): 0.6})
+    about = told(tmp_path)
+    assert list(about.fair.pieces) == [1]
+    assert about.fair.standings["good"].mean["f1"].value == pytest.approx(0.5)
+    assert "third: 1 run of 1 piece" in remarks(tmp_path)["Some agents have fewer runs."][0]
+
+
+def test_policies_are_named_by_the_end_of_their_path(tmp_path: Path) -> None:
+    write(tmp_path, {("a", f"{tmp_path}/elise/best", 0): 0.9, ("a", "run/good", 0): 0.8})
+    assert told(tmp_path).agents == ["elise/best", "run/good"]
+
+
+def test_policies_that_would_be_called_the_same_keep_their_whole_path(tmp_path: Path) -> None:
+    agents = ["/home/one/run/best", "/home/two/run/best"]
+    for i, agent in enumerate(agents):
+        write_result(tmp_path, f"run {i}", result("a", agent, 0, {"f1": 0.9}))
+    assert sorted(told(tmp_path).agents) == agents
+
+
+def test_without_a_piece_in_common_all_are_compared(tmp_path: Path) -> None:
+    write(tmp_path, {("a", "one", 0): 0.9, ("b", "two", 0): 0.5})
+    about = told(tmp_path)
+    assert about.fair == about.groups[0]
+
+
+def test_every_library_and_split_is_summed_up(tmp_path: Path) -> None:
+    write(tmp_path, {("a", "planner", 0): 0.9}, library="etudes")
+    write(tmp_path, {("b", "planner", 0): 0.5}, library="mine", split="valid")
+    write(tmp_path, {("c", "planner", 0): 0.1})
+    groups = {group.name: list(group.pieces) for group in told(tmp_path).groups}
+    assert groups == {"All pieces": [0, 1, 2], "etudes": [0], "mine:valid": [1], "made-up": [2]}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    write_bench(folder, pieces=7, agents=("planner", "ilqg"), seeds=3, libraries=2)
+    return folder
+
+
+def test_all_figures_are_those_of_plain_loops(bench: Path) -> None:
+    about = told(bench)
+    for group in about.groups:
+        for agent, standing in group.standings.items():
+            runs = [r for r in about.runs if r.agent == agent and r.piece in group.pieces]
+            assert standing.runs == len(runs) == 3 * standing.pieces
+            for name in FIGURES:
+                values = sorted(run.figures[name] for run in runs)
+                assert standing.mean[name].value == pytest.approx(statistics.fmean(values))
+                cut = len(values) // 4
+                middle = values[cut : len(values) - cut]
+                value, low, high = standing.iqm[name]
+                assert value == pytest.approx(statistics.fmean(middle))
+                assert low - 1e-9 <= value <= high + 1e-9
+            for name in SHARES:
+                better = sum(run.figures[name] > 0.5 for run in runs) / len(runs)
+                assert standing.profile[name].value[25] == pytest.approx(better)
+
+
+def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
+    found = read_results(bench)
+    about = overview(found, "made up")
+    names = write_tables(tmp_path, about, with_f1(found))
+    assert names == ["agents.csv", "pieces.csv", "runs.csv", "results.json"]
+    agents, pieces, runs = (
+        list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in names[:3]
+    )
+    assert len(runs) == 42
+    assert (tmp_path / runs[0]["folder"] / "result.json").exists()
+    of_one = [
+        float(r["f1"]) for r in runs if (r["piece"], r["agent"]) == ("repertoire/003", "ilqg")
+    ]
+    (row,) = (r for r in pieces if (r["piece"], r["agent"]) == ("repertoire/003", "ilqg"))
+    assert float(row["f1"]) == pytest.approx(statistics.fmean(of_one))
+    assert float(row["f1_low"]) < float(row["f1"]) < float(row["f1_high"])
+    assert row["runs"] == "3"
+    everything = about.groups[0].standings["planner"]
+    assert (agents[0]["group"], agents[0]["agent"]) == ("All pieces", "planner")
+    assert float(agents[0]["f1_iqm"]) == pytest.approx(everything.iqm["f1"].value)
+    content = json.loads((tmp_path / "results.json").read_text())
+    assert [len(content[name]) for name in ("agents", "pieces", "runs")] == [6, 14, 42]
+    assert content["agents"][0]["f1_iqm"] == pytest.approx(everything.iqm["f1"].value)
+
+
+def test_what_is_not_known_is_empty_in_csv_and_null_in_json(tmp_path: Path) -> None:
+    write(tmp_path, {("a", "planner", 0): 0.5})
+    found = read_results(tmp_path)
+    write_tables(tmp_path / "out", overview(found, "made up"), with_f1(found))
+    (row,) = csv.DictReader((tmp_path / "out" / "pieces.csv").read_text().splitlines())
+    assert (row["f1"], row["f1_low"], row["recall"]) == ("0.5", "", "")
+    (entry,) = json.loads((tmp_path / "out" / "results.json").read_text())["pieces"]
+    assert (entry["f1"], entry["f1_low"], entry["recall"]) == (0.5, None, None)
+
+
+# Remarks
+
+
+def test_runs_alike_need_no_remark(bench: Path) -> None:
+    assert told(bench).remarks == []
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"format": 2}', '{"format": 1}'])
+def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) -> None:
+    write(tmp_path, TWO_AGENTS)
+    (tmp_path / "runs" / "a-good-0" / "result.json").write_text(content)
+    (case,) = remarks(tmp_path)["1 run cannot be read, and is left out."]
+    assert case.startswith("a-good-0: ")
+    assert len(told(tmp_path).runs) == len(TWO_AGENTS) - 1
+
+
+def test_a_run_without_an_f1_is_reported_and_left_out(tmp_path: Path) -> None:
+    write(tmp_path, TWO_AGENTS)
+    write_result(tmp_path, "empty", result("c", "good", 0, {"f1": None}))
+    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [
+        "empty: its result holds no F1"
+    ]
+    assert len(told(tmp_path).pieces) == 2
+
+
+def test_runs_that_are_not_finished_are_named(tmp_path: Path) -> None:
+    write(tmp_path, TWO_AGENTS)
+    (tmp_path / "runs" / "begun").mkdir()
+    (case,) = remarks(tmp_path)["1 run is not finished."]
+    assert case.startswith("begun: ")
+
+
+def test_without_a_finished_run_there_is_nothing_to_tell(tmp_path: Path) -> None:
+    (tmp_path / "runs" / "begun").mkdir(parents=True)
+    with pytest.raises(CadenzaError, match="no run is finished"):
+        told(tmp_path)
+
+
+def test_versions_and_settings_that_differ_are_named(tmp_path: Path) -> None:
+    write(tmp_path, TWO_AGENTS)
+    other = result("c", "good", 0, {"f1": 0.5})
+    other["versions"]["mujoco"] = "3.18"
+    other["job"]["task"]["control_timestep"] = 0.1
+    other["job"]["config"] = {"samples": 10}
+    other["timing"]["threads"] = 8
+    write_result(tmp_path, "other", other)
+    again = result("c", "good", 1, {"f1": 0.5})
+    again["job"]["song_digest"] = "1" * 12
+    again["job"]["config"] = {"samples": 20}
+    write_result(tmp_path, "again", again)
+    said = remarks(tmp_path)
+    assert said["Versions differ."] == ["mujoco: 3.17 in 9 runs (bad, good); 3.18 in 1 run (good)"]
+    assert said["Settings differ."] == [
+        "task.control_timestep: 0.05 in 9 runs (bad, good); 0.1 in 1 run (good)"
+    ]
+    assert said["Settings of good differ."] == [
+        "config.samples: not set in 4 runs (good); 20 in 1 run (good); 10 in 1 run (good)"
+    ]
+    assert said["Wall times are of different numbers of threads."]
+    assert said["The notes of a piece differ from run to run."] == ["c"]

@@ -1,0 +1,61 @@
+"""`cadenza results`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from evaluation.made_up import write_bench
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Path:
+    write_bench(tmp_path / "bench", pieces=3, agents=("planner", "ilqg"), seeds=2)
+    return tmp_path / "bench"
+
+
+def test_pages_and_tables_are_left_and_agents_told(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bench / "runs" / "begun").mkdir()
+    main(["results", str(bench)])
+    left = {path.name for path in (bench / "results").iterdir()}
+    assert left == {
+        *("index.html", "pieces", "agents.csv", "pieces.csv", "runs.csv", "results.json"),
+    }
+    told = capsys.readouterr().out
+    assert "planner" in told
+    assert "1 run is not finished." in told
+    assert told.endswith(f"Open {bench / 'results' / 'index.html'}\n")
+
+
+def test_another_folder_and_a_figure(bench: Path, tmp_path: Path) -> None:
+    main(["results", str(bench), "-o", str(tmp_path / "out"), "--figure", str(tmp_path / "f.svg")])
+    assert (tmp_path / "out" / "index.html").exists()
+    assert (tmp_path / "f.svg").read_text().startswith("<svg")
+    assert not (bench / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere"], "nowhere: holds no runs; give the folder of a bench"),
+        (["bench", "--figure", "f.png"], "f.png: the figure is an .svg picture"),
+        (["empty"], "empty: no run is finished"),
+    ],
+)
+def test_what_cannot_be_summed_up(
+    bench: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    said: str,
+) -> None:
+    monkeypatch.chdir(bench.parent)
+    Path("empty", "runs").mkdir(parents=True)
+    with pytest.raises(SystemExit) as exited:
+        main(["results", *arguments])
+    assert exited.value.code == 2
+    assert said in capsys.readouterr().err
