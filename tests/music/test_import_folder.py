@@ -154,7 +154,13 @@ def test_a_thousand_songs_are_listed_at_once(data: Path, capsys: pytest.CaptureF
     assert took < 0.3
 
 
-def test_progress_is_told(folder: Path) -> None:
+def test_progress_is_told_and_difficulty_kept(folder: Path) -> None:
     told: list[tuple[int, int]] = []
-    import_folder(folder, "mine", progress=lambda done, total: told.append((done, total)))
+
+    def tell(done: int, total: int) -> None:
+        told.append((done, total))
+
+    import_folder(folder, "mine", progress=tell, grade=lambda score: len(score.notes) / 3)
     assert told == [(done, 7) for done in range(7)]
+    grades = {song.title: song.difficulty for song in open_library("mine").songs}
+    assert (grades["Ode to Joy"], grades["First"]) == (13.0, 0.67)

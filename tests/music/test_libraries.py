@@ -37,7 +37,7 @@ def test_bundled_songs_load_under_their_names(name: str) -> None:
     assert 5 <= len(library.songs) <= 24
     for song in library.songs:
         score = song.load()
-        assert score == load_score(song.name)
+        assert score == load_score(song.name) == load_score(f"{name}/{song.name}")
         assert (score.title, score.total_time) == (
             song.title,
             pytest.approx(song.seconds, abs=0.01),

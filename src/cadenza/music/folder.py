@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError
 from cadenza.music.fingering_file import SUFFIX
-from cadenza.music.imported import NewLibrary, Progress, new_library, silent
+from cadenza.music.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.index import INDEX, Facts, read_index
 from cadenza.music.reading import MUSIC, read_score
 from cadenza.music.songs import Library, Song
@@ -50,7 +50,11 @@ def folder_library(folder: Path, name: str = "") -> Library:
 
 
 def import_folder(
-    folder: Path, name: str, replace: bool = False, progress: Progress = silent
+    folder: Path,
+    name: str,
+    replace: bool = False,
+    progress: Progress = silent,
+    grade: Grade | None = None,
 ) -> NewLibrary:
     """Copies the files of music in a folder, with what its index says, to a library of the user's.
 
@@ -61,6 +65,7 @@ def import_folder(
         name: of the library.
         replace: whether it may take the place of one that is there.
         progress: is told how many files are read.
+        grade: what says how difficult a piece is; without it, listings do not.
 
     Raises:
         CadenzaError: nothing can be read, the index is damaged, or there is such a library.
@@ -69,7 +74,7 @@ def import_folder(
         raise CadenzaError(f"{folder}: there is no such folder")
     files, index = music_files(folder), index_of(folder)
     names = _safe_names(files)
-    with new_library(name, replace) as library:
+    with new_library(name, replace, grade) as library:
         for done, (file, piece) in enumerate(zip(files, names, strict=True)):
             progress(done, len(files))
             with library.leaving_out_what_is_wrong():

@@ -10,7 +10,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -64,6 +64,10 @@ class Progress(Protocol):
         """Pieces done and in all."""
 
 
+Grade = Callable[[Score], float]
+"""How difficult a score is, from 1 to 10."""
+
+
 def silent(done: int, total: int) -> None:
     """Tells nobody."""
 
@@ -74,6 +78,7 @@ class NewLibrary:
 
     name: str
     folder: Path
+    grade: Grade | None = None
     rows: list[tuple[str, Facts]] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     """What could not be read, and why."""
@@ -88,7 +93,9 @@ class NewLibrary:
             score: what is in it, which is counted now, so that no listing has to read it.
             facts: what else is known of it.
         """
-        self.rows.append((f"{self.folder.name}/{file}", {**facts, **_counted(score)}))
+        difficulty = None if self.grade is None else round(self.grade(score), 2)
+        counted = {**_counted(score), "difficulty": difficulty}
+        self.rows.append((f"{self.folder.name}/{file}", {**facts, **counted}))
 
     @contextmanager
     def leaving_out_what_is_wrong(self) -> Iterator[None]:
@@ -100,12 +107,15 @@ class NewLibrary:
 
 
 @contextmanager
-def new_library(name: str, replace: bool = False) -> Iterator[NewLibrary]:
+def new_library(
+    name: str, replace: bool = False, grade: Grade | None = None
+) -> Iterator[NewLibrary]:
     """Yields a library to add pieces to, which is there when the block ends without an error.
 
     Args:
         name: of the library.
         replace: whether it may take the place of one that is there.
+        grade: what says how difficult a piece is; that is not known without it.
 
     Raises:
         CadenzaError: the name cannot be one, there is such a library, nothing has been added, or
@@ -127,7 +137,7 @@ def new_library(name: str, replace: bool = False) -> Iterator[NewLibrary]:
                     f"there is a library {name} already; import with --replace to replace it, or "
                     "choose another --name"
                 )
-            library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}")
+            library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}", grade)
             try:
                 library.folder.mkdir(parents=True)
                 yield library

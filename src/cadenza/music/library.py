@@ -114,7 +114,7 @@ def find_song(name_or_path: str | Path) -> Song:
 
         return etude_song(name)
     among = _named(library) if piece and _is_library(library) else bundled()
-    return song_named(name, among.songs)
+    return song_named(name, among)
 
 
 def load_score(name_or_path: str | Path, tracks: Collection[int] = ()) -> Score:

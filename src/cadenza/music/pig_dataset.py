@@ -27,7 +27,7 @@ from cadenza.files import opened
 from cadenza.fingers import finger_number, hand_of
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.folder import unique
-from cadenza.music.imported import NewLibrary, Progress, new_library, silent
+from cadenza.music.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.index import read_table
 from cadenza.music.midi import write_midi
 from cadenza.music.pig import ALL, WEBSITE, published_name
@@ -53,18 +53,24 @@ _Files = Mapping[PurePosixPath, Callable[[], bytes]]
 """The files of a dataset by their paths within it, with what reads them."""
 
 
-def import_pig(source: Path, replace: bool = False, progress: Progress = silent) -> NewLibrary:
+def import_pig(
+    source: Path,
+    replace: bool = False,
+    progress: Progress = silent,
+    grade: Grade | None = None,
+) -> NewLibrary:
     """Makes the library `repertoire-150` of the dataset; damaged pieces are left out.
 
     Args:
         source: its folder, or the ZIP file, as downloaded.
         replace: whether it may take the place of one that is there.
         progress: is told how many pieces are read.
+        grade: what says how difficult a piece is; without it, listings do not.
 
     Raises:
         CadenzaError: it is not the dataset, nothing in it can be read, or it was imported before.
     """
-    with _files(source) as files, new_library(ALL, replace) as library:
+    with _files(source) as files, new_library(ALL, replace, grade) as library:
         list_file = _list_file(files, source)
         pieces = _pieces(files[list_file](), f"{source}/{list_file}", library.left_out)
         fingered = _first_fingerings(files, list_file.parent)

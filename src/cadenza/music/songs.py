@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
@@ -71,15 +71,19 @@ class Library:
         return Library(f"{self.name}:{split}", songs)
 
 
-def song_named(name: str, songs: Iterable[Song]) -> Song:
-    """The one of `songs` that is so called, in upper or lower case.
+def song_named(name: str, library: Library) -> Song:
+    """The song of a library that is so called, in upper or lower case.
 
     Raises:
         CadenzaError: there is none.
     """
-    known = {song.name.lower(): song for song in songs}
-    if name.lower() in known:
-        return known[name.lower()]
+    known = {song.name.lower(): song for song in library.songs}
+    # Those of the bundled libraries are called by their names alone.
+    wanted = (
+        name.lower() if name.lower() in known else name.lower().removeprefix(f"{library.name}/")
+    )
+    if wanted in known:
+        return known[wanted]
     close = [known[match].name for match in get_close_matches(name.lower(), known, cutoff=0.5)]
     hint = f"did you mean {' or '.join(close)}? " if close else ""
     raise CadenzaError(
