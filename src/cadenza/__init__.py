@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from cadenza.learning.config import TrainingConfig
     from cadenza.music.arrangement import Arrangement
     from cadenza.music.bundled import Piece, songs
+    from cadenza.music.library import open_library
     from cadenza.music.score import Note, PedalEvent, Score
+    from cadenza.music.songs import Library, Song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
     from cadenza.performing.setup import load_song
@@ -37,6 +39,7 @@ __all__ = [
     "CadenzaError",
     "CadenzaWarning",
     "Episode",
+    "Library",
     "Note",
     "Outcome",
     "PedalEvent",
@@ -48,6 +51,7 @@ __all__ = [
     "SceneConfig",
     "Score",
     "ScorePlannerConfig",
+    "Song",
     "TaskConfig",
     "TaskSpec",
     "TrainingConfig",
@@ -55,6 +59,7 @@ __all__ = [
     "load_episode",
     "load_song",
     "make_agent",
+    "open_library",
     "plan",
     "play",
     "songs",
@@ -71,7 +76,9 @@ _MODULES = {
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
     "music.bundled": ("Piece", "songs"),
+    "music.library": ("open_library",),
     "music.score": ("Note", "PedalEvent", "Score"),
+    "music.songs": ("Library", "Song"),
     "performing.setup": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),

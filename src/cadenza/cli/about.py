@@ -26,7 +26,7 @@ class Info:
     """Describe a song: length, notes, range, fingering. Without a song, this installation."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A bundled song, or a MIDI or MusicXML file."""
+    """A song by its name, or a MIDI or MusicXML file."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
 
 

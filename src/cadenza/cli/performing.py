@@ -65,7 +65,7 @@ class Performing(Options):
     """A song is performed."""
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
-    """A bundled song (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
+    """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
 
 
 def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Command]:

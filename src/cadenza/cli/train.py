@@ -40,7 +40,7 @@ class Train:
     """
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A bundled song (see "cadenza songs") or the path of a MIDI or MusicXML file."""
+    """A song by its name (see "cadenza songs") or the path of a MIDI or MusicXML file."""
     preset: Preset = "fast"
     """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
     the published run script."""
