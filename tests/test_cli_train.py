@@ -183,6 +183,12 @@ def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: 
     assert (folder / "report.html").exists()
 
 
+@contextmanager
+def at_once(_: str) -> Iterator[Callable[[], bool]]:
+    """In place of `asked_to_stop`."""
+    yield lambda: True
+
+
 @pytest.mark.parametrize("when", ["while it is made", "before the first figures"])
 def test_a_run_that_is_stopped_at_once_can_go_on(
     when: str,
@@ -191,10 +197,6 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    @contextmanager
-    def at_once(_: str) -> Iterator[Callable[[], bool]]:
-        yield lambda: True
-
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -211,6 +213,28 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
     assert f"to continue: cadenza train --resume {folder}" in said
     assert "figures" not in said
     assert RunFolder(folder).settings()[1].notes == load_score(str(tune)).notes
+
+
+def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path, ""])
+    Path("own_hand.py").write_text("from cadenza.hands.shadow.hand import SHADOW as MINE")
+    hand = ["--hand", "own_hand:MINE"]
+    monkeypatch.setattr(train, "asked_to_stop", at_once)
+    go_on = ["train", "--resume", "run", *hand]
+    for begin_or_go_on in ["train", str(tune), "-o", "run", *SMALL, *hand], go_on:
+        with pytest.raises(SystemExit):
+            main(begin_or_go_on)
+        assert f"to continue: cadenza {' '.join(go_on)}\n" in capsys.readouterr().err
+        del sys.modules["own_hand"]  # as at the end of the process
+    assert "give --hand own_hand:MINE if you trust it" in refused(capsys, *go_on[:3])
+    Path("run/metrics.jsonl").write_text(
+        '{"step": 9, "seconds": 1, "eval_step": 9, "eval/f1": 1}\n'
+    )
+    main(["curves", "run"])  # needs no hand
+    assert "own_hand" not in sys.modules
 
 
 def test_a_run_is_begun_by_one_process_alone(
@@ -233,6 +257,8 @@ def test_what_makes_no_sense_is_said_in_a_line(
     assert "its own options" in refused(capsys, "train", *options)
     options = ("--resume", run, "--preset", "paper")
     assert "leave out --preset" in refused(capsys, "train", *options)
+    hand = "hand nowhere:HAND: cannot import 'nowhere': ModuleNotFoundError"
+    assert hand in refused(capsys, "train", tune, "--hand", "nowhere:HAND")
     assert "num_cores 0" in refused(capsys, "train", tune, "--num-cores", 0)
     assert "no agent 'nobody'" in refused(capsys, "play", tune, "--agent", "nobody")
     assert "no pretrained policy" in refused(capsys, "play", tune, "--agent", "pretrained")

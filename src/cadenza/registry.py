@@ -20,6 +20,11 @@ from cadenza.errors import CadenzaError, by_others
 T = TypeVar("T")
 
 
+def module_of(name: str) -> str | None:
+    """The module of `module:Name`, None for any other name."""
+    return name.partition(":")[0] if ":" in name else None
+
+
 @dataclass(frozen=True)
 class Entry:
     """What has a name."""
@@ -85,7 +90,7 @@ class Registry:
     def _find(self, name: str) -> Entry:
         if name in self.own:
             return self.own[name]
-        if ":" in name:
+        if module_of(name) is not None:
             return Entry(name)
         match [entry for known, entry in self._installed() if known == name]:
             case [entry]:

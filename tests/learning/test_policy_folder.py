@@ -145,6 +145,14 @@ def test_what_the_version_before_wrote_plays_the_same_and_can_be_written_anew(
     assert read_sealed(folder, "policy")[0]["about"] == {"step": 3}
 
 
+def test_no_file_of_a_policy_has_a_module_imported(tmp_path: Path) -> None:
+    scene = SceneConfig(hand="this:HAND")
+    save_policy(tmp_path / "policy", replace(some_policy(), scene=scene), {})
+    with pytest.raises(CadenzaError, match="give --hand this:HAND if you trust it"):
+        load_policy(tmp_path / "policy")
+    assert "this" not in sys.modules
+
+
 def test_playing_needs_nothing_that_learning_needs(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
     program = f"""

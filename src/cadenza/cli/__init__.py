@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
-from importlib import import_module
 from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
@@ -21,7 +20,8 @@ from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
-from cadenza.errors import CadenzaError, CadenzaWarning, by_others
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.registry import module_of
 
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
@@ -69,7 +69,7 @@ def _run(arguments: list[str]) -> None:
         return
     if any(":" in word for word in rest) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
-    _import_chosen(rest)
+    _load_chosen(rest)
     kind, run = _COMMANDS[name]
     if issubclass(kind, Options):
         kind = with_options_of_agents(kind, rest)
@@ -83,14 +83,20 @@ def _run(arguments: list[str]) -> None:
             run(command)
 
 
-def _import_chosen(words: Sequence[str]) -> None:
-    """Imports a hand and a keyboard that are given as `module:NAME`: no file can have that done."""
+def _load_chosen(words: Sequence[str]) -> None:
+    """Loads a hand and a keyboard that are given as `module:NAME`: no file can have that done."""
     parts = [part for word in words for part in word.split("=", 1)]
-    for option, value in pairwise(parts):
-        if option in ("--hand", "--keyboard") and ":" in value:
-            module = value.partition(":")[0]
-            with by_others(f"{option} {value}: cannot import {module!r}"):
-                import_module(module)
+    for option, name in pairwise(parts):
+        if module_of(name) is None:
+            continue
+        if option == "--hand":
+            from cadenza.hands.named import hand_named
+
+            hand_named(name)
+        elif option == "--keyboard":
+            from cadenza.keyboards.named import keyboard_named
+
+            keyboard_named(name)
 
 
 @contextmanager

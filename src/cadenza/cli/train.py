@@ -25,6 +25,7 @@ from cadenza.files import folder_name, plain
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
+from cadenza.scene.config import SceneConfig, named_by_module
 
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
@@ -47,7 +48,8 @@ class Train:
     learner: Advanced[str] = DROQ
     """The algorithm: droq, or one that another package adds. --help-all shows its options."""
     resume: Path | None = None
-    """Continue the run in this folder, with its own options. --num-steps changes its end."""
+    """Continue the run in this folder, with its own options. --num-steps changes its end. A hand or
+    keyboard given as module:NAME has to be given again."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
@@ -87,7 +89,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
     if words[:1] == ["train"] and "--resume" in following:
         from cadenza.learning.run_folder import RunFolder
 
-        return RunFolder(Path(following["--resume"])).settings()[0]
+        return RunFolder(Path(following["--resume"])).description()[0]
     name = following.get("--preset", "fast")
     known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
     return preset(known, "--residual" in arguments, following.get("--learner", DROQ))
@@ -131,7 +133,7 @@ def _train(command: Train, folder: Path) -> None:
         if command.song is not None:
             run.begin(command.training, score)
         run.set_end(command.training)
-        with _saying_how_to_go_on(folder):
+        with _saying_how_to_go_on(folder, command.training.scene):
             config, score = run.settings()
             with closing(Training(config, score, run)) as training:
                 finished = _train_on(training, command, run, score.title)
@@ -147,12 +149,15 @@ def _train(command: Train, folder: Path) -> None:
 
 
 @contextmanager
-def _saying_how_to_go_on(folder: Path) -> Iterator[None]:
+def _saying_how_to_go_on(folder: Path, scene: SceneConfig) -> Iterator[None]:
     """Whenever it is interrupted."""
+    again = ["cadenza", "train", "--resume", str(folder)]
+    for option, name in named_by_module(scene).items():
+        again += [f"--{option}", name]
     try:
         yield
     except KeyboardInterrupt:
-        print(f"to continue: cadenza train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        print(f"to continue: {shlex.join(again)}", file=sys.stderr)
         raise
 
 
@@ -242,7 +247,7 @@ def _what_and_how(run: Path) -> list[str]:
 
     if not (run / "run.json").exists():
         return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
-    config, score = RunFolder(run).settings()
+    config, score = RunFolder(run).description()
 
     def differences(name: Preset) -> list[str]:
         usual_config = preset(name, config.residual, name_of(config.learner))

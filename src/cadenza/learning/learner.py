@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
 from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
-from cadenza.registry import Entry, Registry
+from cadenza.registry import Entry, Registry, module_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -121,7 +121,7 @@ def learner_config(name: str) -> type[LearnerConfig]:
         CadenzaError: there is none. A name may come from a file, and no other module is imported
             than those that packages have registered.
     """
-    if ":" in name:
+    if module_of(name) is not None:
         raise CadenzaError(f"learner {name!r}: give {LEARNERS.otherwise}")
     kind = LEARNERS.load(name, type)
     if not issubclass(kind, LearnerConfig):

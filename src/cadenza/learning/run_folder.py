@@ -195,12 +195,22 @@ class RunFolder:
         config = renewed_config(about.get("config"))
         options = config.pop("learner", {}) if isinstance(config, dict) else {}
         read = checked(about | {"config": config}, _About, self._about)
-        check_modules(read.config.scene, self._about)
         learner = checked(renewed_config(options), learner_config(read.learner), self._about)
         return replace(read, config=replace(read.config, learner=learner))
 
     def settings(self) -> tuple[TrainingConfig, Score]:
-        """What was asked for.
+        """What was asked for, to go on with it.
+
+        Raises:
+            CadenzaError: the folder holds no run, or one whose hand or keyboard is of a module that
+                nobody has imported.
+        """
+        config, score = self.description()
+        check_modules(config.scene, self._about)
+        return config, score
+
+    def description(self) -> tuple[TrainingConfig, Score]:
+        """What was asked for, to be shown.
 
         Raises:
             CadenzaError: the folder holds no run.

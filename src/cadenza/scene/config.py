@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from cadenza.errors import CadenzaError
+from cadenza.registry import module_of
 
 ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
 Hands = Literal["both", "right", "left", "none"]
@@ -48,16 +49,20 @@ class SceneConfig:
     friction in joints. See docs/speed.md for the difference."""
 
 
+def named_by_module(config: SceneConfig) -> dict[str, str]:
+    """Option -> name, of a hand and a keyboard that are given as `module:NAME`."""
+    names = {option: getattr(config, option) for option in ("hand", "keyboard")}
+    return {option: name for option, name in names.items() if module_of(name) is not None}
+
+
 def check_modules(config: SceneConfig, where: Path) -> None:
     """That a configuration read from a file has no module imported: that may run anything.
 
     Raises:
         CadenzaError: `where` names a `module:NAME` that nobody has imported.
     """
-    for option in ("hand", "keyboard"):
-        name = getattr(config, option)
-        module = name.partition(":")[0]
-        if ":" in name and module not in sys.modules:
+    for option, name in named_by_module(config).items():
+        if (module := module_of(name)) not in sys.modules:
             raise CadenzaError(
                 f"{where}: has the {option} {name}, and no file makes Cadenza import a module; "
                 f"give --{option} {name} if you trust it, or import {module} first"
