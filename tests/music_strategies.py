@@ -3,6 +3,7 @@
 from hypothesis import strategies as st
 
 from cadenza.music.score import Note, PedalEvent, Score
+from numbered import finger
 
 times = st.integers(0, 400).map(lambda k: k / 40)  # on and between steps of 0.05 s
 lengths = st.integers(1, 80).map(lambda k: k / 40)
@@ -17,7 +18,7 @@ def notes(draw: st.DrawFn, start=times) -> Note:
         begin + draw(lengths),
         draw(st.integers(21, 108)),
         draw(st.integers(1, 127)),
-        draw(st.integers(-1, 9)),
+        finger(draw(st.integers(-1, 9))),
     )
 
 

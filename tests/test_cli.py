@@ -29,6 +29,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
+from numbered import numbers
 
 DATA = Path(__file__).parent / "data"
 TUNE = Score(
@@ -464,7 +465,7 @@ def test_a_plan_replays_bit_for_bit(
 def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
     main(["plan", str(tune), "-o", str(tmp_path / "tune.npz"), "--stretch", "2"])
     fingered = read_fingering(tmp_path / "tune.fingering", read_midi(tune))
-    fingers = [note.finger for note in fingered.notes]
+    fingers = numbers(fingered)
     assert min(fingers) >= 0
     with np.load(tmp_path / "tune.npz") as plan:
         assert plan["fingering"][:, 2].tolist() == fingers

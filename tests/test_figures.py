@@ -26,7 +26,7 @@ PECULIAR = ("hands", "keyboards")
 COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
-    ("fingers.py", 5): "the fingers of a hand, in the numbering of fingers",
+    ("music/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
     ("agents/planning/config.py", 10): "candidates and step sizes",
     ("fingering/changes.py", 5): "kinds of changes",

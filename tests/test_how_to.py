@@ -89,7 +89,7 @@ def test_a_hand(follow: Follow) -> None:
     assert all(block.strip() in example for block in code.split("\n\n\n"))
     performance = cadenza.play(TUNE, scene=cadenza.SceneConfig(hand="claw"))
     assert performance.metrics["f1"] > 0.9
-    assert performance.episode["fingertip_xpos"].shape[-2:] == (10, 3)
+    assert performance.episode["fingertip_xpos"].shape[-2:] == (6, 3)
 
 
 def test_a_learner(follow: Follow) -> None:

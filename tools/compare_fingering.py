@@ -25,7 +25,7 @@ import mido
 
 from cadenza.fingering.players import seated
 from cadenza.fingering.search import solve
-from cadenza.fingers import SIDES, UNKNOWN_FINGER
+from cadenza.fingers import SIDES, Finger
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.library import load_score, songs
@@ -39,9 +39,8 @@ def main() -> None:
     print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)")
     for name in names or [piece.name for piece in songs()]:
         written = load_score(name)
-        bare = tuple(replace(note, finger=UNKNOWN_FINGER) for note in written.notes)
-        found = solve(replace(written, notes=bare), HANDS).score
-        row = f"{name:31} {len(bare):5} {_cost(written)}   {_agreement(written, found)}"
+        found = solve(written.without_fingers(), HANDS).score
+        row = f"{name:31} {len(written.notes):5} {_cost(written)}   {_agreement(written, found)}"
         if pianoplayer:
             begin = time.perf_counter()
             row += f"   pianoplayer: {_agreement(written, _by_pianoplayer(pianoplayer, written))}"
@@ -51,9 +50,13 @@ def main() -> None:
 
 def _agreement(written: Score, found: Score) -> str:
     pairs = [(a.finger, b.finger) for a, b in zip(written.notes, found.notes, strict=True)]
-    hand = sum(a // 5 == b // 5 for a, b in pairs) / len(pairs)
+    hand = sum(_hand(a) == _hand(b) for a, b in pairs) / len(pairs)
     finger = sum(a == b for a, b in pairs) / len(pairs)
     return f"{hand:4.2f} {finger:4.2f} {_cost(found)}"
+
+
+def _hand(finger: Finger | None) -> int | None:
+    return finger and finger.hand
 
 
 def _cost(score: Score) -> str:
@@ -63,8 +66,8 @@ def _cost(score: Score) -> str:
 
 
 def _by_pianoplayer(python: str, written: Score) -> Score:
-    """The fingers of pianoplayer, -1 where it gives none."""
-    sides = sorted({note.finger // 5 for note in written.notes})
+    """The fingers of pianoplayer, none where it gives none."""
+    sides = sorted({note.finger.hand for note in written.notes if note.finger})
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder) / "given.mid", Path(folder) / "found.txt"
         _write_a_track_a_hand(written, sides, given)
@@ -77,18 +80,18 @@ def _by_pianoplayer(python: str, written: Score) -> Score:
         )
         rows = [line.split() for line in found.read_text().splitlines()]
     fingers = {
-        (float(start), int(pitch)): abs(int(finger)) - 1 + 5 * int(channel)
+        (float(start), int(pitch)): Finger(int(channel), abs(int(finger)) - 1)
         for _, start, _, pitch, _, _, channel, finger, *_ in rows
         if int(finger)
     }
 
-    def finger(note: Note) -> int:
+    def finger(note: Note) -> Finger | None:
         near = (
             f
             for (start, p), f in fingers.items()
             if p == note.pitch and abs(start - note.start) < 0.01
         )
-        return next(near, UNKNOWN_FINGER)
+        return next(near, None)
 
     notes = tuple(replace(note, finger=finger(note)) for note in written.notes)
     return replace(written, notes=notes)
@@ -97,7 +100,7 @@ def _by_pianoplayer(python: str, written: Score) -> Score:
 def _write_a_track_a_hand(score: Score, sides: list[int], path: Path) -> None:
     midi = mido.MidiFile(ticks_per_beat=480)  # 960 ticks a second
     for side in sides:
-        notes = [note for note in score.notes if note.finger // 5 == side]
+        notes = [note for note in score.notes if _hand(note.finger) == side]
         events = [(round(960 * n.start), 1, n.pitch) for n in notes]
         events += [(round(960 * n.end), 0, n.pitch) for n in notes]
         track, now = mido.MidiTrack(), 0

@@ -29,6 +29,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from cadenza.files import write_atomically
+from cadenza.fingers import Finger
 from cadenza.music.fingering_file import write_fingering
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, PedalEvent, Score
@@ -57,20 +58,20 @@ class Piece:
     release: Fraction = Fraction(1, 100)  # [s] before the written end
 
     def score(self) -> Score:
-        notes = [note for voice in self.right.split("&") for note in self._notes(voice, 0)]
-        notes += [note for voice in self.left.split("&") for note in self._notes(voice, 5)]
+        notes = [note for voice in self.right.split("&") for note in self._notes(voice, hand=0)]
+        notes += [note for voice in self.left.split("&") for note in self._notes(voice, hand=1)]
         return Score(tuple(notes), tuple(self._pedal_events()), self.title)
 
-    def _notes(self, voice: str, thumb: int) -> Iterator[Note]:
+    def _notes(self, voice: str, hand: int) -> Iterator[Note]:
         velocity = VELOCITIES["mf"]
         for what, start, end in self._timed(voice):
             if what in VELOCITIES:
                 velocity = VELOCITIES[what]
             elif what != "r":
                 for note in what.split("+"):
-                    pitch, finger = pitch_and_finger(note)
+                    pitch, sign = pitch_and_finger(note)
                     last = float(end - self.release)
-                    yield Note(float(start), last, pitch, velocity, thumb + finger - 1)
+                    yield Note(float(start), last, pitch, velocity, Finger(hand, sign - 1))
 
     def _pedal_events(self) -> Iterator[PedalEvent]:
         for what, start, end in self._timed(self.pedal):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from cadenza.agents.registry import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
+    from cadenza.fingers import Finger
     from cadenza.learning.config import TrainingConfig
     from cadenza.music.arrangement import Arrangement
     from cadenza.music.bundled import Piece, songs
@@ -39,6 +40,7 @@ __all__ = [
     "CadenzaError",
     "CadenzaWarning",
     "Episode",
+    "Finger",
     "Library",
     "Note",
     "Outcome",
@@ -72,6 +74,7 @@ _MODULES = {
     "agents.planning.config": ("ScorePlannerConfig",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
+    "fingers": ("Finger",),
     "learning.config": ("TrainingConfig",),
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),

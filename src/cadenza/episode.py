@@ -2,7 +2,8 @@
 
 `episode.npz` holds the arrays below under their own names, the same names that the recordings of
 the published system use. T control steps, A actuators (right hand's, left hand's, pedal), J hand
-joints, B moving hand bodies, K keys.
+joints, B moving hand bodies, K keys, F fingers
+of two hands, the right one's first.
 """
 
 from __future__ import annotations
@@ -29,7 +30,6 @@ from cadenza.files import (
     read_arrays,
     write_atomically,
 )
-from cadenza.fingers import NUM_FINGERS
 
 _LOWEST_PITCH = 21  # A0, of recordings that do not say, which are all of pianos
 _PITCHES = 128
@@ -91,7 +91,7 @@ _EXPECTED = {
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
-    "fingertip_xpos": ArrayOf(NUMBERS, ("T", NUM_FINGERS, 3)),
+    "fingertip_xpos": ArrayOf(NUMBERS, ("T", "F", 3)),
     "body_xpos": ArrayOf(NUMBERS, ("T", "B", 3)),
     "body_xquat": ArrayOf(NUMBERS, ("T", "B", 4)),
     "reward_*": ArrayOf(NUMBERS, ("T",)),
@@ -113,13 +113,13 @@ class Episode:
     - `action` (T, A), in actuator units, the pedal last, 0..1
     - `lowest_pitch` () int, MIDI number of the first key
     - `goal_keys` (T, K) bool, the keys that should sound after the step
-    - `goal_fingers` (T, K) int8, which finger should press them, -1 for none or unknown
+    - `goal_fingers` (T, K) int8, which of the F fingers should press them, -1 for none
     - `goal_sustain` (T,) bool, whether the pedal should be down
     - `key_qpos` (T, K) [rad]
     - `key_activation` (T, K) bool, the keys that sound
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
-    - `fingertip_xpos` (T, 10, 3) [m]
+    - `fingertip_xpos` (T, F, 3) [m]
     - `body_xpos` (T, B, 3) [m] and `body_xquat` (T, B, 4), w x y z, of the hands' bodies, float32
     - `reward_total` and ``reward_<term>`` (T,)
     """

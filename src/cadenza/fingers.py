@@ -1,43 +1,84 @@
-"""How fingers are numbered: 0..4 right hand, thumb to little finger, 5..9 left hand, -1 none.
+"""Fingers: which hand, and which of its fingers; and their places in arrays.
 
-Arrays over fingers have a place for each of these numbers, whichever hands there are; a hand with
-fewer fingers leaves its last places empty.
+Scores say `Finger`. Arrays have a place for each finger of both hands of a scene's kind, the right
+hand's first and from the thumb on, whichever hands there are; `Fingers` numbers these places.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Literal
+
+from cadenza.errors import CadenzaError
 
 Side = Literal["right", "left"]
 SIDES: tuple[Side, ...] = ("right", "left")
 """In the order of fingers, joints and actions."""
 
-PER_HAND = 5
-NUM_FINGERS = len(SIDES) * PER_HAND
-UNKNOWN_FINGER = -1
+NO_FINGER = -1
+"""In arrays: none, or an unknown one."""
 _NAMES = ("thumb", "index", "middle", "ring", "little")
 
 
-def finger_number(hand: int, place: int) -> int:
-    """Of the finger at a `place`, 0 for the thumb, of the right (0) or left (1) hand."""
-    return PER_HAND * hand + place
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """The finger `index`, 0 for the thumb, of the right `hand`, 0, or the left, 1.
+
+    Raises:
+        CadenzaError: there is no such hand, or `index` is negative.
+    """
+
+    hand: int
+    index: int
+
+    def __post_init__(self) -> None:
+        if self.hand not in range(len(SIDES)) or not self.index >= 0:
+            raise CadenzaError(
+                f"finger {self.index} of hand {self.hand}: give hand 0 (right) or 1 (left), and an "
+                "index from 0 (thumb) on"
+            )
+
+    @property
+    def side(self) -> Side:
+        """Of its hand."""
+        return SIDES[self.hand]
+
+    @property
+    def name(self) -> str:
+        """Such as "right thumb"."""
+        known = self.index < len(_NAMES)
+        return f"{self.side} {_NAMES[self.index] if known else f'finger {self.index + 1}'}"
 
 
-def hand_of(finger: Any) -> Any:
-    """0 right, 1 left; of a number or an array of numbers."""
-    return finger // PER_HAND
+@dataclass(frozen=True, slots=True)
+class Fingers:
+    """The places of fingers in arrays, for hands of `per_hand` fingers."""
 
+    per_hand: int
 
-def place_of(finger: Any) -> Any:
-    """On its hand, 0 for the thumb; of a number or an array of numbers."""
-    return finger % PER_HAND
+    @property
+    def count(self) -> int:
+        """Of both hands."""
+        return len(SIDES) * self.per_hand
 
+    def number(self, finger: Finger | None) -> int:
+        """The place of `finger`; `NO_FINGER` for none, and for one that such hands do not have."""
+        if finger is None or finger.index >= self.per_hand:
+            return NO_FINGER
+        return finger.hand * self.per_hand + finger.index
 
-def side_of(finger: int) -> Side:
-    """Of the hand that has this finger."""
-    return SIDES[hand_of(finger)]
+    def finger(self, number: int) -> Finger | None:
+        """That of a place, or none."""
+        return None if number < 0 else Finger(*divmod(number, self.per_hand))
 
+    def of_hand(self, hand: int) -> slice:
+        """The places of the right, 0, or the left hand, 1."""
+        return slice(hand * self.per_hand, (hand + 1) * self.per_hand)
 
-def finger_name(finger: int) -> str:
-    """Such as "right thumb"."""
-    return f"{side_of(finger)} {_NAMES[place_of(finger)]}"
+    def hand_of(self, number: Any) -> Any:
+        """0 right, 1 left; of a number or an array of numbers, of which none is `NO_FINGER`."""
+        return number // self.per_hand
+
+    def index_of(self, number: Any) -> Any:
+        """On its hand, 0 for the thumb; of a number or an array of numbers."""
+        return number % self.per_hand

@@ -25,12 +25,15 @@ from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
+from numbered import finger
 
 RECORDING = Path(__file__).parents[1] / "data/episode_d.npz"
 
 # Under the right hand where it starts.
 TUNE = Score(
-    (Note(0.0, 0.3, 72, finger=1), Note(0.3, 0.6, 76, finger=3)), (PedalEvent(0.2, 127),), "A tune"
+    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 0.6, 76, finger=finger(3))),
+    (PedalEvent(0.2, 127),),
+    "A tune",
 )
 CONFIG = TaskConfig(initial_buffer_time=0.3)
 STEPS = 19

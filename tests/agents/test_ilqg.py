@@ -27,10 +27,13 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
+from numbered import finger
 
 # Under the right hand where it starts.
 TUNE = Score(
-    (Note(0.0, 0.3, 72, finger=1), Note(0.3, 0.6, 76, finger=3)), (PedalEvent(0.2, 127),), "A tune"
+    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 0.6, 76, finger=finger(3))),
+    (PedalEvent(0.2, 127),),
+    "A tune",
 )
 SHORT = ILQGConfig(horizon=0.1)
 

@@ -21,15 +21,18 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
+from numbered import FIVE, finger
 
 STEPS, DT = 40, 0.05
 C4, D4, C5 = 39, 41, 51
 INDEX = 1
 # A silent half second, then C4 for half a second, and C5 for another, both with the index finger.
 NOTES = ((C4, 10, 20), (C5, 25, 35))
-SCORE = Score((Note(0.0, 0.5, 60, finger=INDEX), Note(0.75, 1.25, 72, finger=INDEX)))
+SCORE = Score(
+    (Note(0.0, 0.5, 60, finger=finger(INDEX)), Note(0.75, 1.25, 72, finger=finger(INDEX)))
+)
 FOREARMS = {"bodies": ["rh_forearm", "lh_forearm"]}
-SCENE = build_scene(SceneConfig(hands="none"))
+SCENE = build_scene()
 
 
 class Concert:
@@ -42,7 +45,7 @@ class Concert:
             self.goal[first:last, key] = True
             fingers[first:last, key] = INDEX
         self.played = self.goal.copy()
-        self.presses = presses_of(self.goal, fingers)
+        self.presses = presses_of(self.goal, fingers, FIVE)
         self.planned = np.zeros((STEPS + 1, 10, 3))  # fingers 4 cm apart, at C4 and then at C5
         for state in range(STEPS + 1):
             key = C4 if state < 22 else C5
@@ -53,6 +56,7 @@ class Concert:
         self.forearms = np.tile([0.15, -0.15], (STEPS, 1))
         self.dropped: tuple[Dropped, ...] = ()
         self.dt = DT
+        self.scene = SCENE
 
     def sounds(self, key: int, first: int, last: int) -> None:
         self.played[:, key] = False
@@ -72,8 +76,8 @@ class Concert:
         self.episode = Episode("A concert", self.dt, arrays, FOREARMS)
         nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
         config = TaskConfig(initial_buffer_time=0.5)
-        track = GoalTrack(SCORE, self.dropped, config, SCENE)
-        return misses_of(self.episode, SongPlan(SCENE, track, track.goals, nominal))
+        track = GoalTrack(SCORE, self.dropped, config, self.scene)
+        return misses_of(self.episode, SongPlan(self.scene, track, track.goals, nominal))
 
     def cut(self, last: int, then: Press | None = None) -> None:
         self.presses[0] = self.presses[0]._replace(last=last)
@@ -117,7 +121,7 @@ def test_what_became_of_a_note(
 ) -> None:
     concert.sounds(C4, *steps)
     (miss,) = concert.misses()
-    assert (miss.time, miss.note, miss.finger) == (0.5, "C4", INDEX)
+    assert (miss.time, miss.note, miss.finger) == (0.5, "C4", finger(INDEX))
     assert (miss.what, miss.sounded) == (what, sounded)
 
 
@@ -143,7 +147,7 @@ def jump(concert: Concert) -> None:
 
 def next_note(concert: Concert) -> None:
     silent(concert)
-    concert.cut(12, Press(INDEX, D4, 13, 15))
+    concert.cut(12, Press("right", INDEX, D4, 13, 15))
 
 
 def neighbour(concert: Concert) -> None:
@@ -223,7 +227,7 @@ def test_why_a_note_did_not_sound(spoil: Callable[[Concert], None], concert: Con
 
 def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
     concert.goal[15] = False
-    concert.presses[:1] = [Press(INDEX, C4, 11, 16), Press(INDEX, C4, 17, 21)]
+    concert.presses[:1] = [Press("right", INDEX, C4, 11, 16), Press("right", INDEX, C4, 17, 21)]
     (miss,) = concert.misses()
     assert (miss.time, miss.what, miss.cause) == (0.8, "not struck again", "key not released")
 
@@ -263,5 +267,6 @@ def test_with_one_hand_only(concert: Concert) -> None:
     silent(concert)
     concert.planned = concert.planned[:, :5]
     concert.tips[:, 5:] = 0.0
+    concert.scene = build_scene(SceneConfig(hands="right"))
     (miss,) = concert.misses()
     assert miss.cause == "key not pressed far enough"

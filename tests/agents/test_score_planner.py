@@ -35,6 +35,7 @@ from cadenza.scene.scene import build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from numbered import FIVE, finger
 
 BUFFER = TaskConfig(initial_buffer_time=0.5)
 FINER, COARSER = 0.025, 0.1  # control steps [s] other than the usual 0.05
@@ -152,12 +153,13 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     agent.act(task.view())
     track = agent.planners[0].plan.track
     assert track is task.sheets.tracks[0]
-    assert len(track.dropped or ()) == sum(note.finger < 0 for note in track.score.notes) > 9
+    assert len(track.dropped or ()) == sum(note.finger is None for note in track.score.notes) > 9
 
 
 def test_fingers_of_the_score_are_taken_on_request() -> None:
     score = replace(
-        melody(60, 62), notes=(Note(0, 0.4, 60, finger=2), Note(0.4, 0.8, 62, finger=1))
+        melody(60, 62),
+        notes=(Note(0, 0.4, 60, finger=finger(2)), Note(0.4, 0.8, 62, finger=finger(1))),
     )
     task = PianoTask([score], BUFFER)
     task.reset([np.random.default_rng(0)], [0])
@@ -358,7 +360,7 @@ def test_presses_are_the_goals(seed: int) -> None:
     fingers = np.where(rng.random((30, 88)) < 0.05, rng.integers(0, 10, (30, 88)), -1)
     fingers = np.repeat(fingers, 2, axis=0).astype(np.int8)
     found = np.full_like(fingers, -1)
-    for press in presses_of(fingers >= 0, fingers):
+    for press in presses_of(fingers >= 0, fingers, FIVE):
         assert (found[press.first - 1 : press.last - 1, press.key] == -1).all()
         found[press.first - 1 : press.last - 1, press.key] = press.finger
     np.testing.assert_array_equal(found, fingers)
@@ -370,16 +372,20 @@ def places(rest_y: np.ndarray) -> np.ndarray:
 
 
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
-    near = [Press(0, 39, 10, 20), Press(1, 41, 20, 30)]
+    near = [Press("right", 0, 39, 10, 20), Press("right", 1, 41, 20, 30)]
     assert let_go_in_time(near, places(np.linspace(0.0, 0.2, 10)), 0.05) == near
-    far = [Press(0, 39, 10, 20), Press(0, 60, 20, 30)]
+    far = [Press("right", 0, 39, 10, 20), Press("right", 0, 60, 20, 30)]
     cut = let_go_in_time(far, places(np.zeros(10)), 0.05)
     assert 11 <= cut[0].last < 19
     assert cut[1] == far[1]
 
 
 def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
-    first, key, chord = Press(0, 39, 10, 20), Press(0, 46, 20, 30), Press(4, 53, 20, 30)
+    first, key, chord = (
+        Press("right", 0, 39, 10, 20),
+        Press("right", 0, 46, 20, 30),
+        Press("right", 4, 53, 20, 30),
+    )
     there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
     left, reached = let_go_in_time([first, key], there, 0.05)
     assert (left.flies_off, reached.flies_to) == (True, True)
@@ -391,9 +397,9 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("chord", [False, True])
 def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> None:
-    second = [Press(1, 55 if far else 41, 20, 30)]
-    presses = [Press(0, 39, 10, 20), *second, *[Press(3, 59, 20, 30)][:chord]]
-    presses.append(Press(1, 45, 30, 34))
+    second = [Press("right", 1, 55 if far else 41, 20, 30)]
+    presses = [Press("right", 0, 39, 10, 20), *second, *[Press("right", 3, 59, 20, 30)][:chord]]
+    presses.append(Press("right", 1, 45, 30, 34))
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
     there = places(np.zeros(10))
     usual, fine = let_go_in_time(presses, there, 0.05), let_go_in_time(finer, there, FINER)
@@ -404,7 +410,7 @@ def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> N
 
 def test_fingertips_have_as_long_at_a_finer_control_step() -> None:
     scene = build_scene(SceneConfig(hands="right"))
-    presses = [Press(1, 41, 6, 9), Press(1, 43, 16, 20, flies_to=True)]
+    presses = [Press("right", 1, 41, 6, 9), Press("right", 1, 43, 16, 20, flies_to=True)]
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
     usual, fine = targets_of(scene, presses, 25, 0.05), targets_of(scene, finer, 50, FINER)
     for one, other in zip(usual, fine, strict=True):
@@ -429,7 +435,10 @@ def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
 
 
 def test_in_a_jump_only_heights_are_strict() -> None:
-    still, jump = Press(1, 41, 5, 8), Press(1, 41, 5, 8, flies_off=True, flies_to=True)
+    still, jump = (
+        Press("right", 1, 41, 5, 8),
+        Press("right", 1, 41, 5, 8, flies_off=True, flies_to=True),
+    )
     scene = build_scene()
     strict, loose = (targets_of(scene, [press], 12, 0.05).sigma[:, 1] for press in (still, jump))
     on_the_way = [3, 4, 8]
@@ -469,7 +478,7 @@ def test_links_keep_apart_by_their_radii() -> None:
 
 
 def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:
-    targets = targets_of(build_scene(), [Press(1, 41, 5, 8)], 12, 0.05)
+    targets = targets_of(build_scene(), [Press("right", 1, 41, 5, 8)], 12, 0.05)
     assert (targets.force[5:8, 1] > 0).all()
     assert not targets.force[[4, 8], 1].any()
     top = 0.0225

@@ -11,8 +11,11 @@ from cadenza.agents.playback import Playback
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from numbered import finger
 
-TUNE = Score((Note(0.0, 0.3, 72, finger=1), Note(0.3, 3.0, 76, finger=3)), (), "A tune")
+TUNE = Score(
+    (Note(0.0, 0.3, 72, finger=finger(1)), Note(0.3, 3.0, 76, finger=finger(3))), (), "A tune"
+)
 
 
 def test_noise_is_of_that_size_and_spares_the_pedal() -> None:

@@ -13,7 +13,7 @@ from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Forearm, Players, seated
 from cadenza.fingering.presses import Press, onsets, outer_first
 from cadenza.fingering.search import solve
-from cadenza.fingers import hand_of, place_of
+from cadenza.fingers import Finger
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import LETTING_GO, Note, Score
@@ -23,7 +23,9 @@ from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 REACH = SHADOW.reach
 
 
-def in_one_hand(way: dict[Press, int], hand: int, players: Players) -> tuple[float, float] | None:
+def in_one_hand(
+    way: dict[Press, Finger], hand: int, players: Players
+) -> tuple[float, float] | None:
     """From where to where the forearm can be along the keyboard while its fingers do this.
 
     Seen from the right hand, the left one mirrored; None where it cannot be anywhere.
@@ -33,11 +35,11 @@ def in_one_hand(way: dict[Press, int], hand: int, players: Players) -> tuple[flo
     low, high = forearm.low, forearm.high
     y = {press: players.key_y(hand)[press.key] for press in way}
     for press, finger in way.items():
-        low = max(low, y[press] - reach.inward[place_of(finger)])
-        high = min(high, y[press] + reach.outward[place_of(finger)])
+        low = max(low, y[press] - reach.inward[finger.index])
+        high = min(high, y[press] + reach.outward[finger.index])
         for other, beyond in way.items():
             if y[other] > y[press]:
-                pair = place_of(finger), place_of(beyond)
+                pair = finger.index, beyond.index
                 if pair[0] >= pair[1]:
                     return None
                 if not reach.least[pair] <= y[other] - y[press] <= reach.most[pair]:
@@ -45,16 +47,16 @@ def in_one_hand(way: dict[Press, int], hand: int, players: Players) -> tuple[flo
     return (low, high) if low <= high else None
 
 
-def possible(way: dict[Press, int], players: Players) -> bool:
-    """Whether keys can be pressed by fingers, 0..9, at once."""
-    highs = [press.key for press, finger in way.items() if hand_of(finger) == 0]
-    lows = [press.key for press, finger in way.items() if hand_of(finger) == 1]
+def possible(way: dict[Press, Finger], players: Players) -> bool:
+    """Whether keys can be pressed by fingers at once."""
+    highs = [press.key for press, finger in way.items() if finger.hand == 0]
+    lows = [press.key for press, finger in way.items() if finger.hand == 1]
     if highs and lows and min(highs) <= max(lows):
         return False
     ends = []
     for hand in range(2):
         if players.forearm(hand):
-            mine = {press: finger for press, finger in way.items() if hand_of(finger) == hand}
+            mine = {press: finger for press, finger in way.items() if finger.hand == hand}
             place = in_one_hand(mine, hand, players)
             if place is None:
                 return False
@@ -65,7 +67,7 @@ def possible(way: dict[Press, int], players: Players) -> bool:
 
 def written_out(score: Score, players: Players) -> set[int]:
     """The indices of the notes that are played."""
-    ways: list[dict[Press, int]] = [{}]
+    ways: list[dict[Press, Finger]] = [{}]
     played: set[int] = set()
     for moment, begin in onsets(score, players.keyboard.lowest_pitch):
         struck = [press.key for press in begin]
@@ -74,8 +76,8 @@ def written_out(score: Score, players: Players) -> set[int]:
         for press in outer_first(begin, held):
             if not 0 <= press.key < players.keyboard.num_keys:
                 continue
-            able = {f for f in players.fingers if players.forearms[hand_of(f)]}
-            able &= able if press.finger < 0 else {press.finger}
+            able = {f for f in players.fingers if players.forearms[f.hand]}
+            able &= {press.finger} if press.finger else able
             more = [way | {press: finger} for way in ways for finger in able]
             if more := [way for way in more if possible(way, players)]:
                 ways = more
@@ -125,10 +127,12 @@ def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
 def test_what_can_be_played_is_played(score: Score, players: Players) -> None:
     """By one of the fingers that there are, and without breaking a limit."""
     found = solve(score, players)
-    there = {f for f in players.fingers if players.forearms[hand_of(f)]}
+    there = {f for f in players.fingers if players.forearms[f.hand]}
     reasons = playable(score, players).reasons
     for i, note in enumerate(found.score.notes):
-        assert note.finger == -1 if i in reasons else note.finger in there or note in found.unheeded
+        assert (
+            note.finger is None if i in reasons else note.finger in there or note in found.unheeded
+        )
     assert 0 <= found.cost < 1e6
 
 

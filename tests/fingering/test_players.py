@@ -9,7 +9,7 @@ import pytest
 
 from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import find_fingering
-from cadenza.fingers import SIDES, hand_of, place_of
+from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
@@ -18,6 +18,7 @@ from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.goal_track import players_of
+from numbered import numbers
 from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 
 FOUR = seated(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)
@@ -29,7 +30,7 @@ def scale(*pitches: int) -> Score:
 
 
 def fingers(score: Score, players: Players) -> list[int]:
-    return [note.finger for note in find_fingering(score, players)[0].notes]
+    return numbers(find_fingering(score, players)[0])
 
 
 # Hands that cannot spread their fingers
@@ -52,7 +53,7 @@ def test_a_hand_that_does_not_slide_plays_what_is_before_it(spacing: float) -> N
     everything = scale(*range(21, 109))
     played = {n.pitch: n.finger for n in find_fingering(everything, players)[0].notes}
     for hand, side in enumerate((1, -1)):
-        mine = [p for p, finger in played.items() if finger >= 0 and hand_of(finger) == hand]
+        mine = [p for p, finger in played.items() if finger and finger.hand == hand]
         away = [side * PIANO.grid_y[p - 21] - spacing / 2 for p in mine]
         assert -max(SHADOW.reach.outward) <= min(away) < -0.05
         assert 0.1 < max(away) <= max(SHADOW.reach.inward)
@@ -62,7 +63,7 @@ def test_what_it_does_not_reach_is_dropped_and_said_to_be() -> None:
     twinkle = load_score("TwinkleTwinkleLittleStar").without_fingers()
     found, dropped = find_fingering(twinkle, shadow_hands(slides=False))
     assert {d.reason for d in dropped} == {OUT_OF_REACH}
-    assert {n.pitch for n in found.notes if n.finger >= 0} == {60, 69}
+    assert {n.pitch for n in found.notes if n.finger} == {60, 69}
     assert not find_fingering(twinkle, shadow_hands(hand_spacing=0.15, slides=False))[1]
 
 
@@ -104,18 +105,21 @@ def test_players_are_those_of_the_scene(dofs) -> None:
 def test_a_hand_of_four_fingers() -> None:
     everything = Score(tuple(Note(0, 1, pitch) for pitch in range(21, 109)))
     found, dropped = find_fingering(everything, FOUR)
-    assert [n.finger for n in found.notes if n.finger >= 0] == [8, 7, 6, 5, 0, 1, 2, 3]
+    assert [n.finger for n in found.notes if n.finger] == [
+        *(Finger(1, index) for index in (3, 2, 1, 0)),
+        *(Finger(0, index) for index in (0, 1, 2, 3)),
+    ]
     assert {d.reason for d in dropped} == {"more than 8 notes at once for both hands"}
 
 
 def test_fingers_that_a_hand_does_not_have_are_found_anew() -> None:
     written = load_score("OdeToJoy")
-    assert 4 in {place_of(note.finger) for note in written.notes}
+    assert 4 in {note.finger.index for note in written.notes}
     found, dropped = find_fingering(written, FOUR)
     assert not dropped
     for before, after in zip(written.notes, found.notes, strict=True):
-        assert after.finger == before.finger or place_of(before.finger) == 4
-        assert place_of(after.finger) < 4
+        assert after.finger == before.finger or before.finger.index == 4
+        assert after.finger.index < 4
 
 
 def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
@@ -123,7 +127,7 @@ def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
     found, dropped = find_fingering(scale(47, 48, 72, 73), small)
     assert [d.note.pitch for d in dropped] == [47, 73]
     assert {d.reason for d in dropped} == {"not on this keyboard"}
-    assert [hand_of(n.finger) for n in found.notes[1:3]] == [1, 0]
+    assert [n.finger.hand for n in found.notes[1:3]] == [1, 0]
     wide = replace(TWO_OCTAVES, gap=0.03)  # no hand spans an octave of it
     chord = Score((Note(0, 1, 48), Note(0, 1, 60), Note(0, 1, 72)))
     wider = seated(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)

@@ -16,13 +16,15 @@ from cadenza.music.keyboard import is_black
 from cadenza.music.library import load_score, songs
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import lengths, monophonic_per_key, scores, times
-from players import find_fingering, solve
+from numbered import finger, numbers
+from players import find_fingering, shadow_hands, solve
 
 REACH = SHADOW.reach
+ORDER = shadow_hands().fingers  # from left to right
 
 
 def bare(score: Score) -> Score:
-    return Score(tuple(replace(note, finger=-1) for note in score.notes), score.pedal)
+    return Score(tuple(replace(note, finger=None) for note in score.notes), score.pedal)
 
 
 def melody(*pitches: int, seconds: float = 0.4) -> Score:
@@ -31,10 +33,6 @@ def melody(*pitches: int, seconds: float = 0.4) -> Score:
 
 def chord(*pitches: int) -> Score:
     return Score(tuple(Note(0.0, 1.0, pitch) for pitch in pitches))
-
-
-def fingers(score: Score) -> list[int]:
-    return [note.finger for note in score.notes]
 
 
 unfingered = scores().map(monophonic_per_key).map(bare)
@@ -53,17 +51,17 @@ def test_keys_lie_where_the_model_has_them() -> None:
 
 def check_hands(score: Score) -> None:
     """Whenever a note begins, what sounds lies in the order of the fingers, within their reach."""
-    played = [note for note in score.notes if note.finger >= 0]
+    played = [note for note in score.notes if note.finger]
     for time in {note.start for note in played}:
         sounding = [n for n in played if n.start <= time and (n.end > time + LETTING_GO)]
         sounding += [n for n in played if n.start == time and n not in sounding]
         sounding.sort(key=lambda note: note.pitch)
-        left_to_right = [n.finger if n.finger < 5 else 4 - n.finger for n in sounding]
+        left_to_right = [ORDER.index(n.finger) for n in sounding]
         assert left_to_right == sorted(set(left_to_right)), (time, sounding)
         for a, b in itertools.combinations(sounding, 2):
-            if a.finger // 5 == b.finger // 5:
-                first, second = sorted((a.finger % 5, b.finger % 5))
-                distance = PIANO.grid_y[b.key] - PIANO.grid_y[a.key]
+            if a.finger.hand == b.finger.hand:
+                first, second = sorted((a.finger.index, b.finger.index))
+                distance = PIANO.grid_y[b.pitch - 21] - PIANO.grid_y[a.pitch - 21]
                 assert REACH.least[first, second] <= distance <= REACH.most[first, second]
 
 
@@ -73,11 +71,10 @@ def test_any_score_can_be_played_or_says_why_not(score: Score, sides) -> None:
     found, dropped = find_fingering(score, sides)
     check_hands(found)
     assert bare(found) == score
-    assert [d.note for d in dropped] == [note for note in found.notes if note.finger == -1]
+    assert [d.note for d in dropped] == [note for note in found.notes if note.finger is None]
     assert all(d.reason for d in dropped)
-    there = [f for f in range(10) if ("right", "left")[f // 5] in sides]
-    assert {f for f in fingers(found) if f >= 0} <= set(there)
-    assert any(f >= 0 for f in fingers(found))
+    assert {n.finger.side for n in found.notes if n.finger} <= set(sides)
+    assert found.has_fingering
 
 
 @settings(deadline=None)
@@ -85,7 +82,7 @@ def test_any_score_can_be_played_or_says_why_not(score: Score, sides) -> None:
 def test_what_is_found_is_kept(score: Score) -> None:
     """Given back, the fingers found contradict nothing and cost what they did."""
     first = solve(score)
-    played = replace(first.score, notes=tuple(n for n in first.score.notes if n.finger >= 0))
+    played = replace(first.score, notes=tuple(n for n in first.score.notes if n.finger))
     again = solve(played)
     assert again.score == played
     assert not again.unheeded
@@ -98,26 +95,36 @@ def test_what_is_found_is_kept(score: Score) -> None:
 def test_given_fingers_are_kept_however_odd(score: Score) -> None:
     found, dropped = find_fingering(score)
     for before, after in zip(score.notes, found.notes, strict=True):
-        assert after.finger == before.finger or before.finger == -1
+        assert after.finger == before.finger or before.finger is None
     assert all(d.note in score.notes for d in dropped)
 
 
 def test_a_score_with_all_fingers_comes_back() -> None:
-    odd = Score((Note(0, 1, 21, finger=3), Note(0, 1, 108, finger=3), Note(0, 1, 60, finger=9)))
+    odd = Score(
+        (
+            Note(0, 1, 21, finger=finger(3)),
+            Note(0, 1, 108, finger=finger(3)),
+            Note(0, 1, 60, finger=finger(9)),
+        )
+    )
     assert find_fingering(odd) == (odd, ())
 
 
 def test_a_note_held_keeps_its_finger_from_others() -> None:
-    score = Score((Note(0, 2, 60, finger=0), *(Note(t / 4, t / 4 + 0.25, 64) for t in range(8))))
+    score = Score(
+        (Note(0, 2, 60, finger=finger(0)), *(Note(t / 4, t / 4 + 0.25, 64) for t in range(8)))
+    )
     found, dropped = find_fingering(score)
     assert not dropped
-    assert 0 not in fingers(found)[2:]
+    assert 0 not in numbers(found)[2:]
 
 
 def test_a_note_held_stays_in_its_hand() -> None:
     """The little finger has no finger beyond it, and the other hand cannot take the note over."""
     for little, beyond in ((4, 62), (9, 58)):
-        _, dropped = find_fingering(Score((Note(0, 2, 60, finger=little), Note(1, 2, beyond))))
+        _, dropped = find_fingering(
+            Score((Note(0, 2, 60, finger=finger(little)), Note(1, 2, beyond)))
+        )
         assert [(d.note.pitch, d.reason) for d in dropped] == [
             (beyond, "too far from what is held by both hands")
         ]
@@ -130,8 +137,8 @@ def test_outer_notes_are_kept_when_there_are_too_many() -> None:
     score = chord(*range(21, 109))
     found, dropped = find_fingering(score)
     check_hands(found)
-    assert [n.finger for n in found.notes if n.finger >= 0] == [9, 8, 7, 6, 5, 0, 1, 2, 3, 4]
-    assert {found.notes[0].finger, found.notes[-1].finger} == {9, 4}
+    assert [f for f in numbers(found) if f >= 0] == [9, 8, 7, 6, 5, 0, 1, 2, 3, 4]
+    assert [numbers(found)[i] for i in (0, -1)] == [9, 4]
     assert len(dropped) == 78
     assert {reason for _, reason in dropped} == {"more than 10 notes at once for both hands"}
 
@@ -160,7 +167,7 @@ def test_louder_notes_come_first() -> None:
 def test_a_note_that_is_struck_twice_at_once_has_one_finger() -> None:
     found, dropped = find_fingering(Score((Note(0, 1, 60), Note(0, 0.5, 60), Note(0.01, 2, 60))))
     assert not dropped
-    assert len(set(fingers(found))) == 1
+    assert len(set(numbers(found))) == 1
 
 
 @pytest.mark.parametrize("pitches", [(21, 22, 23), (106, 107, 108), (21, 108)])
@@ -174,16 +181,16 @@ def test_both_ends_of_the_keyboard(pitches: tuple[int, ...]) -> None:
 # What pianists play
 
 
-def test_five_keys_in_a_row_take_the_five_fingers() -> None:
+def test_five_keys_in_a_row_take_the_five_numbers() -> None:
     found, _ = find_fingering(melody(72, 74, 76, 77, 79, 77, 76, 74, 72), ["right"])
-    assert fingers(found) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
+    assert numbers(found) == [0, 1, 2, 3, 4, 3, 2, 1, 0]
     found, _ = find_fingering(melody(48, 50, 52, 53, 55, 53, 52, 50, 48), ["left"])
-    assert fingers(found) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
+    assert numbers(found) == [9, 8, 7, 6, 5, 6, 7, 8, 9]
 
 
 def test_triads_and_octaves() -> None:
-    assert fingers(find_fingering(chord(72, 76, 79), ["right"])[0]) == [0, 2, 4]
-    assert fingers(find_fingering(chord(48, 60), ["left"])[0]) == [9, 5]
+    assert numbers(find_fingering(chord(72, 76, 79), ["right"])[0]) == [0, 2, 4]
+    assert numbers(find_fingering(chord(48, 60), ["left"])[0]) == [9, 5]
 
 
 def test_a_repeated_key_keeps_its_finger() -> None:
@@ -194,22 +201,22 @@ def test_a_repeated_key_keeps_its_finger() -> None:
 
 def test_low_notes_go_left_and_high_notes_right() -> None:
     found, _ = find_fingering(Score((*chord(36, 43).notes, *chord(84, 88).notes)))
-    assert [finger // 5 for finger in fingers(found)] == [1, 1, 0, 0]
+    assert [note.finger.hand for note in found.notes] == [1, 1, 0, 0]
 
 
 def test_agrees_with_the_bundled_fingering() -> None:
     """Written by a person's rules: most hands are the same, more than half of the fingers."""
-    hand, finger = [], []
+    hands, fingers = [], []
     for piece in songs():
         written = load_score(piece.name)
         found, dropped = find_fingering(bare(written))
         assert not dropped, piece.name
         check_hands(found)
-        pairs = np.array([fingers(written), fingers(found)])
-        hand.append((pairs[0] // 5 == pairs[1] // 5).mean())
-        finger.append((pairs[0] == pairs[1]).mean())
-    assert np.mean(hand) > 0.9
-    assert np.mean(finger) > 0.55
+        pairs = np.array([numbers(written), numbers(found)])
+        hands.append((pairs[0] // 5 == pairs[1] // 5).mean())
+        fingers.append((pairs[0] == pairs[1]).mean())
+    assert np.mean(hands) > 0.9
+    assert np.mean(fingers) > 0.55
 
 
 @pytest.mark.parametrize("piece", songs(), ids=lambda piece: piece.name)
@@ -239,7 +246,9 @@ def test_nothing_is_cheaper(score: Score) -> None:
     costs = []
     for choice in itertools.product(range(10), repeat=3):
         notes = zip(score.notes, choice, strict=True)
-        solution = solve(replace(score, notes=tuple(replace(n, finger=f) for n, f in notes)))
+        solution = solve(
+            replace(score, notes=tuple(replace(n, finger=finger(f)) for n, f in notes))
+        )
         if not solution.unheeded:
             costs.append(solution.cost)
     assert len(costs) > 20

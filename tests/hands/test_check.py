@@ -23,8 +23,8 @@ def with_thumb(**changes: Any) -> Any:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"fingers": ()}, "has 0 fingers; give 1 to 5"),
-        ({"fingers": (*SHADOW.fingers, THUMB)}, "has 6 fingers; give 1 to 5"),
+        ({"fingers": ()}, "has 0 fingers; give 1 to 8"),
+        ({"fingers": (THUMB,) * 9}, "has 9 fingers; give 1 to 8"),
         ({"fingers": SHADOW.fingers[:4]}, r"reach.rest has shape \(5,\); give \(4,\)"),
         ({"reach": replace(SHADOW.reach, most=np.zeros(5))}, r"reach.most .* give \(5, 5\)"),
         ({"fingers": with_thumb(links=("thproximal", "x", "y"))}, "no link 'x'"),

@@ -30,11 +30,12 @@ from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from mutations import reseal
+from numbered import finger
 
 # Times that no decimal of a few digits says exactly.
 SONG = Score(
     (
-        Note(0.0, 1 / 3, 60, 99, finger=2),
+        Note(0.0, 1 / 3, 60, 99, finger=finger(2)),
         Note(0.1 + 0.2, 0.7, 64),
         Note(float(np.nextafter(0.7, 1)), 0.9, 60),
     ),

@@ -15,9 +15,10 @@ from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from numbered import finger
 
 THUMB, LITTLE = 0, 4
-SONG = Score((Note(0.0, 0.5, 64, finger=THUMB), Note(0.5, 1.0, 72, finger=LITTLE)))
+SONG = Score((Note(0.0, 0.5, 64, finger=finger(THUMB)), Note(0.5, 1.0, 72, finger=finger(LITTLE))))
 
 
 def slides(task: PianoTask) -> list[int]:
@@ -58,9 +59,9 @@ def test_keys_that_name_no_finger_are_for_all_of_them() -> None:
     """Thumb and little finger of the right hand may be asked for the lowest and the highest."""
     task = PianoTask([melody(60, 72)], TaskConfig(fingering="off"))
     low, high = ranges_of(task).actions[:, slides(task)[0]]
-    for finger in (THUMB, LITTLE):
+    for number in (THUMB, LITTLE):
         for pitch in (60, 72):
-            assert above(task, low, finger, pitch) * above(task, high, finger, pitch) < 0
+            assert above(task, low, number, pitch) * above(task, high, number, pitch) < 0
 
 
 @pytest.mark.parametrize("option", ["random_pitch_shift", "random_octave_shift"])

@@ -5,6 +5,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, Score
 from music_strategies import monophonic_per_key, scores
+from numbered import finger, numbers
 
 SCORE = Score((Note(0.0, 0.5, 60), Note(0.0, 0.5, 64), Note(0.5, 1.0, 60), Note(0.53, 1.0, 72)))
 
@@ -12,7 +13,7 @@ SCORE = Score((Note(0.0, 0.5, 60), Note(0.0, 0.5, 64), Note(0.5, 1.0, 60), Note(
 def fingers(tmp_path, text, score=SCORE):
     path = tmp_path / "song.fingering"
     path.write_text(text, encoding="utf-8")
-    return [note.finger for note in read_fingering(path, score).notes]
+    return numbers(read_fingering(path, score))
 
 
 def test_lines_find_their_notes_in_any_order(tmp_path):
@@ -29,7 +30,7 @@ def test_windows_line_ends_tabs_and_byte_order_mark(tmp_path):
 
 
 def test_an_unknown_finger_takes_a_finger_away(tmp_path):
-    score = Score((Note(0, 1, 60, finger=3),))
+    score = Score((Note(0, 1, 60, finger=finger(3)),))
     assert fingers(tmp_path, "0 60 -1", score) == [-1]
 
 
@@ -41,7 +42,7 @@ def test_an_unknown_finger_takes_a_finger_away(tmp_path):
         ("zero 60 0", "line 1: .* is not"),
         ("nan 60 0", "line 1: .* is not"),
         ("-1 60 0", "line 1: .* is not"),
-        ("0 60 thumb", "line 1: .* is not"),
+        ("0 60 thumb", "line 1: there is no finger thumb"),
         ("0 60 10", "line 1: there is no finger 10"),
         ("0 60 -2", "line 1: there is no finger -2"),
         ("0 61 0", "line 1: no note of pitch 61 starts"),

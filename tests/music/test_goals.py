@@ -12,13 +12,14 @@ from cadenza.music.goals import score_to_goals
 from cadenza.music.performance import key_runs
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores, seconds
+from numbered import FIVE, finger, recorded_note
 
 SONGS = json.loads((Path(__file__).parents[1] / "data/songs.json").read_text())
 
 
 def score_of(song: dict) -> Score:
     return Score(
-        tuple(Note(*values) for values in song["notes"]),
+        tuple(recorded_note(*values) for values in song["notes"]),
         tuple(PedalEvent(*values) for values in song["sustain_cc64"]),
     )
 
@@ -26,7 +27,7 @@ def score_of(song: dict) -> Score:
 @pytest.mark.parametrize("name", SONGS)
 def test_goals_are_those_recorded_from_the_published_system(name):
     song = SONGS[name]
-    goals = score_to_goals(score_of(song), 0.05)
+    goals = score_to_goals(score_of(song), 0.05, hands=FIVE)
     assert goals.num_steps == len(song["steps_at_0.05s"])
     for t, expected in enumerate(song["steps_at_0.05s"]):
         keys = np.flatnonzero(goals.keys[t])
@@ -41,21 +42,21 @@ def goals_by_loop(score: Score, dt: float):
     keys, fingers, sustain = [], [], []
     pedal = False
     for t in range(steps):
-        sounding, struck, finger = set(), set(), {}
+        sounding, struck, of = set(), set(), {}
         before = set()
         for note in score.notes:
             first = int(note.start * fps)
             last = max(first + 1, ceil(note.end * fps))
             if first <= t < last:
-                sounding.add(note.key)
-                finger[note.key] = note.finger
+                sounding.add(note.pitch - 21)
+                of[note.pitch - 21] = FIVE.number(note.finger)
             if first == t:
-                struck.add(note.key)
+                struck.add(note.pitch - 21)
             if first <= t - 1 < last:
-                before.add(note.key)
+                before.add(note.pitch - 21)
         wanted = sounding - (struck & before)
         keys.append([k in wanted for k in range(88)])
-        fingers.append([finger[k] if k in wanted else -1 for k in range(88)])
+        fingers.append([of[k] if k in wanted else -1 for k in range(88)])
         for event in score.pedal:
             if int(event.time * fps) == t:
                 pedal = event.value >= 64
@@ -66,7 +67,7 @@ def goals_by_loop(score: Score, dt: float):
 @settings(deadline=None)
 @given(st.one_of(scores(), scores(seconds)), st.sampled_from([0.05, 0.02, 0.1, 0.03]))
 def test_goals_agree_with_a_plain_loop(score, dt):
-    goals = score_to_goals(score, dt)
+    goals = score_to_goals(score, dt, hands=FIVE)
     keys, fingers, sustain = goals_by_loop(score, dt)
     np.testing.assert_array_equal(goals.keys, keys)
     np.testing.assert_array_equal(goals.fingers, fingers)
@@ -74,14 +75,15 @@ def test_goals_agree_with_a_plain_loop(score, dt):
 
 
 def test_a_key_struck_again_comes_up_for_one_step():
-    goals = score_to_goals(Score((Note(0, 0.2, 60, finger=1), Note(0.2, 0.4, 60, finger=2))), 0.05)
+    score = Score((Note(0, 0.2, 60, finger=finger(1)), Note(0.2, 0.4, 60, finger=finger(2))))
+    goals = score_to_goals(score, 0.05, hands=FIVE)
     assert goals.keys[:, 39].tolist() == [1, 1, 1, 1, 0, 1, 1, 1, 0]
     assert goals.fingers[:, 39].tolist() == [1, 1, 1, 1, -1, 2, 2, 2, -1]
 
 
 def test_the_note_before_may_be_shortened_instead():
-    score = Score((Note(0, 0.2, 60, finger=1), Note(0.2, 0.4, 60, finger=2)))
-    goals = score_to_goals(score, 0.05, shorten=True)
+    score = Score((Note(0, 0.2, 60, finger=finger(1)), Note(0.2, 0.4, 60, finger=finger(2))))
+    goals = score_to_goals(score, 0.05, shorten=True, hands=FIVE)
     assert goals.keys[:, 39].tolist() == [1, 1, 1, 0, 1, 1, 1, 1, 0]
     assert goals.fingers[:, 39].tolist() == [1, 1, 1, -1, 2, 2, 2, 2, -1]
 
@@ -94,7 +96,7 @@ def test_shortening_leaves_something_of_every_note_and_moves_but_one_step_of_eac
     assert published.keys.sum() == shortened.keys.sum()
     struck = np.zeros_like(published.keys)
     for note in score.notes:
-        struck[int(note.start * 20), note.key] = True
+        struck[int(note.start * 20), note.pitch - 21] = True
     late = struck & ~shortened.keys
     assert (late <= struck & ~published.keys).all()
     # Only where the note before has but one step left.

@@ -17,6 +17,7 @@ from cadenza.music.goals import score_to_goals
 from cadenza.music.library import load_score, songs
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
+from numbered import FIVE, recorded_note
 
 ROOT = Path(__file__).parents[2]
 RECORDED = json.loads((ROOT / "tests/data/songs.json").read_text())
@@ -26,7 +27,7 @@ NAMES = [piece.name for piece in songs()]
 
 
 def hand(note: Note) -> int:
-    return note.finger // 5
+    return note.finger.hand
 
 
 @pytest.fixture(params=NAMES)
@@ -61,14 +62,14 @@ def test_the_index_tells_the_truth(piece):
 
 
 def test_every_note_has_a_finger_and_needs_no_repair(score):
-    assert all(note.finger >= 0 for note in score.notes)
+    assert all(note.finger for note in score.notes)
     assert score.remarks == ()
     assert score.notes[0].start <= 1
 
 
 def test_no_finger_plays_two_keys_at_once(score):
     assert all(low.finger != high.finger for low, high in at_once(score))
-    fingers = score_to_goals(score, 0.05).fingers
+    fingers = score_to_goals(score, 0.05, hands=FIVE).fingers
     for step in fingers:
         used = step[step >= 0]
         assert len(used) == len(np.unique(used))
@@ -84,12 +85,12 @@ def test_chords_lie_in_one_hand_without_crossed_fingers(score):
     for low, high in at_once(score):
         if hand(low) == hand(high):
             assert high.pitch - low.pitch <= 12
-            assert (high.finger > low.finger) == (hand(low) == 0)
+            assert (high.finger.index > low.finger.index) == (hand(low) == 0)
 
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_six_songs_are_those_of_the_published_system(name):
-    expected = Score(tuple(Note(*values) for values in RECORDED[name]["notes"]))
+    expected = Score(tuple(recorded_note(*values) for values in RECORDED[name]["notes"]))
     assert load_score(name).notes == expected.notes
     assert load_score(name).pedal == ()
 

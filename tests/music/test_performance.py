@@ -122,7 +122,7 @@ def test_the_goals_played_to_the_letter_are_the_goals_again(score):
     # In whole steps, so that a rounded end does not reach into the next step.
     again = np.zeros_like(goals.keys)
     for note in played.notes:
-        again[round(note.start / DT) : round(note.end / DT), note.key] = True
+        again[round(note.start / DT) : round(note.end / DT), note.pitch - 21] = True
     np.testing.assert_array_equal(again, goals.keys)
     pedal = np.zeros_like(goals.sustain)
     for event in played.pedal:

@@ -19,7 +19,10 @@ from cadenza.errors import CadenzaError
 from cadenza.music.library import load_score, open_library
 from cadenza.music.pig import published_name
 from cadenza.music.pig_dataset import import_pig, read_fingered
+from dataclasses import replace
+from cadenza.fingers import Finger
 from cadenza.music.score import Note, Score
+from numbered import finger
 from music_strategies import monophonic_per_key, scores
 from mutations import at_most_refused, other_bytes
 
@@ -47,11 +50,11 @@ ONE = """//Version: PianoFingering_v170101
 4\t2.000000\t2.500000\tB#3\t64\t80\t0\t3_
 """
 ONE_READ = (
-    Note(0.0, 0.5, 61, 64, 0),
-    Note(0.5, 1.0, 50, 70, 9),
-    Note(1.0, 1.5, 79, 90, 3),
-    Note(1.5, 2.0, 59, 64, 6),
-    Note(2.0, 2.5, 60, 64, 2),
+    Note(0.0, 0.5, 61, 64, finger(0)),
+    Note(0.5, 1.0, 50, 70, finger(9)),
+    Note(1.0, 1.5, 79, 90, finger(3)),
+    Note(1.5, 2.0, 59, 64, finger(6)),
+    Note(2.0, 2.5, 60, 64, finger(2)),
 )
 
 
@@ -60,10 +63,10 @@ def text_of(score: Score) -> str:
     lines = ["//Version: PianoFingering_v170101"]
     for number, note in enumerate(score.notes):
         octave, step = divmod(note.pitch, 12)
-        hand, place = divmod(note.finger, 5)
-        finger = (place + 1) * (-1 if hand else 1)
+        hand = note.finger.hand
+        sign = (note.finger.index + 1) * (-1 if hand else 1)
         cells = (number, repr(note.start), repr(note.end), f"{NAMES[step]}{octave - 1}")
-        lines.append("\t".join(map(str, (*cells, note.velocity, 80, hand, finger))))
+        lines.append("\t".join(map(str, (*cells, note.velocity, 80, hand, sign))))
     return "\n".join(lines) + "\n"
 
 
@@ -185,7 +188,7 @@ fingered = (
     .map(monophonic_per_key)
     .map(
         lambda score: Score(
-            tuple(Note(n.start, n.end, n.pitch, n.velocity, max(n.finger, 0)) for n in score.notes)
+            tuple(replace(n, finger=n.finger or Finger(0, 0)) for n in score.notes)
         )
     )
 )

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 
 from cadenza.errors import CadenzaError
+from cadenza.fingers import Finger
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.library import load_score
 from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
@@ -97,7 +98,7 @@ def test_a_track_that_is_not_there_is_refused(pop_song, number):
 def test_fingers_of_other_tracks_do_no_harm(pop_song):
     pop_song.with_suffix(".fingering").write_text("0 72 4\n0 36 9\n")
     fingers = {n.pitch: n.finger for n in load_score(pop_song, tracks=[1]).notes if n.start == 0}
-    assert fingers == {72: 4}
+    assert fingers == {72: Finger(hand=0, index=4)}
 
 
 def test_melody_and_bass_of_a_pop_song(pop_song):

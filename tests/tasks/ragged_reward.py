@@ -46,7 +46,7 @@ def score_pairs(fingers: NDArray[np.int8]) -> Pairs:
 
 
 def transport_pairs(
-    fingertips: Array, key_xpos: Array, press: Array, goal: Mask, there: Ids
+    fingertips: Array, key_xpos: Array, press: Array, goal: Mask, there: slice
 ) -> Pairs:
     pairs = [np.zeros((3, 0), np.intp)]
     for row in np.flatnonzero(goal.any(axis=1)):
@@ -54,7 +54,7 @@ def transport_pairs(
         points = key_xpos[row, key] + press[key]
         offsets = fingertips[row, there][:, None] - points
         finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
-        pairs.append(np.array([np.full(len(of_key), row), there[finger], key[of_key]]))
+        pairs.append(np.array([np.full(len(of_key), row), there.start + finger, key[of_key]]))
     return Pairs(*np.concatenate(pairs, axis=1))
 
 

@@ -11,8 +11,9 @@ from dm_env import StepType, test_utils
 from cadenza.music.score import Note, Score
 from cadenza.tasks.dm_env_adapter import DmEnvAdapter
 from cadenza.tasks.env import PianoEnv
+from numbered import finger
 
-SHORT = Score((Note(0.0, 0.1, 60, finger=0), Note(0.1, 0.25, 62, finger=1)))
+SHORT = Score((Note(0.0, 0.1, 60, finger=finger(0)), Note(0.1, 0.25, 62, finger=finger(1))))
 
 
 class ConformanceTest(test_utils.EnvironmentTestMixin, absltest.TestCase):

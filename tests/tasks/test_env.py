@@ -24,9 +24,12 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.reward import Outcome
+from numbered import finger
 
 ID = "cadenza/TwinkleTwinkleLittleStar-v0"
-SHORT = Score((Note(0.0, 0.1, 60, finger=0), Note(0.1, 0.25, 62, finger=1)), title="short")
+SHORT = Score(
+    (Note(0.0, 0.1, 60, finger=finger(0)), Note(0.1, 0.25, 62, finger=finger(1))), title="short"
+)
 SHORT_STEPS = 6
 
 

@@ -59,7 +59,7 @@ def test_notes_begin_after_the_silence() -> None:
 def test_says_which_notes_no_finger_is_there_for() -> None:
     (track,) = begun(CLUSTER).tracks
     assert {note for note, _ in track.dropped or ()} == {
-        note for note in track.score.notes if note.finger < 0
+        note for note in track.score.notes if note.finger is None
     }
     assert track.fingered() is track
     assert track.of(CLUSTER).fingered().score == track.score

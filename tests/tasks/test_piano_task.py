@@ -17,6 +17,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
+from numbered import FIVE, finger, numbers
 
 DT = 0.05
 ROW = NUM_KEYS + 1
@@ -25,15 +26,15 @@ TERMS = {"key_press", "fingering", "energy"}
 # Half a second of silence, then three notes for both hands, ten steps in all.
 SONG = Score(
     (
-        Note(0.5, 0.6, 60, finger=0),
-        Note(0.6, 0.8, 64, finger=2),
-        Note(0.7, 0.95, 43, finger=5),
+        Note(0.5, 0.6, 60, finger=finger(0)),
+        Note(0.6, 0.8, 64, finger=finger(2)),
+        Note(0.7, 0.95, 43, finger=finger(5)),
     ),
     (PedalEvent(0.7, 127),),
     title="Three notes",
 )
-UNFINGERED = Score(tuple(dataclasses.replace(note, finger=-1) for note in SONG.notes))
-SHORT = Score((Note(0, 0.1, 50, finger=6),), title="One note")
+UNFINGERED = Score(tuple(dataclasses.replace(note, finger=None) for note in SONG.notes))
+SHORT = Score((Note(0, 0.1, 50, finger=finger(6)),), title="One note")
 
 
 HANDS: tuple[Any, ...] = ("both", "right", "left", "none")
@@ -290,10 +291,10 @@ def test_a_song_without_fingering_gets_one(
     player = Player(scenes[hands], UNFINGERED)
     notes = player.task.sheets.songs[0].notes
     there = range(fingers) if hands == "right" else range(10 - fingers, 10)
-    played = [note.finger for note in notes if note.finger >= 0]
+    played = [f for f in numbers(player.task.sheets.songs[0]) if f >= 0]
     assert set(played) <= set(there)
     assert len(played) == (3 if hands == "both" else 2)  # a third note is out of one hand's reach
-    assert np.flatnonzero(player.seen("fingering")[0]).tolist() == [notes[0].finger]
+    assert np.flatnonzero(player.seen("fingering")[0]).tolist() == [FIVE.number(notes[0].finger)]
     assert "fingering" in player.rest().terms
 
 
@@ -301,7 +302,7 @@ def test_known_fingers_stay_when_the_others_are_found(scenes: dict[str, Scene]) 
     notes = (SONG.notes[0], *UNFINGERED.notes[1:])
     found = Player(scenes["both"], Score(notes)).task.sheets.songs[0]
     assert found.notes[0].finger == SONG.notes[0].finger
-    assert all(note.finger >= 0 for note in found.notes)
+    assert all(note.finger for note in found.notes)
 
 
 def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:

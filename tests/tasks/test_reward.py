@@ -141,7 +141,7 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    (assigned,) = keys_by_transport_on_host(tips, centres, PRESS, goal, np.arange(num_fingers))
+    (assigned,) = keys_by_transport_on_host(tips, centres, PRESS, goal, slice(0, num_fingers))
     given_away = assigned[assigned >= 0].tolist()
     assert len(set(given_away)) == len(given_away) == min(num_fingers, len(keys))
     assert set(given_away) <= set(keys)
@@ -167,7 +167,7 @@ def test_optimal_transport_row_by_row() -> None:
     goal[1, [3, 50]] = True
     tips[1, 2], tips[1, 8] = point(50, PIANO.centre[50]), point(3, PIANO.centre[3])
     tips[1, 8, 1] += 0.11
-    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, np.array([2, 5, 8]))
+    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, slice(2, 9))
     assert np.argwhere(keys >= 0).tolist() == [[1, 2], [1, 8]]
     assert keys[1, [2, 8]].tolist() == [50, 3]
     ours = reward.transport_fingering(tips, centres, PRESS, keys)
@@ -183,7 +183,7 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -
     goal, sounds = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
     goal[:, :40:2] |= data.draw(st.booleans())
     tips, fingers = data.draw(fingertips(n)), data.draw(fingerings(n))
-    there = np.array(data.draw(st.sampled_from([range(10), range(5), range(5, 10)])))
+    there = data.draw(st.sampled_from([slice(0, 10), slice(0, 5), slice(5, 10)]))
     keys = keys_by_transport_on_host(tips, centres, PRESS, goal, there)
     pairs = ragged_reward.transport_pairs(tips, centres, PRESS, goal, there)
     row, finger = (keys >= 0).nonzero()

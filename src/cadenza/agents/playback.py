@@ -24,6 +24,7 @@ from cadenza.files import (
     read_arrays,
     write_atomically,
 )
+from cadenza.fingers import Fingers
 from cadenza.music.score import Score
 from cadenza.scene.config import Physics, SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -129,13 +130,15 @@ def save_plan(
     metrics: Mapping[str, Any],
     options: Mapping[str, Any],
     fingered: Score,
+    hands: Fingers,
 ) -> None:
     """Writes what `load_plan`, `physics_of` and `check_options` read, and what there is to know.
 
     action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
-    fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none.
+    fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none, by the
+    numbers that fingers of these `hands` have in the episode's arrays.
     """
-    notes = [(note.start, note.pitch, note.finger) for note in fingered.notes]
+    notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
     with write_atomically(path) as file:
         np.savez_compressed(
             file,

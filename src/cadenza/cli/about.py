@@ -103,7 +103,7 @@ def _about_fingering(score: Score) -> str:
     scene = SceneConfig()
     hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
     players = seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
-    given = sum(note.finger >= 0 for note in score.notes)
+    given = sum(note.finger is not None for note in score.notes)
     reasons = Counter(playable(score, players).reasons.values())
     found = len(score.notes) - given - reasons.total()
     parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingering.players import Players, is_within
-from cadenza.fingers import UNKNOWN_FINGER, hand_of, place_of
+from cadenza.fingers import Finger
 from cadenza.hands.reach import Array, Reach
 
 NEVER = 1e9
@@ -145,7 +145,7 @@ class Asked(NamedTuple):
 
     key: int
     begins: bool
-    finger: int
+    finger: Finger | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +268,7 @@ class _Hand:
             if not note.begins:  # paid for
                 continue
             row[:none] += (_WEAK + (_ON_BLACK if self._is_black[note.key] else 0.0))[:none]
-            if note.finger != UNKNOWN_FINGER:
-                ours = hand_of(note.finger) == self._hand
-                row[np.arange(none + 1) != (place_of(note.finger) if ours else none)] = NEVER
+            if note.finger is not None:
+                ours = note.finger.hand == self._hand
+                row[np.arange(none + 1) != (note.finger.index if ours else none)] = NEVER
         return wanted

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from cadenza.fingering.players import Players
 from cadenza.fingering.presses import Press, onsets, outer_first
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import Finger
 from cadenza.music.score import LETTING_GO, Score
 
 
@@ -68,14 +68,14 @@ class Playable:
 
     moments: tuple[Moment, ...]
     reasons: dict[int, str]
-    unheeded: dict[int, int]
+    unheeded: dict[int, Finger]
 
 
 def playable(score: Score, players: Players) -> Playable:
     """What of `score` can be played by these hands on this keyboard."""
     moments = []
     reasons: dict[int, str] = {}
-    unheeded: dict[int, int] = {}
+    unheeded: dict[int, Finger] = {}
     sounding = _Sounding(players)
     for time, begin in onsets(score, players.keyboard.lowest_pitch):
         struck = {press.key for press in begin}
@@ -85,7 +85,7 @@ def playable(score: Score, players: Players) -> Playable:
         for press in outer_first(begin, sounding.presses):
             if sounding.take(press):
                 continue
-            if press.finger == UNKNOWN_FINGER:
+            if press.finger is None:
                 reasons |= dict.fromkeys(press.notes, sounding.reason_against(press))
             else:
                 unheeded |= dict.fromkeys(press.notes, press.finger)
@@ -166,8 +166,8 @@ class _Limits:
 
     def __init__(self, players: Players) -> None:
         self.most = players.most
-        self._numbers = players.fingers
-        self.nth = _nth(len(self._numbers))
+        self._fingers = players.fingers
+        self.nth = _nth(len(self._fingers))
         reaches = np.concatenate([players.reaches(1)[:, ::-1], players.reaches(0)], axis=1)
         self.reaching = [np.flatnonzero(row).tolist() for row in reaches]
         self.pairs = _pairs(players)
@@ -181,8 +181,8 @@ class _Limits:
             given: whether it has to be the finger that `press` is to have, if any.
         """
         fingers = self.reaching[press.key]
-        if given and press.finger != UNKNOWN_FINGER:
-            fingers = [finger for finger in fingers if self._numbers[finger] == press.finger]
+        if given and press.finger is not None:
+            fingers = [finger for finger in fingers if self._fingers[finger] == press.finger]
         more = 0
         for finger in fingers:
             more |= (sets << (1 << finger)) & self.nth[n][finger]
@@ -190,7 +190,7 @@ class _Limits:
 
     def _allowed(self, i: int, n: int, pairs: int) -> int:
         """The sets whose `i`-th and `n`-th finger are one of `pairs`."""
-        count = len(self._numbers)
+        count = len(self._fingers)
         sets = 0
         for low, high in combinations(range(count), 2):
             if pairs >> (count * low + high) & 1:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingers import SIDES, Side, finger_number
+from cadenza.fingers import SIDES, Finger, Side
 from cadenza.hands.reach import Array, Reach
 
 if TYPE_CHECKING:
@@ -70,10 +70,10 @@ class Players:
         return self.reach.num_fingers * sum(forearm is not None for forearm in self.forearms)
 
     @property
-    def fingers(self) -> tuple[int, ...]:
-        """(2 F,) the numbers of the fingers of two such hands, from left to right."""
-        places = range(self.reach.num_fingers)
-        left, right = ([finger_number(hand, place) for place in places] for hand in (1, 0))
+    def fingers(self) -> tuple[Finger, ...]:
+        """(2 F,) those of two such hands, from left to right."""
+        indices = range(self.reach.num_fingers)
+        left, right = ([Finger(hand, index) for index in indices] for hand in (1, 0))
         return (*reversed(left), *right)
 
     def forearm(self, hand: int) -> Forearm | None:

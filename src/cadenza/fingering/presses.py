@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import Finger
 from cadenza.music.score import TOGETHER, Score
 
 
@@ -17,7 +17,7 @@ class Press:
     start: float
     end: float
     velocity: int
-    finger: int
+    finger: Finger | None
     notes: tuple[int, ...]
 
 
@@ -46,7 +46,7 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Press]
         presses = []
         for key, indices in keys.items():
             notes = [score.notes[i] for i in indices]
-            finger = next((n.finger for n in notes if n.finger >= 0), UNKNOWN_FINGER)
+            finger = next((n.finger for n in notes if n.finger is not None), None)
             loudest = max(note.velocity for note in notes)
             presses.append(Press(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
         yield time, presses
@@ -58,5 +58,5 @@ def outer_first(begin: Sequence[Press], held: Sequence[Press]) -> list[Press]:
     place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
     return sorted(
         begin,
-        key=lambda p: (p.finger < 0, place[p.key], -p.velocity, p.start - p.end, -p.key),
+        key=lambda p: (p.finger is None, place[p.key], -p.velocity, p.start - p.end, -p.key),
     )

@@ -36,7 +36,7 @@ from cadenza.fingering.chords import NEVER, Asked, Chord, Chords
 from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players
 from cadenza.fingering.presses import Press
-from cadenza.fingers import UNKNOWN_FINGER, finger_number, place_of
+from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import LETTING_GO, Note, Score
 
@@ -70,7 +70,7 @@ def find_fingering(
     players: Players,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Score, tuple[Dropped, ...]]:
-    """`score` with a finger on every note that the hands can play, -1 on those dropped.
+    """`score` with a finger on every note that the hands can play, none on those dropped.
 
     Fingers that the score gives are kept, and the others found to go with them. Where given
     fingers contradict each other or these hands, the others take no account of them. Given fingers
@@ -85,7 +85,7 @@ def find_fingering(
         The score, and what was dropped in the order of the notes.
     """
     score = _without_missing_fingers(score, players.reach.num_fingers)
-    if all(note.finger != UNKNOWN_FINGER for note in score.notes):
+    if all(note.finger is not None for note in score.notes):
         return score, ()
     asked = score, players
     found = _last_found.get(asked)
@@ -99,11 +99,11 @@ def find_fingering(
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
     def missing(note: Note) -> bool:
-        return note.finger != UNKNOWN_FINGER and place_of(note.finger) >= num_fingers
+        return note.finger is not None and note.finger.index >= num_fingers
 
     if not any(missing(note) for note in score.notes):
         return score
-    notes = (replace(n, finger=UNKNOWN_FINGER) if missing(n) else n for n in score.notes)
+    notes = (replace(n, finger=None) if missing(n) else n for n in score.notes)
     return replace(score, notes=tuple(notes))
 
 
@@ -128,9 +128,7 @@ def solve(
             progress(sounding.begun, len(score.notes))
     fingers = chosen.unheeded | _cheapest(moment.cost, choices, players.reach.num_fingers)
     notes = tuple(
-        replace(note, finger=fingers.get(i, UNKNOWN_FINGER))
-        if note.finger == UNKNOWN_FINGER
-        else note
+        replace(note, finger=fingers.get(i)) if note.finger is None else note
         for i, note in enumerate(score.notes)
     )
     return Solution(
@@ -149,8 +147,8 @@ class _Choice(NamedTuple):
 
     presses: tuple[Press, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
-    left_before: NDArray[np.uint8]
-    right_before: NDArray[np.uint8]
+    left_before: NDArray[np.unsignedinteger]
+    right_before: NDArray[np.unsignedinteger]
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +165,8 @@ class _Moment:
     presses: tuple[Press, ...]
     chord: Chord
     cost: Array
-    left_before: NDArray[np.uint8]
-    right_before: NDArray[np.uint8]
+    left_before: NDArray[np.unsignedinteger]
+    right_before: NDArray[np.unsignedinteger]
 
     @property
     def choice(self) -> _Choice:
@@ -188,7 +186,7 @@ def _beginning(chords: Chords) -> _Moment:
 
 def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Chords) -> _Moment:
     asked = tuple(
-        Asked(p.key, begins, p.finger if begins else UNKNOWN_FINGER)
+        Asked(p.key, begins, p.finger if begins else None)
         for p in presses
         for begins in (p.start >= time,)
     )
@@ -197,7 +195,8 @@ def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Ch
     right_was, left_was = before.chord.hands
     cost = np.full_like(chord.close, np.inf)
     through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
-    left_before, right_before = np.empty(through.shape, np.uint8), np.zeros(cost.shape, np.uint8)
+    left_before = np.empty(through.shape, np.min_scalar_type(len(left_was.cost)))
+    right_before = np.zeros(cost.shape, np.min_scalar_type(len(right_was.cost)))
     to_right, to_left = changes_of_fingers(before.presses, presses, time, chords.reach)
     seconds = max(time - before.time, LETTING_GO)
     change = transition(left_was, left, to_left, seconds)
@@ -215,22 +214,22 @@ def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Ch
     return _Moment(time, presses, chord, cost, left_before, right_before)
 
 
-def _least(ways: Array, first: int, cost: Array, before: NDArray[np.uint8]) -> None:
+def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
     """Writes the least of the last axis of `ways` to `cost`, its place from `first` to `before`."""
     ways.min(axis=2, out=cost)
     np.add(ways.argmin(axis=2), first, out=before, casting="unsafe")
 
 
-def _cheapest(cost: Array, choices: Sequence[_Choice], num_fingers: int) -> dict[int, int]:
+def _cheapest(cost: Array, choices: Sequence[_Choice], num_fingers: int) -> dict[int, Finger]:
     """Index of each note played -> its finger, on the way to the least of the last costs (R, L)."""
-    fingers: dict[int, int] = {}
+    fingers: dict[int, Finger] = {}
     state = np.unravel_index(cost.argmin(), cost.shape)
     for choice in reversed(choices):
-        for hand, (places, s) in enumerate(zip(choice.fingers, state, strict=True)):
+        for hand, (indices, s) in enumerate(zip(choice.fingers, state, strict=True)):
             presses = choice.presses if hand == 0 else choice.presses[::-1]
-            for press, place in zip(presses, places[s].tolist(), strict=True):
-                if place < num_fingers:  # else the other hand plays it
-                    fingers |= dict.fromkeys(press.notes, finger_number(hand, place))
+            for press, index in zip(presses, indices[s].tolist(), strict=True):
+                if index < num_fingers:  # else the other hand plays it
+                    fingers |= dict.fromkeys(press.notes, Finger(hand, index))
         right, left = state
         right_before = choice.right_before[right, left]
         state = (right_before, choice.left_before[right_before, left])

@@ -9,11 +9,14 @@ import mujoco
 import numpy as np
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import PER_HAND, Side
+from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Body, Options, add_fingertip_site
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
+
+MOST_FINGERS = 8
+"""The search for fingers goes through all sets of them."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class Hand:
     body: Body
     """What is built into the scene."""
     fingers: tuple[Finger, ...]
-    """The thumb first, then its neighbours in their order; up to five."""
+    """The thumb first, then its neighbours in their order; up to `MOST_FINGERS`."""
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
     reach: Reach
@@ -81,8 +84,8 @@ def _faults(hand: Hand) -> Iterator[str]:
     yield from _faults_of_body(hand.body)
     links = {link.name for link in hand.body.links}
     count = len(hand.fingers)
-    if not 0 < count <= PER_HAND:
-        yield f"has {count} fingers; give 1 to {PER_HAND}"
+    if not 0 < count <= MOST_FINGERS:
+        yield f"has {count} fingers; give 1 to {MOST_FINGERS}"
     for finger in hand.fingers:
         yield from _faults_of_finger(finger, hand.fingers[0], links)
     for actuator in hand.body.actuators:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import INTEGERS, ArrayOf, check_arrays
-from cadenza.fingers import NUM_FINGERS
 from cadenza.learning.ranges import Ranges
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
@@ -107,7 +106,7 @@ class GoalTable:
         """`task` says how far ahead the score is observed."""
         spec = ObservationSpec.of(task)
         self._num_goals = spec.goals_of_a_step
-        self._num_bits = self._num_goals + NUM_FINGERS
+        self._num_bits = self._num_goals + task.scene.fingers.count
         self._ahead = np.arange(spec.goal // self._num_goals)
         # Keys, pedal, fingers wanted, in bits.
         self._rows = np.zeros((0, -(-self._num_bits // 8)), np.uint8)
@@ -144,7 +143,7 @@ class GoalTable:
         return np.unpackbits(self._rows[rows], axis=-1, count=self._num_bits)
 
     def ever_wanted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """(K + 1,) keys and pedal and (10,) fingers that any row asks for."""
+        """(K + 1,) keys and pedal and (F,) fingers that any row asks for."""
         ever = np.unpackbits(np.bitwise_or.reduce(self._rows), count=self._num_bits).astype(bool)
         return ever[: self._num_goals], ever[self._num_goals :]
 

@@ -19,7 +19,9 @@ from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
-from cadenza.music.score import Score
+from cadenza.music.finger_numbers import finger_from, written
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.tracks import Track
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -77,6 +79,41 @@ _EXPECTED = _EXPECTED_OF_ALL | {
 
 
 @dataclass(frozen=True)
+class _Note:
+    """A `Note`, its finger as files have it."""
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    finger: int | str
+
+
+@dataclass(frozen=True)
+class _Song:
+    """A `Score` of such notes."""
+
+    notes: tuple[_Note, ...]
+    pedal: tuple[PedalEvent, ...]
+    title: str
+    remarks: tuple[str, ...]
+    tracks: tuple[Track, ...]
+
+    @classmethod
+    def of(cls, score: Score) -> _Song:
+        notes = (_Note(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes)
+        return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks)
+
+    @property
+    def score(self) -> Score:
+        """Raises: CadenzaError: a note is none."""
+        notes = (
+            Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
+        )
+        return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks)
+
+
+@dataclass(frozen=True)
 class _Facts:
     """What is written beside the arrays."""
 
@@ -85,7 +122,7 @@ class _Facts:
     inputs: Inputs
     task: TaskConfig
     scene: SceneConfig
-    score: Score
+    score: _Song
     about: dict[str, Any]
 
 
@@ -175,7 +212,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "inputs": asdict(learnt.inputs),
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
-        "score": asdict(learnt.score),
+        "score": asdict(_Song.of(learnt.score)),
     }
     try:
         parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
@@ -208,8 +245,12 @@ def load_policy(folder: Path) -> LearntPolicy:
     facts: _Facts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
     check_modules(facts.scene, where)
     try:
+        score = facts.score.score
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}; use another copy") from error
+    try:
         with by_others("cannot be read"):
-            learnt = _learnt(facts, arrays)
+            learnt = _learnt(facts, score, arrays)
             fits = learnt is not None and _fits_together(learnt)
     except CadenzaError as error:
         raise CadenzaError(f"{folder}: {error}") from error
@@ -229,7 +270,7 @@ def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
-def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | None:
+def _learnt(facts: _Facts, score: Score, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | None:
     """None where arrays of the reference or of the ranges are missing."""
     reference, ranges = _with(_REFERENCE, arrays), _with(_RANGES, arrays)
     for found, kind in ((reference, Reference), (ranges, Ranges)):
@@ -243,7 +284,7 @@ def _learnt(facts: _Facts, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | No
         ranges=Ranges(**ranges) if ranges else None,
         task=facts.task,
         scene=facts.scene,
-        score=facts.score,
+        score=score,
         learner=facts.learner if isinstance(facts, _OtherFacts) else None,
     )
 

@@ -58,11 +58,13 @@ def ranges_of(task: PianoTask) -> Ranges:
 
 def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
     """(F, K) whether any score wants a key of a finger, or of whichever."""
+    there = task.scene.fingers_there
+    numbers = range(there.start, there.stop)
     shifted = task.config.random_pitch_shift or task.config.random_octave_shift
-    keys = np.full((len(task.scene.fingers), task.scene.keyboard.num_keys), bool(shifted))
+    keys = np.full((len(numbers), task.scene.keyboard.num_keys), bool(shifted))
     for track in task.tracks:
         goals = track.goals
-        anyone = goals.keys & ~np.isin(goals.fingers, task.scene.fingers)
-        for finger, number in enumerate(task.scene.fingers):
+        anyone = goals.keys & ~task.scene.has_fingers(goals.fingers)
+        for finger, number in enumerate(numbers):
             keys[finger] |= ((goals.fingers == number) | anyone).any(axis=0)
     return keys

@@ -7,8 +7,9 @@ MIDI has no place for fingers, so `song.mid` has its fingering in `song.fingerin
     0.5000 62 1    # a comment runs to the end of its line
 
 Fingers are 0..4 for the right hand's thumb to little finger, 5..9 for the left hand's thumb to
-little finger, and -1 where it is unknown. A line belongs to the note of its pitch that starts
-nearest to its time, at most 0.05 s away. Notes without a line stay as they are.
+little finger, and -1 where it is unknown; R6 is the sixth finger of a right hand that has so many.
+A line belongs to the note of its pitch that starts nearest to its time, at most 0.05 s away. Notes
+without a line stay as they are.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from pathlib import Path
 
 from cadenza.errors import CadenzaError
 from cadenza.files import opened, write_atomically
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
+from cadenza.fingers import Finger
+from cadenza.music.finger_numbers import finger_from, written
 from cadenza.music.score import Score
 
 SUFFIX = ".fingering"
@@ -79,25 +81,24 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
 
 def write_fingering(score: Score, path: str | Path) -> None:
     """Writes a line for every note, with -1 where the finger is unknown, to be filled in."""
-    lines = (f"{note.start:.4f} {note.pitch} {note.finger}\n" for note in score.notes)
+    lines = (f"{note.start:.4f} {note.pitch} {written(note.finger)}\n" for note in score.notes)
     with write_atomically(Path(path)) as file:
         file.write((_HEADER + "".join(lines)).encode())
 
 
-def _parsed(content: list[str], where: str) -> tuple[float, int, int]:
+def _parsed(content: list[str], where: str) -> tuple[float, int, Finger | None]:
     try:
-        start, pitch, finger = float(content[0]), int(content[1]), int(content[2])
+        start, pitch = float(content[0]), int(content[1])
     except (ValueError, IndexError):
-        start, pitch, finger = float("nan"), 0, 0
+        start, pitch = float("nan"), 0
     if len(content) != 3 or not start >= 0:
         raise CadenzaError(
             f"{where}: {' '.join(content)!r} is not 'start pitch finger', such as '0.5 60 0'"
         )
-    if not UNKNOWN_FINGER <= finger < NUM_FINGERS:
-        raise CadenzaError(
-            f"{where}: there is no finger {finger}; right hand 0-4, left hand 5-9, -1 unknown"
-        )
-    return start, pitch, finger
+    try:
+        return start, pitch, finger_from(content[2])
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}") from error
 
 
 def _nearest(score: Score, indices: list[int], start: float) -> int | None:

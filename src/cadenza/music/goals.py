@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
+from cadenza.fingers import NO_FINGER, Fingers
 from cadenza.music.score import PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
 SUSTAIN_ON = 64  # pedal values from here on hold the strings
+NO_HANDS = Fingers(per_hand=0)
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,15 @@ class Goals:
     """What should sound after each of T control steps, on a keyboard of K keys.
 
     keys (T, K) bool        keys that should be down
-    fingers (T, K) int8     finger 0..9 that should press the key, -1 none or unknown
+    fingers (T, K) int8     the number of the finger that should press the key, -1 none or unknown
     sustain (T,) bool       whether the pedal should be down
+    num_fingers             F, that there are numbers for
     """
 
     keys: NDArray[np.bool_]
     fingers: NDArray[np.int8]
     sustain: NDArray[np.bool_]
+    num_fingers: int
 
     @property
     def num_steps(self) -> int:
@@ -36,8 +39,8 @@ class Goals:
 
     @cached_property
     def fingers_wanted(self) -> NDArray[np.bool_]:
-        """(T, 10) which fingers have a key to press."""
-        wanted = np.zeros((self.num_steps, NUM_FINGERS), bool)
+        """(T, F) which fingers have a key to press."""
+        wanted = np.zeros((self.num_steps, self.num_fingers), bool)
         step, key = (self.fingers >= 0).nonzero()
         wanted[step, self.fingers[step, key]] = True
         return wanted
@@ -46,23 +49,28 @@ class Goals:
         """Keys (S, K) and fingers (S, K) of `steps` (S,); past the end there is silence."""
         inside = (steps < self.num_steps)[:, None]
         rows = np.minimum(steps, self.num_steps - 1)
-        fingers = np.where(inside, self.fingers[rows], np.int8(UNKNOWN_FINGER))
+        fingers = np.where(inside, self.fingers[rows], np.int8(NO_FINGER))
         return self.keys[rows] & inside, fingers
 
 
-def silence(num_steps: int, num_keys: int) -> Goals:
+def silence(num_steps: int, num_keys: int, num_fingers: int) -> Goals:
     """Goals of steps in which nothing should sound."""
     shape = num_steps, num_keys
-    fingers = np.full(shape, UNKNOWN_FINGER, np.int8)
-    return Goals(np.zeros(shape, bool), fingers, np.zeros(num_steps, bool))
+    fingers = np.full(shape, NO_FINGER, np.int8)
+    return Goals(np.zeros(shape, bool), fingers, np.zeros(num_steps, bool), num_fingers)
 
 
 def score_to_goals(
-    score: Score, dt: float, shorten: bool = False, pitches: range = PITCHES
+    score: Score,
+    dt: float,
+    shorten: bool = False,
+    pitches: range = PITCHES,
+    hands: Fingers = NO_HANDS,
 ) -> Goals:
     """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.
 
-    The keys have these `pitches`, as MIDI numbers; those of a piano by default.
+    The keys have these `pitches`, as MIDI numbers; those of a piano by default. Fingers get the
+    numbers that they have on `hands`, and without any none.
 
     A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
     `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
@@ -87,25 +95,25 @@ def score_to_goals(
     num_steps = int(score.total_time * fps + 1)
     keys = np.zeros((num_steps, len(pitches)), bool)
     struck = np.zeros((num_steps, len(pitches)), bool)
-    fingers = np.full((num_steps, len(pitches)), UNKNOWN_FINGER, np.int8)
+    fingers = np.full((num_steps, len(pitches)), NO_FINGER, np.int8)
     for note in score.notes:
         first = int(note.start * fps)
         last = max(first + 1, ceil(note.end * fps))
         key = note.pitch - pitches.start
         keys[first:last, key] = True
         struck[first, key] = True
-        fingers[first:last, key] = note.finger
+        fingers[first:last, key] = hands.number(note.finger)
     again = np.zeros_like(keys)
     again[1:] = struck[1:] & keys[:-1]
     for step, key in np.argwhere(again):
         spare = shorten and not struck[step - 1, key] and keys[step - 2, key]
         lifted = step - 1 if spare else step
-        keys[lifted, key], fingers[lifted, key] = False, UNKNOWN_FINGER
+        keys[lifted, key], fingers[lifted, key] = False, NO_FINGER
 
     sustain = np.zeros(num_steps, bool)
     for event in score.pedal:
         sustain[int(event.time * fps) :] = event.value >= SUSTAIN_ON
-    return Goals(keys, fingers, sustain)
+    return Goals(keys, fingers, sustain, hands.count)
 
 
 def check_pitches(score: Score, pitches: range) -> None:

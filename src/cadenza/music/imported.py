@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Protocol
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import hand_of
 from cadenza.music.index import INDEX, Facts, read_index, write_index
 from cadenza.music.reading import read_score
 from cadenza.music.score import Score
@@ -179,5 +178,5 @@ def _counted(score: Score) -> Facts:
 
 def _hands(score: Score) -> int | None:
     """How many play, by the fingers or the tracks; None if neither says."""
-    hands = {hand_of(note.finger) for note in score.notes if note.finger >= 0}
+    hands = {note.finger.hand for note in score.notes if note.finger}
     return len(hands) or (2 if len(score.tracks) > 1 else None)

@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import PER_HAND, finger_number
+from cadenza.fingers import Finger
 from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
-    UNKNOWN_FINGER,
     Note,
     PedalEvent,
     Score,
@@ -49,6 +48,7 @@ _GRACE = 0.1  # [s] that a grace note lasts, before the beat
 _VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
 _UNMARKED = 80  # velocity
 _PEDAL_DOWN, _PEDAL_UP = 127, 0
+_SIGNS = range(1, 6)  # of fingers
 
 
 def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
@@ -96,7 +96,7 @@ class _Written:
     end: float
     pitch: int
     velocity: int
-    finger: int
+    finger: Finger | None
     grace: int
 
 
@@ -266,7 +266,7 @@ def _part(part: Any, symbols: Any) -> _Part:
                 end=float(quarters(start + note.duration_tied)),
                 pitch=int(note.midi_pitch) + sounds_higher,
                 velocity=marks[mark - 1][1] if mark else _UNMARKED,
-                finger=_finger(note, symbols) if staves == {1, 2} else UNKNOWN_FINGER,
+                finger=_finger(note, symbols) if staves == {1, 2} else None,
                 grace=_before_beat(note, symbols),
             )
         )
@@ -278,12 +278,12 @@ def _part(part: Any, symbols: Any) -> _Part:
     return _Part(printable(part.part_name or ""), notes, pedal)
 
 
-def _finger(note: Any, symbols: Any) -> int:
-    """The number of a right finger on the upper staff, of a left one on the lower."""
+def _finger(note: Any, symbols: Any) -> Finger | None:
+    """The right hand's on the upper staff, the left hand's on the lower; the thumb's sign is 1."""
     for sign in note.technical or ():
-        if isinstance(sign, symbols.Fingering) and sign.fingering in range(1, PER_HAND + 1):
-            return finger_number(note.staff - 1, sign.fingering - 1)
-    return UNKNOWN_FINGER
+        if isinstance(sign, symbols.Fingering) and sign.fingering in _SIGNS:
+            return Finger(hand=note.staff - 1, index=sign.fingering - 1)
+    return None
 
 
 def _before_beat(note: Any, symbols: Any) -> int:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from cadenza.errors import CadenzaError
 from cadenza.files import opened
-from cadenza.fingers import finger_number, hand_of
+from cadenza.fingers import Finger
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.folder import unique
 from cadenza.music.imported import Grade, NewLibrary, Progress, new_library, silent
@@ -247,7 +247,7 @@ def read_fingered(content: bytes, where: str) -> Score:
             wrong[number] = f"note {id_} stands in line {ids[id_]} already"
         ids.setdefault(id_, number)
         notes.append(note)
-        if hand_of(note.finger) != channel:
+        if note.finger and note.finger.hand != channel:
             other_hand.append(number)
     if wrong:
         first, *others = wrong
@@ -319,13 +319,13 @@ def _pitch(text: str) -> int:
     return pitch
 
 
-def _finger(text: str) -> int:
+def _finger(text: str) -> Finger:
     match = _FINGER.fullmatch(text)
     if not match:
         raise CadenzaError(
             f"finger {text!a:.30}; expected 1 to 5, -1 to -5, or several such as 4_1"
         )
-    return finger_number(1 if match[1] else 0, int(match[2]) - 1)
+    return Finger(hand=1 if match[1] else 0, index=int(match[2]) - 1)
 
 
 def _score(found: list[Sounding], doubts: list[str], where: str) -> Score:

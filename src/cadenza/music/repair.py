@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import Finger
 
 
 @dataclass(slots=True)
@@ -17,7 +17,7 @@ class Sounding:
     pitch: int
     velocity: int
     released: bool = False
-    finger: int = UNKNOWN_FINGER
+    finger: Finger | None = None
 
 
 def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
@@ -44,7 +44,7 @@ def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
 def _merge(note: Sounding, other: Sounding) -> None:
     """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
     note.velocity = max(note.velocity, other.velocity)
-    note.finger = other.finger if note.finger == UNKNOWN_FINGER else note.finger
+    note.finger = note.finger or other.finger
     if note.released == other.released:
         note.end = max(note.end, other.end)
     elif other.released:

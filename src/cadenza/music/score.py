@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NUM_FINGERS, UNKNOWN_FINGER
+from cadenza.fingers import Finger
 from cadenza.music.tracks import Track
 
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
 PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
+MIDI_PITCHES = range(128)
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 TOGETHER = 0.03  # [s] notes that begin within this time begin together
 LETTING_GO = 0.05  # [s] a note with less left than this does not keep its finger from the next
@@ -21,7 +22,7 @@ _SHORTEST = 1e-9  # [s] what is left of a note when its times are changed
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One note: `start` and `end` in [s], MIDI `pitch` 21..108, `velocity` 1..127, `finger` -1..9.
+    """One note: `start` and `end` in [s], MIDI `pitch` 0..127, `velocity` 1..127, and its finger.
 
     Raises:
         CadenzaError: a value is outside its range, or the note does not end after it starts.
@@ -31,26 +32,22 @@ class Note:
     end: float
     pitch: int
     velocity: int = 80
-    finger: int = UNKNOWN_FINGER
+    finger: Finger | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.start < self.end < float("inf"):
             raise CadenzaError(
                 f"note from {self.start} to {self.end} s: it must start at 0 or later, then end"
             )
-        if not LOWEST_PITCH <= self.pitch <= HIGHEST_PITCH:
-            raise CadenzaError(
-                f"note of pitch {self.pitch}: the piano has {LOWEST_PITCH}..{HIGHEST_PITCH}"
-            )
+        if self.pitch not in MIDI_PITCHES:
+            raise CadenzaError(f"note of pitch {self.pitch}: MIDI has 0..{MIDI_PITCHES[-1]}")
         if not 1 <= self.velocity <= 127:
             raise CadenzaError(f"note of velocity {self.velocity}: give 1..127")
-        if not UNKNOWN_FINGER <= self.finger < NUM_FINGERS:
-            raise CadenzaError(f"note with finger {self.finger}: give 0..9, or -1 for unknown")
-
-    @property
-    def key(self) -> int:
-        """Index of the piano key, 0 (A0) to 87 (C8)."""
-        return self.pitch - LOWEST_PITCH
+        if not isinstance(self.finger, Finger | None):
+            raise CadenzaError(
+                f"note with finger {self.finger!r:.50}: give Finger(hand, index), such as "
+                "Finger(0, 1) for the right index finger, or None"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +96,11 @@ class Score:
     @property
     def has_fingering(self) -> bool:
         """Whether any note says which finger plays it."""
-        return any(note.finger != UNKNOWN_FINGER for note in self.notes)
+        return any(note.finger is not None for note in self.notes)
 
     def without_fingers(self) -> Score:
         """The same notes, for which fingers are to be found."""
-        notes = tuple(replace(note, finger=UNKNOWN_FINGER) for note in self.notes)
+        notes = tuple(replace(note, finger=None) for note in self.notes)
         return replace(self, notes=notes)
 
     def stretched(self, factor: float) -> Score:
@@ -121,13 +118,13 @@ class Score:
         """All pitches moved by `semitones`.
 
         Raises:
-            CadenzaError: a note would leave the 88 keys.
+            CadenzaError: a note would have a pitch that MIDI does not have.
         """
         pitches = [note.pitch + semitones for note in self.notes]
-        if pitches and (min(pitches) < LOWEST_PITCH or max(pitches) > HIGHEST_PITCH):
+        if outside := [pitch for pitch in pitches if pitch not in MIDI_PITCHES]:
             raise CadenzaError(
-                f"cannot transpose by {semitones} semitones: pitches {min(pitches)}.."
-                f"{max(pitches)} are outside the piano's range {LOWEST_PITCH}..{HIGHEST_PITCH}"
+                f"cannot transpose by {semitones} semitones: MIDI has pitches 0.."
+                f"{MIDI_PITCHES[-1]}, not {outside[0]}"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
         return replace(self, notes=tuple(notes))

@@ -19,6 +19,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import write_json
+from cadenza.music.finger_numbers import written
 from cadenza.music.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
@@ -104,7 +105,7 @@ class Performance:
         folder, played = Path(folder), self.played
         if loudness == "score":
             played = with_loudness_of(played, self.goal)
-        lost = [asdict(miss) for miss in self.misses or ()]
+        lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         self.episode.save(folder / "episode.npz")
         write_json(folder / "metrics.json", self.metrics)
         write_json(folder / "settings.json", self.settings)

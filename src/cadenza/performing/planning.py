@@ -15,6 +15,7 @@ from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
+from cadenza.fingers import Finger, Fingers
 from cadenza.music.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.performance import Performance, perform
@@ -33,6 +34,8 @@ class Plan:
     """How it went."""
     options: dict[str, Any]
     """What has to be the same for the plan to play the same."""
+    hands: Fingers
+    """How the fingers are numbered in arrays."""
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -40,8 +43,8 @@ class Plan:
         return self.performance.episode["action"]
 
     @property
-    def fingering(self) -> tuple[int, ...]:
-        """Who plays each note of the score: 0..4 right thumb to little, 5..9 left, -1 no finger."""
+    def fingering(self) -> tuple[Finger | None, ...]:
+        """Who plays each note of the score."""
         return tuple(note.finger for note in self.score.notes)
 
     @property
@@ -55,7 +58,9 @@ class Plan:
         `cadenza.play(song, "playback", plan=path)` plays them.
         """
         path = Path(path)
-        save_plan(path, self.performance.episode, self.metrics, self.options, self.score)
+        save_plan(
+            path, self.performance.episode, self.metrics, self.options, self.score, self.hands
+        )
         write_fingering(self.score, path.with_suffix(SUFFIX))
 
 
@@ -93,8 +98,10 @@ def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
             f"{setup.settings['song']}: ended after {steps} of {wanted} steps, because of a wrong "
             "key or an unstable simulation, so the plan is incomplete; try another seed"
         )
-    assert isinstance(performance.plan, SongPlan)
+    planned = performance.plan
+    assert isinstance(planned, SongPlan)
     # The notes are the same in the same order; times and pitches are again those of the song.
-    notes = zip(setup.score.notes, performance.plan.track.score.notes, strict=True)
-    fingered = tuple(replace(note, finger=planned.finger) for note, planned in notes)
-    return Plan(replace(setup.score, notes=fingered), performance, setup.options)
+    notes = zip(setup.score.notes, planned.track.score.notes, strict=True)
+    fingered = tuple(replace(note, finger=with_finger.finger) for note, with_finger in notes)
+    score = replace(setup.score, notes=fingered)
+    return Plan(score, performance, setup.options, planned.scene.fingers)

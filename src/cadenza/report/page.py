@@ -23,7 +23,7 @@ import numpy as np
 
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
-from cadenza.fingers import finger_name
+from cadenza.music.finger_numbers import finger_from
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE, Samples
 
@@ -63,8 +63,8 @@ def write_report(
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top. None
             is not shown; of an absolute path, only the last part.
         audio: the performance as `synthesize` makes it, starting with the first step.
-        misses: of each note that was lost `time` [s], `note`, `finger` 0..9 or -1, `what` became of
-            it, and the `reason`; without any, the page has no such table.
+        misses: of each note that was lost `time` [s], `note`, `finger` as files have it, `what`
+            became of it, and the `reason`; without any, the page has no such table.
         goal_mp3: what should have been played, of the same length; without, it cannot be heard.
         midi: a MIDI file to download.
         video: name of a file beside the page to download.
@@ -237,8 +237,9 @@ def _miss(miss: Mapping[str, Any]) -> str:
     return f'<tr data-time="{time}"><td><button type="button">{time} s</button></td>{cells}</tr>'
 
 
-def _finger(finger: int) -> str:
-    return finger_name(finger) if finger >= 0 else "–"
+def _finger(number: int | str) -> str:
+    finger = finger_from(number)
+    return finger.name if finger else "–"
 
 
 def _breakable(text: str) -> str:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 from threadpoolctl import threadpool_limits
 
-from cadenza.music.score import NUM_KEYS, Note, Score
+from cadenza.music.score import PITCHES, Note, Score
 
 SAMPLE_RATE = 44100  # [Hz]
 
@@ -196,7 +196,7 @@ def _blocks(
             first = round(note.start * rate) - begin
             mix = _at_least(first + len(sound), mix)
             gain = _LOUDEST * (note.velocity / loudest) ** 1.6
-            for channel, level in zip(mix, gain * _pan(note.key), strict=True):
+            for channel, level in zip(mix, gain * _pan(note.pitch), strict=True):
                 channel[first : first + len(sound)] += sound * level
             done += 1
         yield np.ascontiguousarray(mix[:, : min(size, length - begin)])
@@ -336,9 +336,10 @@ def _damped(
     return sound
 
 
-def _pan(key: int) -> NDArray[np.float32]:
+def _pan(pitch: int) -> NDArray[np.float32]:
     """Gains (2,) of the left and right ear, of equal power: bass a little left."""
-    angle = np.pi / 4 * (1 + 0.45 * (2 * key / (NUM_KEYS - 1) - 1))
+    across = (pitch - PITCHES[0]) / (PITCHES[-1] - PITCHES[0])
+    angle = np.pi / 4 * (1 + 0.45 * (2 * across - 1))
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 

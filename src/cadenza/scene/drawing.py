@@ -36,9 +36,9 @@ def drawing(scene: Scene) -> dict[str, Any]:
     """
     model = scene.model
     index = {int(body): i for i, body in enumerate(scene.hand_bodies)}
-    fingertip = dict(
-        zip(model.site_bodyid[scene.fingertip_sites].tolist(), scene.fingers.tolist(), strict=True)
-    )
+    first = scene.fingers_there.start
+    tips = model.site_bodyid[scene.fingertip_sites].tolist()
+    fingertip = {body: number for number, body in enumerate(tips, start=first)}
     geoms = []
     for g in range(model.ngeom):
         body = int(model.geom_bodyid[g])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
-from cadenza.fingers import SIDES, Side, finger_number
+from cadenza.fingers import SIDES, Fingers, Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Options, prefix
 from cadenza.hands.hand import Hand
@@ -56,9 +56,11 @@ class Scene:
     """(J,) where the joints of the hands are when an episode begins [m, rad]."""
     actuator_names: tuple[str, ...]
     fingertip_sites: Ids
-    """(F,) of the fingers of each hand from the thumb on, right hand first."""
-    fingers: Ids
-    """(F,) the same fingers by number, see `cadenza.fingers`."""
+    """Of the fingers that are there, each hand's from the thumb on, right hand first."""
+    fingers: Fingers
+    """How fingers are numbered in arrays over the F places of both hands."""
+    fingers_there: slice
+    """The numbers of those whose sites these are."""
     forearm_geoms: dict[Side, Ids]
     hand_bodies: Ids
     """(B,) the bodies that move with the hands."""
@@ -76,6 +78,10 @@ class Scene:
     def action_high(self) -> NDArray[np.float64]:
         """(A + 1,) largest action in actuator units, the pedal last."""
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
+
+    def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Which of these are numbers of fingers that are there."""
+        return (numbers >= self.fingers_there.start) & (numbers < self.fingers_there.stop)
 
 
 def build_scene(config: SceneConfig | None = None) -> Scene:
@@ -194,6 +200,7 @@ def _resolve(
     joints = [j for _, j in hand_joints]
     bodies = [b for p in prefixes for b in _ids_with_prefix(model.nbody, model.body, p)]
     slides = [p + forearm.ALONG_KEYBOARD for p in prefixes]
+    fingers = Fingers(len(hand.fingers))
     keys = [keyboard.key_name(key) for key in range(keyboard.num_keys)]
     hinge = [model.joint(key).qposadr[0] for key in keys]
     return Scene(
@@ -212,11 +219,8 @@ def _resolve(
         ),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
         fingertip_sites=_array(model.site(name).id for name in fingertip_sites),
-        fingers=_array(
-            finger_number(SIDES.index(side), place)
-            for side in sides
-            for place in range(len(hand.fingers))
-        ),
+        fingers=fingers,
+        fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
             side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + forearm.FOREARM).id)
             for side in sides
@@ -236,6 +240,11 @@ def _as_slice(addresses: Sequence[int]) -> slice:
     first, count = (int(addresses[0]), len(addresses)) if len(addresses) else (0, 0)
     assert list(addresses) == list(range(first, first + count))
     return slice(first, first + count)
+
+
+def _joined(parts: Sequence[slice]) -> slice:
+    """Of slices one after the other."""
+    return slice(parts[0].start, parts[-1].stop) if parts else slice(0, 0)
 
 
 def _array(values: Iterable[int]) -> Ids:

@@ -27,7 +27,7 @@ class HandLinearisation(NamedTuple):
     keys: Array
     """(K, 88, 2 J + A) of the keys' angles."""
     fingertips: Array
-    """(K, 10, 3, 2 J + A) of the fingertips' places."""
+    """(K, F, 3, 2 J + A) of the fingertips' places."""
     states: State
     """What the steps lead to, arrays (K, ...)."""
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NUM_FINGERS
 from cadenza.scene.scene import Scene
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 
@@ -25,7 +24,7 @@ so often that at 1e-6 the derivatives over a control step can be wrong by their 
 class Linearisation(NamedTuple):
     """K control steps looked at P times each, and how what is seen there depends on small changes.
 
-    V joints of keys and hands, A actuators.
+    V joints of keys and hands, A actuators, F fingers of two hands.
     """
 
     jacobian: Array
@@ -38,9 +37,9 @@ class Linearisation(NamedTuple):
     key_jacobian: Array
     """(K, P, 88, 3) their derivatives by the key's own joint [m/rad]."""
     fingertip_xpos: Array
-    """(K, P, 10, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    """(K, P, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
     fingertip_jacobian: Array
-    """(K, P, 10, 3, V) their derivatives by the joints."""
+    """(K, P, F, 3, V) their derivatives by the joints."""
 
 
 class Lineariser:
@@ -95,14 +94,14 @@ class Lineariser:
 
     def _blank(self) -> Linearisation:
         model, shape = self.scene.model, self._shape
-        keys = self.scene.keyboard.num_keys
+        keys, fingers = self.scene.keyboard.num_keys, self.scene.fingers.count
         return Linearisation(
             jacobian=np.empty(0),
             key_qpos=np.empty((*shape, keys)),
             key_xpos=np.empty((*shape, keys, 3)),
             key_jacobian=np.empty((*shape, keys, 3)),
-            fingertip_xpos=np.zeros((*shape, NUM_FINGERS, 3)),
-            fingertip_jacobian=np.zeros((*shape, NUM_FINGERS, 3, model.nv)),
+            fingertip_xpos=np.zeros((*shape, fingers, 3)),
+            fingertip_jacobian=np.zeros((*shape, fingers, 3, model.nv)),
         )
 
     def _roll_out(self, state: Array, ctrl: Array) -> Linearisation:
@@ -128,9 +127,10 @@ class Lineariser:
         seen.key_xpos[row] = data.geom_xpos[scene.key_geoms]
         lever = seen.key_xpos[row] - data.xanchor[keys]
         seen.key_jacobian[row] = np.cross(data.xaxis[keys], lever)
-        seen.fingertip_xpos[row][scene.fingers] = data.site_xpos[scene.fingertip_sites]
-        for finger, site in zip(scene.fingers, scene.fingertip_sites, strict=True):
-            mujoco.mj_jacSite(model, data, seen.fingertip_jacobian[row][finger], None, site)
+        seen.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
+        there = seen.fingertip_jacobian[row][scene.fingers_there]
+        for jacobian, site in zip(there, scene.fingertip_sites, strict=True):
+            mujoco.mj_jacSite(model, data, jacobian, None, site)
 
     def _differentiate(self, data: Any) -> Array:
         """(2 V, 2 V + A) derivatives of one physics step."""

@@ -140,7 +140,7 @@ class MujocoSimulation:
         out.key_xpos[row] = data.geom_xpos[scene.key_geoms]
         out.hand_qpos[row] = qpos[scene.hand_qpos]
         out.hand_qvel[row] = qvel[scene.hand_qvel]
-        out.fingertip_xpos[row][scene.fingers] = data.site_xpos[scene.fingertip_sites]
+        out.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
         out.actuator_force[row] = data.actuator_force
         out.actuator_velocity[row] = data.actuator_velocity
         if self._watch_forearms:

@@ -8,7 +8,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingers import NUM_FINGERS
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -18,7 +17,8 @@ class State(NamedTuple):
     """What the task may know about N simulations after a step.
 
     Positions, velocities and contacts belong to the new state; actuator forces to the last physics
-    step that led there, as in the published system. K keys, J hand joints, A actuators.
+    step that led there, as in the published system. K keys, J hand joints, A actuators,
+    F fingers of two hands.
     """
 
     key_qpos: Array
@@ -30,7 +30,7 @@ class State(NamedTuple):
     hand_qvel: Array
     """(N, J) their velocities [m/s, rad/s]."""
     fingertip_xpos: Array
-    """(N, 10, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    """(N, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
     actuator_force: Array
     """(N, A) [N, N m]."""
     actuator_velocity: Array
@@ -50,7 +50,7 @@ class State(NamedTuple):
             key_xpos=np.zeros((*rows, keys, 3)),
             hand_qpos=np.zeros((*rows, joints)),
             hand_qvel=np.zeros((*rows, joints)),
-            fingertip_xpos=np.zeros((*rows, NUM_FINGERS, 3)),
+            fingertip_xpos=np.zeros((*rows, scene.fingers.count, 3)),
             actuator_force=np.zeros((*rows, actuators)),
             actuator_velocity=np.zeros((*rows, actuators)),
             forearm_contact=np.zeros(rows, bool),

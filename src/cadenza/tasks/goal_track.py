@@ -10,7 +10,7 @@ import numpy as np
 
 from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import Dropped, find_fingering
-from cadenza.fingers import UNKNOWN_FINGER
+from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals, score_to_goals
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import Scene
@@ -63,16 +63,16 @@ class GoalTrack:
     def _make(self) -> Goals:
         config, silent = self.config, self.silent_steps
         shorten = config.repeats == "shortened"
-        pitches = self.scene.keyboard.pitches
-        goals = score_to_goals(self.score, config.control_timestep, shorten, pitches)
-        there = np.isin(goals.fingers, self.scene.fingers)
-        fingers = np.where(there, goals.fingers, np.int8(UNKNOWN_FINGER))
+        scene, dt = self.scene, config.control_timestep
+        goals = score_to_goals(self.score, dt, shorten, scene.keyboard.pitches, scene.fingers)
+        fingers = np.where(scene.has_fingers(goals.fingers), goals.fingers, np.int8(NO_FINGER))
         goals = replace(goals, fingers=fingers)
         if not silent:
             return goals
-        return Goals(
+        return replace(
+            goals,
             keys=np.pad(goals.keys, ((silent, 0), (0, 0))),
-            fingers=np.pad(fingers, ((silent, 0), (0, 0)), constant_values=UNKNOWN_FINGER),
+            fingers=np.pad(fingers, ((silent, 0), (0, 0)), constant_values=NO_FINGER),
             sustain=np.pad(goals.sustain, (silent, 0)),
         )
 

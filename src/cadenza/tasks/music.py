@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NUM_FINGERS
 from cadenza.music.goals import check_pitches, check_steps, silence
 from cadenza.music.score import NUM_KEYS, Score, check_length
 from cadenza.scene.scene import Scene
@@ -150,7 +149,7 @@ class _Coming(NamedTuple):
     fingers: NDArray[np.int8]
     """(N, K) of the next step."""
     fingers_wanted: NDArray[np.bool_]
-    """(N, 10) in the next step."""
+    """(N, F) in the next step."""
 
 
 class Sheets:
@@ -175,8 +174,8 @@ class Sheets:
         self.steps_done = np.zeros(num_envs, np.intp)
         self.row = np.zeros(num_envs, np.intp)
         self._rows_seen = lookahead + 1
-        self._num_keys = scene.keyboard.num_keys
-        self._goals = [silence(1, self._num_keys)] * num_envs
+        self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
+        self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
         self._coming: _Coming | None = None
 
     def put(self, env: int, track: GoalTrack) -> None:
@@ -209,7 +208,7 @@ class Sheets:
 
     @property
     def fingers_wanted(self) -> NDArray[np.bool_]:
-        """(N, 10) which fingers have a key to press in the next step."""
+        """(N, F) which fingers have a key to press in the next step."""
         return self._look().fingers_wanted
 
     @property
@@ -223,7 +222,7 @@ class Sheets:
             num_envs = len(self.row)
             goal = np.zeros((num_envs, self._rows_seen, self._num_keys + 1), bool)
             fingers = np.empty((num_envs, self._num_keys), np.int8)
-            wanted = np.empty((num_envs, NUM_FINGERS), bool)
+            wanted = np.empty((num_envs, self._num_fingers), bool)
             for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
                 keys = goals.keys[row : row + self._rows_seen]
                 goal[env, : len(keys), :-1] = keys

@@ -11,7 +11,7 @@ Ids = NDArray[np.intp]
 
 
 def keys_by_transport_on_host(
-    fingertips: Array, key_xpos: Array, press: Array, goal: NDArray[np.bool_], there: Ids
+    fingertips: Array, key_xpos: Array, press: Array, goal: NDArray[np.bool_], there: slice
 ) -> Ids:
     """(N, F) the key of each finger, -1 for none, so that the ways are the least in sum.
 
@@ -23,7 +23,7 @@ def keys_by_transport_on_host(
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         press: (K, 3) from there to where fingers are wanted, see `reward.press_offset` [m].
         goal: (N, K) the keys to press.
-        there: the fingers of 0..F-1 that there are.
+        there: those of the F fingers that there are.
     """
     keys = np.full(fingertips.shape[:2], -1)
     for row in np.flatnonzero(goal.any(axis=1)):
@@ -31,5 +31,5 @@ def keys_by_transport_on_host(
         points = key_xpos[row, key] + press[key]
         offsets = fingertips[row, there][:, None] - points
         finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
-        keys[row, there[finger]] = key[of_key]
+        keys[row, there.start + finger] = key[of_key]
     return keys

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NUM_FINGERS
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
@@ -159,7 +158,7 @@ class PianoTask:
         keys = self.scene.keyboard.num_keys
         sizes = {"goal": (lookahead + 1) * (keys + 1)}
         if self.config.fingering != "off" and self.scene.sides:
-            sizes["fingering"] = NUM_FINGERS
+            sizes["fingering"] = self.scene.fingers.count
         sizes |= {"key_state": keys, "pedal": 1}
         if self.scene.sides:
             sizes["joints"] = len(self.scene.hand_joint_names)
@@ -315,7 +314,7 @@ class PianoTask:
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos, press = self.state.fingertip_xpos, self.state.key_xpos, self._press
         if self.config.fingering == "transport":
-            there = self.scene.fingers
+            there = self.scene.fingers_there
             assigned = keys_by_transport_on_host(tips, key_xpos, press, keys, there)
             return reward.transport_fingering(tips, key_xpos, press, assigned)
         return reward.score_fingering(tips, key_xpos, press, fingers)

@@ -39,12 +39,12 @@ def pairs_of(
 
     Args:
         task: with hands.
-        fingertips: (N, 10, 3) [m].
+        fingertips: (N, F, 3) [m].
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         keys: (N, K) to press.
         fingers: (N, K) that the score gives them, -1 for none.
     """
-    press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers
+    press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers_there
     if task.config.fingering == "transport":
         of_fingers = keys_by_transport_on_host(fingertips, key_xpos, press, keys, there)
         row, finger = (of_fingers >= 0).nonzero()

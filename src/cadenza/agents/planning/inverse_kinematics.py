@@ -112,10 +112,10 @@ class _Problem:
         before: Array,
         dt: float,
     ) -> None:
-        self._kinematics, self._servos, fingers = kinematics, servos, scene.fingers
-        self._low, self._high = targets.low[1:, fingers], targets.high[1:, fingers]
-        self._sigma = targets.sigma[1:, fingers]
-        self._wall = targets.wall[1:, fingers]
+        self._kinematics, self._servos, there = kinematics, servos, scene.fingers_there
+        self._low, self._high = targets.low[1:, there], targets.high[1:, there]
+        self._sigma = targets.sigma[1:, there]
+        self._wall = targets.wall[1:, there]
         self._links = LinkCollisions(scene.hand, len(scene.sides))
         self._rest, self._before = guess[1:], before
         uses = [scene.hand.servo(name) for name in servos.names]

@@ -11,7 +11,7 @@ the first that holds says why it did not sound, or late:
 4. neighbouring key struck: up to two keys away another began to sound at about that time, with the
    finger nearer to that key than to its own.
 5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
-   and another fingertip was within `_TOUCHING`, or the forearms were within `_FOREARMS_TOUCH`.
+   and another fingertip, or the other forearm, was within `_TOUCHING` of touching.
 6. out of reach: the plan itself has the finger beside the key.
 7. too fast to get there: the finger came late, or the plan has it come faster than `_FAST`.
 8. finger beside the key: the finger was not over its key, and none of the above.
@@ -26,7 +26,7 @@ list names one.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -38,7 +38,7 @@ from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.presses import RISE, Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
-from cadenza.fingers import NUM_FINGERS, SIDES, UNKNOWN_FINGER, hand_of
+from cadenza.fingers import SIDES, Finger
 from cadenza.hands.body import prefix
 from cadenza.hands.forearm import FOREARM, WIDTH
 from cadenza.music.keyboard import note_name
@@ -52,8 +52,7 @@ _IN_TIME = 0.05  # [s] that a note may begin late, or end early
 _SHORTEST = 0.1  # [s] that a key takes to go down
 _BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
 _ASTRAY = 0.01  # [m]
-_TOUCHING = 0.018  # [m] between centres of fingertips, which are 13 to 16 mm thick
-_FOREARMS_TOUCH = WIDTH + 0.003  # [m] along the keyboard
+_TOUCHING = 0.003  # [m]
 _FAST = 0.7  # [m/s]
 _COMING = 0.2  # [s] within which a finger that is late is seen to come
 _STRIDE = 0.1  # [s] over which its speed is taken
@@ -67,8 +66,8 @@ class Miss:
     """When it should have begun [s]."""
     note: str
     """Its name, such as C4."""
-    finger: int
-    """Its number, see `cadenza.fingers`."""
+    finger: Finger | None
+    """That should have played it."""
     what: str
     """What became of it, such as "never sounded"."""
     cause: str
@@ -119,16 +118,18 @@ class _Inquiry:
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
+        self._numbers = plan.scene.fingers
         self._dt, self._steps = episode.dt, episode.num_steps
         self._in_time = steps_in(_IN_TIME, self._dt)
         self._goal, self._played = episode["goal_keys"], episode["key_activation"]
         self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
         self._tips = episode["fingertip_xpos"]
-        self._there = self._tips.any(axis=(0, 2))
-        self._planned = np.zeros((len(nominal.fingertips), NUM_FINGERS, 3))
+        self._there = plan.scene.has_fingers(np.arange(self._numbers.count))
+        self._radii = np.array([f.tip_radius for f in plan.scene.hand.fingers * len(SIDES)])
+        self._planned = np.zeros((len(nominal.fingertips), self._numbers.count, 3))
         self._planned[:, self._there] = nominal.fingertips
         self._presses = {(press.key, press.first - 1): press for press in nominal.presses}
-        self._of_finger: dict[int, list[Press]] = {i: [] for i in range(NUM_FINGERS)}
+        self._of_finger = defaultdict[int, list[Press]](list)
         for press in nominal.presses:
             self._of_finger[press.finger].append(press)
         self._left_out = _left_out(plan.track)
@@ -137,7 +138,7 @@ class _Inquiry:
     def into(self, note: _Note) -> Miss | None:
         """What became of a note, if it was lost."""
         press = self._presses.get((note.key, note.first))
-        finger = press.finger if press else UNKNOWN_FINGER
+        finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
         late = int(sounding[0]) - note.first if len(sounding) else self._steps
         held_through = not late and self._sounds_from_before(note)
@@ -216,12 +217,12 @@ class _Inquiry:
         tip = self._tips[row, finger]
         if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
             return ""
-        distance = np.linalg.norm(self._tips[row] - tip, axis=1)
-        distance[~self._there] = distance[finger] = np.inf
-        if distance.min() < _TOUCHING:
-            other = hand_of(int(distance.argmin())) != hand_of(finger)
-            return "a finger of the other hand" if other else "the finger beside it"
-        return "the other forearm" if self._forearms[row] < _FOREARMS_TOUCH else ""
+        room = np.linalg.norm(self._tips[row] - tip, axis=1) - self._radii - self._radii[finger]
+        room[~self._there] = room[finger] = np.inf
+        if room.min() < _TOUCHING:
+            hands = self._numbers.hand_of(np.array([finger, room.argmin()]))
+            return "the finger beside it" if hands[0] == hands[1] else "a finger of the other hand"
+        return "the other forearm" if self._forearms[row] < WIDTH + _TOUCHING else ""
 
     def _speed(self, state: int, finger: int) -> float:
         """At which the plan has it move along the keyboard before `state` [m/s]."""

@@ -25,7 +25,7 @@ from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postu
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.targets import Targets, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
-from cadenza.fingers import NUM_FINGERS
+from cadenza.fingers import NO_FINGER
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import reaction, servos_of
@@ -94,7 +94,7 @@ def nominal_plans(
         The plan so far; the last one is the whole.
     """
     hands = _Hands(scene, dt)
-    asked = np.where(keys & np.isin(fingers, scene.fingers), fingers, np.int8(-1))
+    asked = np.where(keys & scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
     whole = hands.at_rest(hand_qpos, len(asked))
     plan = whole.part(0, 0)
     while plan.num_steps < len(asked):
@@ -117,13 +117,13 @@ class _Hands:
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
         self._rest = rest_posture(scene.hand, self._servos)
-        rest_y = np.zeros(NUM_FINGERS)
-        rest_y[scene.fingers] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
-        self._places = scene.keyboard.centre[:, 1, None] - rest_y  # (K, 10), see `let_go_in_time`
+        rest_y = np.zeros(scene.fingers.count)
+        rest_y[scene.fingers_there] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
+        self._places = scene.keyboard.centre[:, 1, None] - rest_y  # (K, F), see `let_go_in_time`
 
     def at_rest(self, hand_qpos: Array, steps: int) -> Nominal:
         """Room for a plan of `steps` steps, which begins with hands that are still."""
-        servos, fingers = len(self._servos.names), len(self._scene.fingers)
+        servos, fingers = len(self._servos.names), len(self._scene.fingertip_sites)
         tracking = Tracking(
             ctrl=np.zeros((steps, servos)),
             gain=np.zeros((steps, servos, 2)),
@@ -150,7 +150,7 @@ class _Hands:
         last = min(first + size, len(asked))
         kept = last - first if last == len(asked) else size - steps_in(_OVERLAP, dt)
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
-        wanted = presses_of(asked[since:last] >= 0, asked[since:last])
+        wanted = presses_of(asked[since:last] >= 0, asked[since:last], self._scene.fingers)
         presses = let_go_in_time(wanted, self._places, dt)
         window = self._planned(plan, presses, first - since, last - since, progress)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
@@ -176,7 +176,7 @@ class _Hands:
             progress,
         )
         points, jacobian = self._kinematics.fingers(postures)
-        force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers)
+        force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers_there)
         earlier = plan.postures[-2:-1]
         moving = np.concatenate([earlier, postures])
         force += reaction(scene, servos, moving, self._dt)[len(earlier) :]
@@ -239,12 +239,12 @@ def _joined(plan: Nominal, window: Nominal, steps: int) -> list[Press]:
     return plan.presses[:settled] + [known[begin] for begin in sorted(known)]
 
 
-def _pressing(sinking: Array, targets: Targets, fingers: NDArray[np.intp]) -> Array:
+def _pressing(sinking: Array, targets: Targets, there: slice) -> Array:
     """(T, A) the force along each servo's coordinate that presses keys as `targets` wants.
 
     Args:
         sinking: (T + 1, F, A) how the fingertips' heights change with the coordinates.
         targets: of all fingers.
-        fingers: (F,) those that are there.
+        there: those that are there.
     """
-    return -np.einsum("sfa,sf->sa", sinking, targets.force[:, fingers])[1:]
+    return -np.einsum("sfa,sf->sa", sinking, targets.force[:, there])[1:]

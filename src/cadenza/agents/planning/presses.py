@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.fingers import SIDES, Side, side_of
+from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 
 Array = NDArray[np.float64]
 
@@ -32,11 +32,12 @@ _LEAST = 0.05  # [s] that a press lasts
 
 
 class Press(NamedTuple):
-    """A finger holds `key` down in the states `first` up to, not including, `last`.
+    """A finger, by its number, holds `key` down in the states `first` up to, not including, `last`.
 
     State t + 1 follows from step t; state 0 is where the hands start.
     """
 
+    side: Side
     finger: int
     key: int
     first: int
@@ -46,26 +47,22 @@ class Press(NamedTuple):
     flies_to: bool = False
     """The hand comes to it in a jump, and to no other key."""
 
-    @property
-    def side(self) -> Side:
-        """Of the hand."""
-        return side_of(self.finger)
 
-
-def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8]) -> list[Press]:
+def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
     """The presses that goals ask for, by time.
 
     Args:
-        keys: (T, 88) that should be down after each step.
-        fingers: (T, 88) that should press them; keys without a finger are left alone.
+        keys: (T, K) that should be down after each step.
+        fingers: (T, K) that should press them; keys without a finger are left alone.
+        hands: how fingers are numbered.
     """
-    asked = np.where(keys, fingers, -1)
-    edges = np.diff(asked, axis=0, prepend=-1, append=-1) != 0
+    asked = np.where(keys, fingers, NO_FINGER)
+    edges = np.diff(asked, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
     presses = [
-        Press(int(asked[first, key]), int(key), int(first) + 1, int(last) + 1)
+        Press(SIDES[hands.hand_of(finger)], finger, int(key), int(first) + 1, int(last) + 1)
         for key in np.flatnonzero(keys.any(axis=0))
         for first, last in pairwise(np.flatnonzero(edges[:, key]))
-        if asked[first, key] >= 0
+        if (finger := int(asked[first, key])) != NO_FINGER
     ]
     return sorted(presses, key=lambda press: (press.first, press.key))
 
@@ -77,7 +74,7 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press
 
     Args:
         presses: by time.
-        places: (K, 10) where a forearm is when one of its fingers presses a key at ease, from where
+        places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
             it is mounted [m].
         dt: control step [s].
     """

@@ -15,7 +15,7 @@ from cadenza.agents.planning.presses import RISE
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.fingers import SIDES, Side, finger_number, hand_of, place_of
+from cadenza.fingers import SIDES, Side
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
@@ -67,16 +67,15 @@ class HandPart:
         side: of the hand.
         """
         dt = plan.track.config.control_timestep
-        hand, count = SIDES.index(side), len(plan.scene.hand.fingers)
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
-        self.mine = keys & (fingers >= 0) & (hand_of(fingers) == hand)
+        self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
+        first, count = self.fingers.start, plan.scene.fingers.per_hand
+        self.mine = keys & (fingers >= first) & (fingers < self.fingers.stop)
         others = keys & ~self.mine
         soon = others.copy()
         for late in range(1, steps_in(_LEAVING, dt) + 1):
             soon[late:] |= others[:-late]
         self.wrong = ~keys & ~soon
-        first = finger_number(hand, 0)
-        self.fingers = slice(first, first + count)
         row = count * plan.scene.sides.index(side)
         self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.mine)
@@ -86,7 +85,7 @@ class HandPart:
             if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
                 about = max(press.first - about_to_press, 0)
-                self.playing[about : press.last + rise, place_of(press.finger)] = True
+                self.playing[about : press.last + rise, press.finger - first] = True
 
 
 class HandRefinement:

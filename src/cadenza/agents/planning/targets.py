@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.presses import RISE, Press
-from cadenza.fingers import NUM_FINGERS, place_of
+from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -39,16 +39,16 @@ _IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only t
 
 
 class Targets(NamedTuple):
-    """Boxes for the fingertips in S states, (S, 10, 3) each, and what they press with."""
+    """Boxes for the fingertips in S states, (S, F, 3) each, and what they press with."""
 
     low: Array
     high: Array
     sigma: Array
     """Distances from the box that count as one [m]."""
     wall: Array
-    """(S, 10) nearest to the player that black keys are: the least x [m]."""
+    """(S, F) nearest to the player that black keys are: the least x [m]."""
     force: Array
-    """(S, 10) downwards [N]."""
+    """(S, F) downwards [N]."""
 
 
 def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
@@ -64,14 +64,14 @@ class _Writer:
 
     def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
         self._dt = dt
-        self._keyboard, self._fingers = scene.keyboard, scene.hand.fingers
-        radius = np.zeros(NUM_FINGERS)
-        radius[scene.fingers] = np.tile([f.tip_radius for f in self._fingers], len(scene.sides))
+        self._keyboard = scene.keyboard
+        fingers = self._fingers = scene.hand.fingers * len(SIDES)
+        radius = np.array([finger.tip_radius for finger in fingers])
         black = scene.keyboard.black
         # To the micrometre: the sum must not depend on how its parts are written.
         front = black.centre_x + black.half_size[0]
         self._walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
-        shape = (num_states, NUM_FINGERS, 3)
+        shape = (num_states, len(fingers), 3)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         low[:, :, 0], high[:, :, 0] = _OVER_KEYS
         low[:, :, 2] = black.top + _LIFTED + radius
@@ -80,7 +80,7 @@ class _Writer:
 
     def write(self, presses: Sequence[Press]) -> Targets:
         num_states = len(self._targets.low)
-        for finger in range(NUM_FINGERS):
+        for finger in range(len(self._fingers)):
             mine = [press for press in presses if press.finger == finger]
             before = 0
             for press, following in pairwise([*mine, None]):
@@ -142,7 +142,7 @@ class _Writer:
     def _at(self, press: Press, angle: float) -> Array:
         """(3,) where the fingertip touches the key when that is down by `angle` [rad]."""
         keyboard, key = self._keyboard, press.key
-        finger = self._fingers[place_of(press.finger)]
+        finger = self._fingers[press.finger]
         centre, half = keyboard.centre[key], keyboard.half_size[key]
         x = _ON_BLACK if keyboard.is_black[key] else finger.on_white
         fall = np.tan(angle) * (x - centre[0] + half[0])

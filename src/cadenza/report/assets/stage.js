@@ -194,7 +194,9 @@ const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the
  */
 function whereTheHandsAre({ scene, jointsAt, states, dt, steps }) {
   const hands = createHands(scene.skeleton), at = new THREE.Vector3();
-  const tips = [0, 1].map((hand) => [...new Set(scene.geoms.filter(({ finger }) => finger !== null && Math.floor(finger / 5) === hand).map(({ body }) => body))]).filter((of) => of.length);
+  const rootOf = (body) => scene.skeleton[body].parent < 0 ? body : rootOf(scene.skeleton[body].parent);
+  const ofTips = [...new Set(scene.geoms.filter(({ finger }) => finger !== null).map(({ body }) => body))];
+  const tips = [...new Set(ofTips.map(rootOf))].map((root) => ofTips.filter((body) => rootOf(body) === root));
   const count = Math.ceil((steps * dt) / SAMPLES) + 1;
   const edges = tips.map(() => ({ left: new Float32Array(count), right: new Float32Array(count), plays: false }));
   for (let i = 0; i < count; i++) {
