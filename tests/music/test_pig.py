@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,14 @@ from hypothesis import strategies as st
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
+from cadenza.fingers import Finger
 from cadenza.music.library import load_score, open_library
 from cadenza.music.pig import published_name
 from cadenza.music.pig_dataset import import_pig, read_fingered
-from dataclasses import replace
-from cadenza.fingers import Finger
 from cadenza.music.score import Note, Score
-from numbered import finger
 from music_strategies import monophonic_per_key, scores
 from mutations import at_most_refused, other_bytes
+from numbered import finger
 
 NAMES = ("C", "C#", "D", "Eb", "E", "F", "F#", "G", "Ab", "A", "Bb", "B")
 # As the paper names them: title, and how the published package calls the piece.
@@ -187,9 +187,7 @@ fingered = (
     scores()
     .map(monophonic_per_key)
     .map(
-        lambda score: Score(
-            tuple(replace(n, finger=n.finger or Finger(0, 0)) for n in score.notes)
-        )
+        lambda score: Score(tuple(replace(n, finger=n.finger or Finger(0, 0)) for n in score.notes))
     )
 )
 
