@@ -36,6 +36,8 @@ ALLOWED = {
     ("music/etudes/keys.py", 5): "semitones of scales; flats",
     ("music/etudes/keys.py", 10): "semitones of scales",
     ("learning/config.py", 10): "gradient steps",
+    ("report/results_figure.py", 5): "inches and points of a figure",
+    ("report/results_figure.py", 10): "inches and points of a figure",
     ("report/sound.py", 10): "seconds of sound; the base of decibels",
     ("report/sound.py", 88): "the pitch of the last damper; the seed of the room's noise",
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
