@@ -371,6 +371,14 @@ def test_an_assignment_is_for_one_episode_of_the_environments_that_are_reset() -
     assert set(infos["song"][:4]) == {"short", "other"}
 
 
+def test_a_song_is_assigned_by_the_name_that_was_given() -> None:
+    envs = PianoVectorEnv(["OdeToJoy", "FrereJacques"], num_envs=2)
+    infos = envs.reset(options={"song": ["FrereJacques", "OdeToJoy"]})[1]
+    assert infos["song"].tolist() == ["Frère Jacques", "Ode to Joy"]
+    with pytest.raises(CadenzaError, match="choose an index from 0 to 1, or a title"):
+        envs.reset(options={"song": "JingleBells"})
+
+
 def test_a_single_environment_is_assigned_a_song() -> None:
     env = gym.make("cadenza/Piano-v0", song=[SHORT, OTHER])
     for song, title in ((0, "short"), ("other", "other"), (1, "other")):

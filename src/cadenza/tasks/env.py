@@ -150,6 +150,7 @@ class PianoVectorEnv(VectorEnv):
                 f"autoreset_mode {autoreset_mode!r}: choose one of gymnasium.vector.AutoresetMode"
             ) from error
         self.task = make_task(song, num_envs, num_threads, task, scene, reward_terms, options)
+        self._given = list(song) if isinstance(song, list | tuple) else [song]
         self._lock = Lock()
         self.num_envs = self.task.num_envs
         self.render_mode = render_mode
@@ -204,9 +205,9 @@ class PianoVectorEnv(VectorEnv):
 
         Args:
             seed: of the first environment, the others' follow; or one for each.
-            options: "reset_mask", (N,) bool, resets some of the environments only; "song", an index
-                or a title among the environment's songs, or a list with one for each environment,
-                is what they play in this episode, drawn where it is None.
+            options: "reset_mask", (N,) bool, resets some of the environments only; "song", one of
+                the environment's songs by index, by title or as it was given, or a list with one
+                for each environment, is what they play in this episode, drawn where it is None.
 
         Raises:
             CadenzaError: a seed or an option makes no sense.
@@ -229,7 +230,11 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(
                 f"{len(songs)} songs for {self.num_envs} environments: give one for each"
             )
-        return [None if each is None else self.task.find_song(each) for each in songs]
+        return [None if each is None else self._index(each) for each in songs]
+
+    def _index(self, song: Any) -> int:
+        as_given = isinstance(song, str | Path) and song in self._given
+        return self._given.index(song) if as_given else self.task.find_song(song)
 
     def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
         titles = np.array([score.title for score in self.task.sheets.songs], object)
@@ -396,7 +401,8 @@ class PianoEnv(gymnasium.Env):
 
         Args:
             seed: what is random follows from it.
-            options: "song", an index or a title among the environment's songs, is what it plays.
+            options: "song", one of the environment's songs by index, by title or as it was given,
+                is what it plays.
 
         Raises:
             CadenzaError: there is no such song.

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
@@ -104,6 +105,10 @@ class ILQGPlanner:
         self.seconds = dict.fromkeys(("derivatives", "backward pass", "line search"), 0.0)
 
     def act(self, view: View) -> Array:
+        with threadpool_limits(1):  # small matrices, and the same bits everywhere
+            return self._act(view)
+
+    def _act(self, view: View) -> Array:
         now = int(view.steps[0])
         start = as_mujoco(view.simulation).physics_state(int(view.env_ids[0]))
         self._cost.look_ahead(now)
