@@ -20,6 +20,8 @@ FOUR_FINGERS = Reach(
     outward=_REACH.outward[:4],
     inward=_REACH.inward[:4],
     forearm_width=_REACH.forearm_width,
+    effort=_REACH.effort[:4],
+    effort_on_black=_REACH.effort_on_black[:4],
 )
 """Of a Shadow Hand without its little finger."""
 

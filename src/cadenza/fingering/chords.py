@@ -20,8 +20,6 @@ NEVER = 1e9
 
 _ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
 _STRETCH = 1.0
-_ON_BLACK = np.array([0.5, 0.0, 0.0, 0.0, 0.2])  # thumb to little finger
-_WEAK = np.array([0.0, 0.0, 0.0, 0.1, 0.1])
 _LEAST_ROOM = 0.001  # [m] of fingers that cannot spread
 _CLOSE = 100.0  # [1 / m^2]
 _ROOM = 0.031  # [m] from here on the forearms do not mind each other
@@ -263,11 +261,12 @@ class _Hand:
     def _wanted(self, asked: Sequence[Asked]) -> Array:
         """(m, F + 1) what each finger on each of the notes costs."""
         wanted = self._holds[[note.key for note in asked]]
-        none = self._reach.num_fingers
+        reach, none = self._reach, self._reach.num_fingers
         for row, note in zip(wanted, asked, strict=True):
             if not note.begins:  # paid for
                 continue
-            row[:none] += (_WEAK + (_ON_BLACK if self._is_black[note.key] else 0.0))[:none]
+            on_black = reach.effort_on_black if self._is_black[note.key] else 0.0
+            row[:none] += reach.effort + on_black
             if note.finger is not None:
                 ours = note.finger.hand == self._hand
                 row[np.arange(none + 1) != (note.finger.index if ours else none)] = NEVER

@@ -17,7 +17,7 @@ Costs, about 1 for something worth avoiding once:
 - a finger that has to leave one key and press another, the less time there is between the two;
 - fingers that would pass over or under one another from one moment to the next;
 - another finger, or hand, on a key that is struck again;
-- thumb and little finger on black keys, the weaker fingers anywhere;
+- fingers that the hand's reach says to spare, on black keys or anywhere;
 - forearms close to each other.
 """
 

@@ -29,6 +29,10 @@ class Reach:
     """(F,) how far to its left."""
     forearm_width: float
     """Two forearms touch when they are nearer than this."""
+    effort: Array | float = 0.0
+    """(F,) what it costs to press with a finger, 1 for something worth avoiding once."""
+    effort_on_black: Array | float = 0.0
+    """(F,) what it costs beyond that on black keys."""
 
     @property
     def num_fingers(self) -> int:

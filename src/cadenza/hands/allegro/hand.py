@@ -66,6 +66,8 @@ _REACH = Reach(
     outward=np.array([0.128, 0.089, 0.045, 0.006]),
     inward=np.array([0.052, 0.006, 0.045, 0.089]),
     forearm_width=forearm.WIDTH,
+    effort=np.array([0.0, 0.0, 0.0, 0.1]),
+    effort_on_black=np.array([0.5, 0.0, 0.0, 0.0]),
 )
 
 ALLEGRO = Hand(
