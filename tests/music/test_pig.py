@@ -279,12 +279,14 @@ def test_damaged_files_are_left_out_and_said_to_be(
     fingering(dataset, 7).unlink()
     fingering(dataset, 9).write_text(ONE)
     with (dataset / "List.csv").open("a") as file:
-        file.write("x,A,B\n1,A,B\n4,A,\n")
+        file.write('x,A,B\n1,A,B\n4,A,\n8,A,"A "B" of C"\n')
     with pytest.raises(SystemExit) as stop:
         main(["import", "pig", str(dataset)])
     assert stop.value.code == 2
     said = capsys.readouterr()
-    assert said.out == "1 songs; to list them: cadenza songs repertoire-150\n"
+    assert said.out == (
+        "1 songs; to list them: cadenza songs repertoire-150\n0 of them are in etude-12\n"
+    )
     *lines, last = said.err.replace(f"{dataset}/", "").splitlines()
     assert sorted(line.split("; expected")[0] for line in lines) == [
         "FingeringFiles/002-1_fingering.txt:3: pitch 'Ehh3'",
@@ -293,9 +295,12 @@ def test_damaged_files_are_left_out_and_said_to_be(
         "List.csv:5: 'x' is not the number of a piece",
         "List.csv:6: a second line for piece 1",
         "List.csv:7: piece 4 has no title",
+        "List.csv:8: no file of fingers for 'A B\" of C\"'",
     ]
-    assert last == "cadenza: repertoire-150: 6 of 7 could not be read and were left out"
+    assert last == "cadenza: repertoire-150: 7 of 8 could not be read and were left out"
     assert len(open_library("repertoire-150").songs) == 1
+    with pytest.raises(CadenzaError, match="etude-12: none of its pieces is in repertoire-150"):
+        open_library("etude-12")
 
 
 def test_what_is_no_dataset_is_refused(tmp_path: Path, data: Path, dataset: Path) -> None:

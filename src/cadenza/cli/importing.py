@@ -37,7 +37,8 @@ class Import:
 
 def run(command: Import) -> None:
     from cadenza.music.folder import import_folder
-    from cadenza.music.library import check_is_free
+    from cadenza.music.library import check_is_free, open_library
+    from cadenza.music.pig import TWELVE, etudes_among
     from cadenza.music.pig_dataset import import_pig
 
     if (command.kind == "midi") != (command.name is not None):
@@ -52,6 +53,8 @@ def run(command: Import) -> None:
         warnings.warn(message, CadenzaWarning, stacklevel=1)
     kept, lost = len(library.rows), len(library.left_out)
     print(f"{kept} songs; to list them: cadenza songs {library.name}")
+    if command.kind == "pig":
+        print(f"{len(etudes_among(open_library(library.name).songs))} of them are in {TWELVE}")
     if lost:
         raise CadenzaError(
             f"{library.name}: {lost} of {kept + lost} could not be read and were left out"

@@ -60,15 +60,22 @@ def read_index(path: Path) -> dict[str, Facts]:
     return index
 
 
-def read_table(text: str, where: object) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+def read_table(
+    text: str, where: object, strict: bool = True
+) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """The names of the columns of a CSV file in lower case, and its lines with their numbers.
 
     Empty lines are left out, and so are cells that no column has a name for.
 
+    Args:
+        text: of the file.
+        where: named in errors, with the line.
+        strict: whether quotation marks in the middle of a cell are an error.
+
     Raises:
-        CadenzaError: it is no CSV; `where` and the line are named.
+        CadenzaError: it is no CSV.
     """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=strict)
     try:
         header = [printable(name).lower() for name in next(reader, [])]
         rows = [

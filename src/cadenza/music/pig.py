@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import replace
 
 from cadenza.errors import CadenzaError
 from cadenza.music.imported import imported, is_imported
-from cadenza.music.songs import Library
+from cadenza.music.songs import Library, Song
 
 ALL = "repertoire-150"
 TWELVE = "etude-12"
@@ -51,11 +52,21 @@ def etude_12() -> Library:
     """Twelve of these pieces, in the order in which they were published.
 
     Raises:
-        CadenzaError: the dataset has not been imported.
+        CadenzaError: the dataset has not been imported, or has none of them.
     """
-    by_work = {_work(song.title): song for song in reversed(repertoire_150().songs)}
-    songs = (by_work[work] for work in map(_work, _ETUDES) if work in by_work)
+    songs = etudes_among(repertoire_150().songs)
+    if not songs:
+        raise CadenzaError(
+            f"{TWELVE}: none of its pieces is in {ALL}; import all of the PIG dataset, with "
+            "`cadenza import pig FILE.zip --replace`"
+        )
     return Library(TWELVE, tuple(replace(s, name=s.name.replace(ALL, TWELVE, 1)) for s in songs))
+
+
+def etudes_among(songs: Sequence[Song]) -> tuple[Song, ...]:
+    """Those of the twelve that are there, by their titles."""
+    by_work = {_work(song.title): song for song in reversed(songs)}
+    return tuple(by_work[work] for work in map(_work, _ETUDES) if work in by_work)
 
 
 def published_name(title: str) -> str:

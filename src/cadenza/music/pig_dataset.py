@@ -197,7 +197,7 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:  # as spreadsheets may save it
         text = content.decode("cp1252", errors="replace")
-    header, rows = read_table(text, where)
+    header, rows = read_table(text, where, strict=False)
     if "piece" not in header:
         raise CadenzaError(f"{where}:1: there is no column Piece, which has the titles")
     column = "id" if "id" in header else header[0]
