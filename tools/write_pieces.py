@@ -29,11 +29,16 @@ from fractions import Fraction
 from pathlib import Path
 
 from cadenza.files import write_atomically
-from cadenza.fingers import Finger
+from cadenza.fingering.difficulty import grade as grade_of
+from cadenza.fingering.players import seated
+from cadenza.fingers import SIDES, Finger
+from cadenza.hands.shadow.hand import SHADOW
+from cadenza.keyboards.piano import PIANO
 from cadenza.music.fingering_file import write_fingering
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, PedalEvent, Score
 
+HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
 PIECES_FOLDER = Path(__file__).parents[1] / "src/cadenza/music/pieces"
 
 VELOCITIES = {"p": 50, "mp": 65, "mf": 80, "f": 95, "ff": 115}
@@ -595,11 +600,13 @@ def index() -> str:
     """Name and description of every piece, so that listing them reads no MIDI file."""
     lines = ["# Written by tools/write_pieces.py.\n"]
     for piece in PIECES:
-        seconds = round(piece.score().total_time, 2)
+        score = piece.score()
+        seconds, grade = round(score.total_time, 2), round(grade_of(score, HANDS), 1)
         lines.append(f"\n[{piece.name}]\n")
         for key in ("title", "composer", "source", "difficulty"):
             lines.append(f"{key} = {json.dumps(getattr(piece, key), ensure_ascii=False)}\n")
-        lines.append(f"seconds = {seconds}\nhands = {bool(piece.right) + bool(piece.left)}\n")
+        lines.append(f"grade = {grade}\nseconds = {seconds}\n")
+        lines.append(f"hands = {bool(piece.right) + bool(piece.left)}\n")
     return "".join(lines)
 
 

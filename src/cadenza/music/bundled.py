@@ -26,7 +26,9 @@ _SHORT = (  # those that the published system has, too
 class Piece:
     """A bundled piece: it lasts `seconds` [s] and is played by one or two `hands`.
 
-    `source` names the work, why it is free to use, and who arranged and fingered it.
+    `difficulty` is what pianists would say, `grade` what two robot hands find, from 1 to 10 (see
+    `cadenza.fingering.difficulty`). `source` names the work, why it is free to use, and who
+    arranged and fingered it.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Piece:
     composer: str
     source: str
     difficulty: Literal["easy", "intermediate", "hard"]
+    grade: float
     seconds: float
     hands: int
 
@@ -64,4 +67,5 @@ def _song(piece: Piece) -> Song:
         source=piece.source,
         seconds=piece.seconds,
         hands=piece.hands,
+        difficulty=piece.grade,
     )

@@ -1,0 +1,182 @@
+"""How hard a score is for two hands, as a grade from 1 to 10.
+
+With each grade the odds of an error, those of 1 - F1, are `ODDS` times as high. The grade is a sum
+over what is measured of the score and its fingers, see `Features`, each on a logarithmic scale and
+with a weight of zero or more: more of anything is never easier. `tools/fit_difficulty.py` has
+fitted the weights to what the planner reaches; docs/difficulty.md says on what, and how well they
+do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.fingering.players import Players
+from cadenza.fingering.search import find_fingering
+from cadenza.fingers import NO_FINGER, SIDES
+from cadenza.hands.reach import Array
+from cadenza.music.keyboard import is_black
+from cadenza.music.score import MIDI_PITCHES, TOGETHER, Score
+
+EASIEST, HARDEST = 1, 10
+ODDS = 1.6
+
+_FINGER_TO_FINGER = 12 / 7  # [semitones] between fingers at rest: they lie on white keys
+_TIME_TO_MOVE = 0.3  # [s] that a finger has no hurry to get to another key
+_TIME_TO_CROSS = 0.5  # [s] after which the hand is moved rather than fingers crossed
+_BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES])
+
+
+@dataclass(frozen=True)
+class Features:
+    """What makes a score hard for two hands. All are 0 or more; hands without fingers count not."""
+
+    notes: float
+    """Notes a second."""
+    chords: float
+    """Notes that begin together, beyond the first."""
+    polyphony: float
+    """Keys down at once while any is, beyond the first."""
+    spread: float
+    """From the lowest to the highest key that a hand strikes at once, for each note [semitones]."""
+    travel: float
+    """Way of both hands along the keyboard [semitones / s]."""
+    hurry: float
+    """Share of notes whose finger comes from another key without time to move."""
+    crossings: float
+    """Fingers that pass over or under one another [1 / s]."""
+    black: float
+    """Share of notes on black keys."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """Grades: a constant, and a weight for the logarithm of 1 + each feature."""
+
+    constant: float
+    weights: Features
+
+    def grade(self, features: Features) -> float:
+        """From `EASIEST` to `HARDEST`."""
+        grade = self.constant + float(np.dot(astuple(self.weights), np.log1p(astuple(features))))
+        return min(max(grade, float(EASIEST)), float(HARDEST))
+
+
+FITTED = Model(
+    constant=0.1,
+    weights=Features(
+        notes=0.3,
+        chords=0.1,
+        polyphony=1.2,
+        spread=0.7,
+        travel=1.0,
+        hurry=4.4,
+        crossings=1.2,
+        black=2.1,
+    ),
+)
+"""By `tools/fit_difficulty.py`."""
+
+
+def grade(score: Score, players: Players | None = None) -> float:
+    """How hard `score` is, from 1 to 10.
+
+    Args:
+        score: of one note or more.
+        players: for whom fingers are found, as the planner does, whatever the score says. None
+            takes the fingers of the score.
+
+    Raises:
+        CadenzaError: there are no notes, or no fingers and no players.
+    """
+    if players is not None:
+        score, _ = find_fingering(score.without_fingers(), players)
+    elif not score.has_fingering:
+        raise CadenzaError(f"{score.title or 'score'}: without fingers; say who plays")
+    return FITTED.grade(features_of(score))
+
+
+def features_of(score: Score) -> Features:
+    """What is hard about a score with fingers; in time linear in its notes.
+
+    Raises:
+        CadenzaError: there are no notes.
+    """
+    if not score.notes:
+        raise CadenzaError(f"{score.title or 'score'}: without notes, nothing is hard or easy")
+    start = np.array([note.start for note in score.notes])
+    end = np.array([note.end for note in score.notes])
+    pitch = np.array([note.pitch for note in score.notes])
+    fingers = [note.finger for note in score.notes]
+    side = np.array([finger.hand if finger else NO_FINGER for finger in fingers])
+    place = np.array([finger.index if finger else NO_FINGER for finger in fingers])
+    seconds = float(end.max() - start.min())
+    moment = np.cumsum(np.diff(start, prepend=start[0]) > TOGETHER)
+    spread = travel = crossings = 0.0
+    for hand in range(len(SIDES)):
+        own = side == hand
+        if own.any():
+            outward = 1 - 2 * hand  # to the little finger
+            stands = pitch[own] - outward * _FINGER_TO_FINGER * place[own]
+            spread += _spread(moment[own], pitch[own])
+            travel += _travel(moment[own], stands)
+            crossings += _crossings(start[own], moment[own], outward * pitch[own], place[own])
+    return Features(
+        notes=len(start) / seconds,
+        chords=len(start) / (moment[-1] + 1) - 1,
+        polyphony=_polyphony(start, end),
+        spread=spread / len(start),
+        travel=travel / seconds,
+        hurry=_hurry(start, end, pitch, len(SIDES) * place + side) / len(start),
+        crossings=crossings / seconds,
+        black=float(_BLACK[pitch].mean()),
+    )
+
+
+def _polyphony(start: Array, end: Array) -> float:
+    """Mean number of notes while any sounds, minus one."""
+    times = np.concatenate([start, end])
+    changes = np.repeat([1, -1], len(start))
+    order = np.lexsort((changes, times))
+    sounding = np.cumsum(changes[order])[:-1]
+    seconds = np.diff(times[order])
+    return float(sounding @ seconds / seconds[sounding > 0].sum()) - 1
+
+
+def _of_moments(moment: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Index of the first note of each moment."""
+    return np.flatnonzero(np.diff(moment, prepend=-1))
+
+
+def _spread(moment: NDArray[np.intp], pitch: Array) -> float:
+    """Sum over moments of what one hand has between its outer keys."""
+    first = _of_moments(moment)
+    return float((np.maximum.reduceat(pitch, first) - np.minimum.reduceat(pitch, first)).sum())
+
+
+def _travel(moment: NDArray[np.intp], place: Array) -> float:
+    """Way of one hand, which stands at the mean of where its fingers have it at a moment."""
+    first = _of_moments(moment)
+    stands = np.add.reduceat(place, first) / np.diff(first, append=len(place))
+    return float(np.abs(np.diff(stands)).sum())
+
+
+def _crossings(
+    start: Array, moment: NDArray[np.intp], outward: Array, place: NDArray[np.intp]
+) -> float:
+    """From a note of one hand to the next: keys outwards, but fingers inwards, or the reverse."""
+    soon = (np.diff(moment) > 0) & (np.diff(start) < _TIME_TO_CROSS)
+    return float((soon & (np.diff(outward) * np.diff(place) < 0)).sum())
+
+
+def _hurry(start: Array, end: Array, pitch: Array, finger: NDArray[np.intp]) -> float:
+    """Sum over notes: 1 where the finger leaves another key only now, 0 where it had the time."""
+    order = np.lexsort((start, finger))
+    start, end, pitch, finger = start[order], end[order], pitch[order], finger[order]
+    another = (np.diff(finger) == 0) & (np.diff(pitch) != 0) & (finger[1:] >= 0)
+    gap = start[1:] - end[:-1]
+    return float((another * np.clip(1 - gap / _TIME_TO_MOVE, 0, 1)).sum())

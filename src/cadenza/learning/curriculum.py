@@ -1,0 +1,56 @@
+"""Which song to learn next: from easy to hard as learning gets on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """Draws songs by their grades and by how far learning is.
+
+        curriculum = Curriculum([song.difficulty for song in songs])
+        song = songs[curriculum.draw(rng, progress=0.3)]
+
+    Progress 0 asks for the easiest songs, 1 for the hardest, and between them for those that are
+    harder than such a share of all songs.
+    """
+
+    grades: tuple[float, ...]
+    """Of the songs, see `cadenza.fingering.difficulty.grade`."""
+    width: float = 1.0
+    """Standard deviation of the grades around the one that is asked for."""
+    review: float = 0.1
+    """Probability of any song instead, so that none is forgotten."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "grades", tuple(self.grades))
+        if not self.grades or not np.isfinite(self.grades).all():
+            raise CadenzaError("a curriculum needs songs, each with a grade")
+        if not self.width > 0 or not 0 <= self.review <= 1:
+            raise CadenzaError(
+                f"curriculum of width {self.width} with review {self.review}: choose a width above "
+                "0, and review from 0 to 1"
+            )
+
+    def probabilities(self, progress: float) -> NDArray[np.float64]:
+        """(num_songs,) how likely each is drawn; `progress` from 0 to 1.
+
+        Raises:
+            CadenzaError: `progress` is something else.
+        """
+        if not 0 <= progress <= 1:
+            raise CadenzaError(f"progress {progress}: choose 0 to 1")
+        grades = np.array(self.grades)
+        off = (grades - np.quantile(grades, progress)) / self.width
+        likely = np.exp((np.min(off**2) - off**2) / 2)  # the likeliest is 1 before it is scaled
+        return self.review / len(grades) + (1 - self.review) * likely / likely.sum()
+
+    def draw(self, rng: np.random.Generator, progress: float) -> int:
+        """The index of a song."""
+        return int(rng.choice(len(self.grades), p=self.probabilities(progress)))

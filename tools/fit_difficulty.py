@@ -1,0 +1,148 @@
+"""Fits the weights of `cadenza.fingering.difficulty` to what the planner reaches.
+
+    python tools/fit_difficulty.py play repertoire:train etudes:100 -o fitted.jsonl
+    python tools/fit_difficulty.py play repertoire:valid etudes:30:1 -o checked.jsonl
+    python tools/fit_difficulty.py fit fitted.jsonl checked.jsonl
+
+`play` has the planner play the opening of songs of libraries (see `cadenza libraries`) or folders,
+and writes a line for each. Run again, it goes on where it was stopped. `fit` fits the weights to
+the first file, prints them as they stand in the module, and says how well the grades go with the F1
+of the songs in each file. Fingers are found for all songs, as the planner does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.stats import spearmanr
+
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.rollout import play_episode
+from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
+from cadenza.fingering.players import seated
+from cadenza.fingering.search import find_fingering
+from cadenza.fingers import SIDES
+from cadenza.hands.shadow.hand import SHADOW
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.library import load_score, open_library
+from cadenza.music.score import Score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+Array = NDArray[np.float64]
+
+HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
+EASIEST_F1 = 0.97  # expected of what is of grade 1
+LEAST_ERROR = 1e-3  # of 1 - F1: a song without an error is not infinitely easy
+RIDGE = 0.3  # features that go together share their weight
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    playing = commands.add_parser("play", help="have the planner play")
+    playing.add_argument("libraries", nargs="+", help="as LIBRARY or LIBRARY:SPLIT")
+    playing.add_argument("--output", "-o", type=Path, required=True)
+    playing.add_argument("--most", type=int, help="songs of each library, drawn; all by default")
+    playing.add_argument("--seconds", type=float, default=15.0, help="that are played of each song")
+    playing.add_argument("--method", default="none", help="--planner.method of cadenza play")
+    fitting = commands.add_parser("fit", help="fit the weights, and check them")
+    fitting.add_argument("fitted", type=Path, help="what is fitted to")
+    fitting.add_argument("checked", type=Path, nargs="*", help="what is looked at only")
+    options = parser.parse_args()
+    if options.command == "play":
+        play(options.libraries, options.output, options.most, options.seconds, options.method)
+    else:
+        fit(options.fitted, options.checked)
+
+
+def play(libraries: list[str], output: Path, most: int | None, seconds: float, method: str) -> None:
+    done = {row["song"] for row in rows_of(output)} if output.exists() else set()
+    planner = ScorePlannerConfig(method=method)  # type: ignore[arg-type]
+    for library in libraries:
+        songs = open_library(library).songs
+        for i in np.random.default_rng(0).permutation(len(songs))[:most]:
+            name = songs[i].name
+            if name in done:
+                continue
+            score = opening(songs[i].load(), seconds)
+            task = PianoTask([score], TaskConfig(initial_buffer_time=0.5))
+            f1 = play_episode(task, ScorePlanner(planner), 0).metrics["f1"]
+            task.close()
+            row = {"library": library, "song": name, "seconds": seconds, "method": method, "f1": f1}
+            with output.open("a") as file:
+                print(json.dumps(row), file=file)
+
+
+def opening(score: Score, seconds: float) -> Score:
+    """Its first seconds, without fingers."""
+    score = score.with_silence_trimmed().without_fingers()
+    notes = (replace(n, end=min(n.end, seconds)) for n in score.notes if n.start < seconds - 0.1)
+    pedal = (event for event in score.pedal if event.time < seconds)
+    return Score(tuple(notes), tuple(pedal), score.title)
+
+
+def rows_of(path: Path) -> list[dict]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def fit(fitted: Path, checked: list[Path]) -> None:
+    features, errors, _ = data_of(fitted)
+    model = fitted_model(features, errors)
+    print(f"FITTED = {model}\n")
+    for path in [fitted, *checked]:
+        features, errors, libraries = data_of(path)
+        for library in dict.fromkeys(libraries):
+            of_it = np.array(libraries) == library
+            report(f"{path.name}, {library}", model, features[of_it], errors[of_it])
+
+
+def data_of(path: Path) -> tuple[Array, Array, list[str]]:
+    """Of N songs: features (N, F), logarithms of the odds of an error (N,), libraries."""
+    rows = rows_of(path)
+    features = []
+    for row in rows:
+        score, _ = find_fingering(opening(load_score(row["song"]), row["seconds"]), HANDS)
+        features.append(astuple(features_of(score)))
+    error = np.maximum(1 - np.array([row["f1"] for row in rows]), LEAST_ERROR)
+    return np.array(features), np.log(error / (1 - error)), [row["library"] for row in rows]
+
+
+def fitted_model(features: Array, errors: Array) -> Model:
+    """Least squares with weights of zero or more."""
+    x = np.log1p(features)
+    scale = x.std(axis=0)
+    ridge = np.eye(x.shape[1]) * np.sqrt(RIDGE * len(x))
+    centred = np.concatenate([(x - x.mean(axis=0)) / scale, ridge])
+    weights, _ = nnls(centred, np.append(errors - errors.mean(), np.zeros(len(ridge))))
+    weights /= scale
+    constant = errors.mean() - x.mean(axis=0) @ weights
+    easiest = np.log((1 - EASIEST_F1) / EASIEST_F1)
+    grades = np.append(weights, constant - easiest) / np.log(ODDS)
+    *per_feature, start = (round(float(grade), 1) for grade in grades)
+    return Model(round(EASIEST + start, 1), Features(*per_feature))
+
+
+def report(name: str, model: Model, features: Array, errors: Array) -> None:
+    grades = np.array([model.grade(Features(*row)) for row in features])
+    rng = np.random.default_rng(0)
+    draws = rng.integers(len(grades), size=(2000, len(grades)))
+    drawn = [spearmanr(grades[draw], errors[draw]).statistic for draw in draws]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    least, middle, most = np.percentile(grades, [0, 50, 100])
+    print(
+        f"{name}: {len(grades)} songs, grades {least:.1f} to {most:.1f}, median {middle:.1f}; "
+        f"rank correlation with the F1 {-spearmanr(grades, errors).statistic:.2f} "
+        f"(95 % interval {-high:.2f} to {-low:.2f})"
+    )
+
+
+if __name__ == "__main__":
+    main()
