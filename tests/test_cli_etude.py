@@ -26,7 +26,10 @@ def test_an_etude_is_written_and_read_back(
     path = tmp_path / "new" / "etude.mid"
     main(["etude", "--kind", "arpeggios", "--difficulty", "3", "--seed", "7", "-o", str(path)])
     wanted = make_etude("arpeggios", 3, 7)
-    assert f"{path}: {wanted.title} (" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"{path}: {wanted.title} (" in said
+    name = said.split("cadenza play ")[1].strip()
+    assert load_score(name).notes == wanted.notes
     assert load_score(path).title == wanted.title
     check_same(load_score(path), wanted)
 

@@ -35,7 +35,7 @@ def etude(command: Etude) -> None:
     import numpy as np
 
     from cadenza.configs import MOST_SEED, whole_number
-    from cadenza.music.etudes.etude import make_etude
+    from cadenza.music.etudes.etude import etude_name, make_etude
     from cadenza.music.midi import write_midi
 
     if command.output is not None:
@@ -48,3 +48,4 @@ def etude(command: Etude) -> None:
     check_writable(path.parent)
     write_midi(score, path)
     print(f"{path}: {score.title} ({score.total_time:.1f} s, {len(score.notes)} notes)")
+    print(f"The same without a file: cadenza play {etude_name(kind, command.difficulty, seed)}")
