@@ -210,6 +210,30 @@ def test_a_learner_may_make_policies_of_another_kind(
     )
 
 
+def test_a_learner_need_not_be_installed(
+    package: Path, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (package / "regression-1.0.dist-info" / "entry_points.txt").write_text("")
+    name = ["--learner", "regression:LinearConfig"]
+    run, page = tmp_path / "run", tmp_path / "curves.html"
+    train = ["train", str(tune), *name, *OPTIONS, "--step-size", "0.05", "-o", str(run)]
+    main([*train, "--num-steps", "104"])
+    assert load_policy(run / "best").learner == name[1]
+    again = (
+        ["train", "--resume", run, "--num-steps", "112", "--no-video"],
+        ["play", run / "best", "--no-video", "-o", tmp_path / "out"],
+        ["compare", tune, "--agents", "zero", run / "best", "-o", tmp_path / "compared"],
+        ["curves", run, "-o", page],
+    )
+    for command in again:
+        del sys.modules["regression"]  # as in another process
+        said = refused(capsys, *command)
+        assert "no file makes Cadenza import a module; give --learner regression:Lin" in said
+        assert "regression" not in sys.modules
+        main([str(word) for word in (*command, *name)])
+    assert page.exists()
+
+
 def test_no_policy_has_a_module_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -219,7 +243,7 @@ def test_no_policy_has_a_module_imported(
     others = {"learner": "antigravity:Config", "policy": {}}
     ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}
     write_sealed(tmp_path / "policy", "policy", facts | others, ranges)
-    assert "learner 'antigravity:Config': " in refused(capsys, "play", tmp_path / "policy")
+    assert "learner antigravity:Config: " in refused(capsys, "play", tmp_path / "policy")
     assert "antigravity" not in sys.modules
 
 
@@ -250,7 +274,7 @@ def test_who_is_no_learner_is_refused(
 
     assert "did you mean droq?" in said("drqo")
     assert "NoLearner is no LearnerConfig of cadenza" in said("none")
-    assert "another package has registered" in said("regression:RegressionConfig")
+    assert "cannot import 'nowhere'" in said("nowhere:Config")
     assert not (tmp_path / "run").exists()
 
 

@@ -21,6 +21,7 @@ from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
 from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
@@ -84,7 +85,7 @@ def _run(arguments: list[str]) -> None:
 
 
 def _load_chosen(words: Sequence[str]) -> None:
-    """Loads a hand and a keyboard that are given as `module:NAME`: no file can have that done."""
+    """Loads what is given as `module:NAME` and files may name: those can have nothing imported."""
     parts = [part for word in words for part in word.split("=", 1)]
     for option, name in pairwise(parts):
         if module_of(name) is None:
@@ -97,6 +98,8 @@ def _load_chosen(words: Sequence[str]) -> None:
             from cadenza.keyboards.named import keyboard_named
 
             keyboard_named(name)
+        elif option == "--learner":
+            LEARNERS.load(name, type)
 
 
 @contextmanager

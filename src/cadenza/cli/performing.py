@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 import tyro
 
 from cadenza.agents.registry import AGENTS, agent_options, options_name
+from cadenza.cli.arguments import Advanced
 from cadenza.cli.progress import stages
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
@@ -66,6 +67,8 @@ class Performing(Options):
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
     """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
+    learner: Advanced[str | None] = None
+    """Learner of a policy, if it was given as module:NAME."""
 
 
 def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Command]:

@@ -25,7 +25,8 @@ from cadenza.files import folder_name, plain
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
-from cadenza.scene.config import SceneConfig, named_by_module
+from cadenza.registry import module_of
+from cadenza.scene.config import named_by_module
 
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
@@ -46,10 +47,11 @@ class Train:
     """Hyperparameters to start from: fast for few cores, paper for the paper's table, published for
     the published run script."""
     learner: Advanced[str] = DROQ
-    """The algorithm: droq, or one that another package adds. --help-all shows its options."""
+    """The algorithm: droq, one that another package adds, or module:NAME. --help-all shows its
+    options."""
     resume: Path | None = None
-    """Continue the run in this folder, with its own options. --num-steps changes its end. A hand or
-    keyboard given as module:NAME has to be given again."""
+    """Continue the run in this folder, with its own options. --num-steps changes its end. A hand,
+    keyboard or learner given as module:NAME has to be given again."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of the run; runs/SONG by default."""
     num_cores: int = 2
@@ -76,6 +78,8 @@ class Curves:
     """Folders of runs, finished or not."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("curves.html")
     """The page, a .html file."""
+    learner: Advanced[str | None] = None
+    """Learner of the runs, if it was given as module:NAME."""
 
 
 def begins_with(arguments: Sequence[str]) -> TrainingConfig:
@@ -100,8 +104,8 @@ def train(command: Train) -> None:
 
     if (command.song is None) == (command.resume is None):
         raise CadenzaError("give a song to learn, or the folder of a run with --resume")
-    chosen = command.preset != Train.preset or command.learner != Train.learner
-    if command.resume is not None and chosen:
+    kept = command.learner in (Train.learner, name_of(command.training.learner))
+    if command.resume is not None and not (kept and command.preset == Train.preset):
         raise CadenzaError(
             f"{command.resume}: a resumed run keeps its own options; leave out --preset and "
             "--learner"
@@ -133,7 +137,7 @@ def _train(command: Train, folder: Path) -> None:
         if command.song is not None:
             run.begin(command.training, score)
         run.set_end(command.training)
-        with _saying_how_to_go_on(folder, command.training.scene):
+        with _saying_how_to_go_on(folder, command.training):
             config, score = run.settings()
             with closing(Training(config, score, run)) as training:
                 finished = _train_on(training, command, run, score.title)
@@ -149,11 +153,13 @@ def _train(command: Train, folder: Path) -> None:
 
 
 @contextmanager
-def _saying_how_to_go_on(folder: Path, scene: SceneConfig) -> Iterator[None]:
+def _saying_how_to_go_on(folder: Path, config: TrainingConfig) -> Iterator[None]:
     """Whenever it is interrupted."""
     again = ["cadenza", "train", "--resume", str(folder)]
-    for option, name in named_by_module(scene).items():
+    for option, name in named_by_module(config.scene).items():
         again += [f"--{option}", name]
+    if module_of(learner := name_of(config.learner)) is not None:
+        again += ["--learner", learner]
     try:
         yield
     except KeyboardInterrupt:

@@ -6,6 +6,7 @@ by an entry point of the group `cadenza.learners`.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
@@ -35,7 +36,6 @@ LEARNERS = Registry(
             "soft actor-critic with dropout in the critics",
         )
     },
-    otherwise="the name of one that another package has registered",
 )
 
 
@@ -118,11 +118,14 @@ def learner_config(name: str) -> type[LearnerConfig]:
     """The configuration of the learner of this name.
 
     Raises:
-        CadenzaError: there is none. A name may come from a file, and no other module is imported
-            than those that packages have registered.
+        CadenzaError: there is none. A name may come from a file, and of `module:Name` the module is
+            to be imported before: that may run anything.
     """
-    if module_of(name) is not None:
-        raise CadenzaError(f"learner {name!r}: give {LEARNERS.otherwise}")
+    if (module := module_of(name)) is not None and module not in sys.modules:
+        raise CadenzaError(
+            f"learner {name}: no file makes Cadenza import a module; give --learner {name} if you "
+            f"trust it, or import {module} first"
+        )
     kind = LEARNERS.load(name, type)
     if not issubclass(kind, LearnerConfig):
         raise CadenzaError(f"learner {name}: {kind.__name__} is no LearnerConfig of cadenza")
@@ -133,14 +136,15 @@ def name_of(config: LearnerConfig) -> str:
     """By which `learner_config` finds the class of `config`.
 
     Raises:
-        CadenzaError: it has no name.
+        CadenzaError: another process could not find it.
     """
     kind = type(config)
     place = f"{kind.__module__}:{kind.__qualname__}"
     for name, entry in LEARNERS.entries().items():
         if entry.place == place:
             return name
-    raise CadenzaError(
-        f"the learner of {place} has no name by which its run could be resumed: register it as an "
-        f"entry point of {LEARNERS.group}"
-    )
+    if kind.__module__ == "__main__" or "<locals>" in place:
+        raise CadenzaError(
+            f"learner {place}: its run could not be resumed; put the class into a module of its own"
+        )
+    return place
