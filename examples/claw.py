@@ -7,7 +7,7 @@ import numpy as np
 
 from cadenza.hands import forearm
 from cadenza.hands.body import Actuator, Body, Geom, Joint, Link
-from cadenza.hands.hand import Finger, Hand
+from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
@@ -89,7 +89,7 @@ CLAW = Hand(
     name="claw",
     body=BODY,
     fingers=tuple(
-        Finger(
+        FingerChain(
             name,
             links=(f"{name}_upper", f"{name}_lower"),
             radii=(RADIUS, RADIUS),

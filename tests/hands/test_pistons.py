@@ -15,8 +15,7 @@ from cadenza import Finger, Note, PianoEnv, SceneConfig, Score, load_episode
 from cadenza.agents.planning.misses import Miss
 from cadenza.hands import forearm
 from cadenza.hands.body import Actuator, Body, Geom, Joint, Link
-from cadenza.hands.hand import Finger as Chain
-from cadenza.hands.hand import Hand
+from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 from cadenza.music.fingering_file import read_fingering
@@ -53,7 +52,7 @@ PISTONS = Hand(
     name="pistons",
     body=BODY,
     fingers=tuple(
-        Chain(f"piston{number}", (f"rod{number}",), (RADIUS,), (0, -0.08, 0), on_white=0.05)
+        FingerChain(f"piston{number}", (f"rod{number}",), (RADIUS,), (0, -0.08, 0), on_white=0.05)
         for number in range(COUNT)
     ),
     servos={

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from headless import Browser, needs_chromium
+from made_up_episode import make_episode
 
 from cadenza.report.comparison import COLUMNS, Run, in_text, means, write_comparison
 from cadenza.report.page import asset
-from conftest import make_episode
 
 
 def run(agent: str, seed: int, f1: float, **figures: float) -> Run:

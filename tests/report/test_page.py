@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from conftest import make_episode
+from made_up_episode import make_episode
 
 from cadenza.episode import Episode
 from cadenza.report.page import asset, write_report

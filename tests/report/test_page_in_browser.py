@@ -2,8 +2,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DT, STEPS, make_episode
 from headless import Browser, needs_chromium
+from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
 from cadenza.music.performance import performed_score

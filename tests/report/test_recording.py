@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DT, make_episode
 from headless import needs_chromium
+from made_up_episode import DT, make_episode
 
 from cadenza.report.page import asset, write_report
 from cadenza.scene.config import SceneConfig

@@ -20,7 +20,7 @@ MOST_FINGERS = 8
 
 
 @dataclass(frozen=True)
-class Finger:
+class FingerChain:
     """A chain of links from the palm to the tip that presses keys."""
 
     name: str
@@ -47,7 +47,7 @@ class Hand:
     name: str
     body: Body
     """What is built into the scene."""
-    fingers: tuple[Finger, ...]
+    fingers: tuple[FingerChain, ...]
     """The thumb first, then its neighbours in their order; up to `MOST_FINGERS`."""
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
@@ -117,7 +117,7 @@ def _faults_of_body(body: Body) -> Iterator[str]:
             yield f"there is no joint or coupling {actuator.target!r} for an actuator to move"
 
 
-def _faults_of_finger(finger: Finger, thumb: Finger, links: set[str]) -> Iterator[str]:
+def _faults_of_finger(finger: FingerChain, thumb: FingerChain, links: set[str]) -> Iterator[str]:
     if unknown := [link for link in finger.links if link not in links]:
         yield f"finger {finger.name}: there is no link {unknown[0]!r}"
     if len(finger.links) != len(thumb.links) or not finger.links:

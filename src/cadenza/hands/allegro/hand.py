@@ -6,7 +6,7 @@ import numpy as np
 
 from cadenza.hands import forearm
 from cadenza.hands.allegro.figures import BODY
-from cadenza.hands.hand import Finger, Hand
+from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
@@ -34,10 +34,10 @@ _START = {
 }
 
 
-def _finger(name: str) -> Finger:
+def _finger(name: str) -> FingerChain:
     tip = (0.0, 0.0, 0.043 if name == "th" else 0.029)
     links = tuple(name + link for link in _LINKS)
-    return Finger(name, links, (0.0155, 0.0155, 0.012), tip, _ON_WHITE[name])
+    return FingerChain(name, links, (0.0155, 0.0155, 0.012), tip, _ON_WHITE[name])
 
 
 def _servos(name: str) -> dict[str, Servo]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.hands import forearm
-from cadenza.hands.hand import Finger, Hand
+from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 from cadenza.hands.shadow.figures import BODY
@@ -13,12 +13,12 @@ from cadenza.hands.shadow.figures import BODY
 _NAMES = ("th", "ff", "mf", "rf", "lf")
 
 
-def _finger(name: str) -> Finger:
+def _finger(name: str) -> FingerChain:
     links = tuple(name + link for link in ("proximal", "middle", "distal"))
     if name == "th":
         # Shorter than the others, it presses near the edge of the key.
-        return Finger(name, links, (0.0105, 0.009, 0.0082), (0, 0, 0.0275), on_white=0.056)
-    return Finger(name, links, (0.009, 0.009, 0.0067), (0, 0, 0.026), on_white=0.047)
+        return FingerChain(name, links, (0.0105, 0.009, 0.0082), (0, 0, 0.0275), on_white=0.056)
+    return FingerChain(name, links, (0.009, 0.009, 0.0067), (0, 0, 0.026), on_white=0.047)
 
 
 def _servos(name: str, spread: float, knuckle: float, tip: float) -> dict[str, Servo]:
