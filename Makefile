@@ -4,13 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
 
-.PHONY: play test check docs bench sb3 lock clean
+.PHONY: play test test-ray check docs bench sb3 lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
 help:
 	@echo "make play    two robot hands play SONG=$(SONG), and leave a page to open"
 	@echo "make test    run the tests"
+	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
 	@echo "make bench   measure speed, as ratios in one run"
@@ -34,6 +35,11 @@ check: $(VENV)/installed
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+# Ray is large and optional, so it is installed only here; its tests start clusters of their own.
+test-ray: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[ray]'
+	$(BIN)/python -m pytest -m slow tests/evaluation/test_ray.py
 
 docs: $(VENV)/installed
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs

@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -22,11 +23,6 @@ class Aborts(Still):
         os.abort()
 
 
-class Vanishes(Still):
-    def at_step(self):
-        os._exit(0)
-
-
 class Raises(Still):
     def at_step(self):
         raise ValueError("not\ntoday")
@@ -34,10 +30,11 @@ class Raises(Still):
 
 class Slow(Still):
     def at_step(self):
-        time.sleep(0.05)
+        time.sleep(0.1)
 
 
-class AbortsUnlessAllowed(Still):
-    def at_step(self):
-        if not os.path.exists(os.environ["ALLOWED"]):
-            os.abort()
+class Counted(Slow):
+    """Leaves a file for each time that it begins."""
+
+    def reset(self, env_ids, rngs):
+        Path(f"begun-{os.getpid()}").touch()

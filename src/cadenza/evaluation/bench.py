@@ -7,13 +7,24 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.results import RESULT, RUNS, failure
 from cadenza.evaluation.run import locked, write_failure
 
 _BETWEEN_LOOKS = 0.5  # [s]
+
+
+class Ended(NamedTuple):
+    """A run whose process has ended."""
+
+    job: Job
+    crash: str = ""
+    """What became of a process that crashed, in a line; others leave a result or why there is
+    none."""
+    told_to: bool = False
+    """Whether somebody told it to end, so that it is to be taken up again."""
 
 
 class Executor(Protocol):
@@ -26,12 +37,8 @@ class Executor(Protocol):
     def start(self, job: Job, folder: Path) -> None:
         """Begins `cadenza.evaluation.run.carry_out`."""
 
-    def ended(self, seconds: float) -> list[tuple[Job, str]]:
-        """Runs whose process has ended, waited for at most so long [s].
-
-        With each stands what became of a process that crashed, in a line; nothing for others,
-        which leave a result or say why there is none.
-        """
+    def ended(self, seconds: float) -> list[Ended]:
+        """Waits at most so long [s] for some to end."""
 
     def stop(self) -> None:
         """Ends all runs under way, so that they can be taken up again."""
@@ -94,9 +101,11 @@ def bench(
             _start(state, state.todo.popleft(), executor)
         if not state.running:
             time.sleep(_BETWEEN_LOOKS)
-        for job, crash in executor.ended(_BETWEEN_LOOKS) if state.running else ():
+        for job, crash, told_to in executor.ended(_BETWEEN_LOOKS) if state.running else ():
             del state.running[job.spec.name]
-            if _has_ended(state, job, crash):
+            if told_to:
+                state.todo.append(job)
+            elif _has_ended(state, job, crash):
                 ended(state, job)
             else:
                 state.elsewhere.append(job)

@@ -6,11 +6,12 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import connection, get_context, parent_process, resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
 
+from cadenza.evaluation.bench import Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
 from cadenza.sim.threads import available_cores
@@ -29,7 +30,9 @@ class Local:
 
     def start(self, job: Job, folder: Path) -> None:
         process = _SPAWN.Process(target=_work, args=(job, folder, self._num_threads))
-        # Ctrl-C of a terminal goes to all of its processes, and only we are to act on it.
+        # Ctrl-C of a terminal goes to all of its processes, and only we are to act on it: what is
+        # blocked here is blocked there. (The first start of a tracker would unblock it.)
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             process.start()
@@ -37,11 +40,15 @@ class Local:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self._running.append((job, process))
 
-    def ended(self, seconds: float) -> list[tuple[Job, str]]:
+    def ended(self, seconds: float) -> list[Ended]:
         connection.wait([process.sentinel for _, process in self._running], seconds)
-        ended = [(job, process) for job, process in self._running if not process.is_alive()]
-        self._running = [entry for entry in self._running if entry not in ended]
-        return [(job, _crash(process)) for job, process in ended]
+        before, self._running, ended = self._running, [], []
+        for job, process in before:
+            if process.is_alive():
+                self._running.append((job, process))
+            else:
+                ended.append(_ended(job, process))
+        return ended
 
     def stop(self) -> None:
         for _, process in self._running:
@@ -56,16 +63,19 @@ class Local:
             process.kill()
 
 
-def _crash(process: BaseProcess) -> str:
-    """What became of the process, in a line; nothing if it ended in good order."""
+def _ended(job: Job, process: BaseProcess) -> Ended:
     process.join()
     status = process.exitcode or 0
     process.close()
+    if status == -signal.SIGTERM:
+        return Ended(job, told_to=True)
     if status == -signal.SIGKILL:
-        return "its process was killed (SIGKILL), as a system does when memory runs out"
-    if status < 0:
-        return f"its process crashed ({signal.Signals(-status).name}); see log.txt"
-    return f"its process ended with status {status}; see log.txt" if status else ""
+        why = "its process was killed (SIGKILL), as a system does when memory runs out"
+        return Ended(job, why)
+    if status:
+        how = signal.Signals(-status).name if status < 0 else f"status {status}"
+        return Ended(job, f"its process crashed ({how}); see log.txt")
+    return Ended(job)
 
 
 def _work(job: Job, folder: Path, num_threads: int) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.bench import Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
 
@@ -60,10 +61,10 @@ class Ray:
         place = self._carry_out.remote(job, folder.resolve(), self._num_threads, os.getcwd())
         self._running[place] = job
 
-    def ended(self, seconds: float) -> list[tuple[Job, str]]:
+    def ended(self, seconds: float) -> list[Ended]:
         places = list(self._running)
         ready, _ = self._ray.wait(places, num_returns=len(places), timeout=seconds)
-        return [(self._running.pop(place), self._crash(place)) for place in ready]
+        return [Ended(self._running.pop(place), self._crash(place)) for place in ready]
 
     def _crash(self, place: Any) -> str:
         try:

@@ -1,0 +1,150 @@
+"""What a bench does with runs that finish, fail, crash, end early, or belong to others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cadenza.evaluation.bench import Ended, State, bench
+from cadenza.evaluation.job import Job
+from cadenza.evaluation.matrix import Contender, matrix
+from cadenza.evaluation.results import read_results
+from cadenza.evaluation.run import carry_out, locked
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.library import open_library
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+
+class OneByOne:
+    """Carries out runs in this process; what becomes of each is told beforehand."""
+
+    capacity = 1
+
+    def __init__(self, instead: Sequence[Ended | None] = ()) -> None:
+        self.begun: list[str] = []
+        self._instead = list(instead)
+        self._ended: list[Ended] = []
+
+    def start(self, job: Job, folder: Path) -> None:
+        self.begun.append(job.spec.agent)
+        instead = self._instead.pop(0) if self._instead else None
+        if instead is None:
+            carry_out(job, folder, num_threads=1)
+        self._ended.append((instead or Ended(job))._replace(job=job))
+
+    def ended(self, seconds: float) -> list[Ended]:
+        ended, self._ended = self._ended, []
+        return ended
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> Callable[..., list[Job]]:
+    """Runs of agents with a song of one note."""
+    write_midi(Score((Note(0.0, 0.2, 60),)), tmp_path / "songs" / "song.mid")
+    library = open_library(tmp_path / "songs")
+
+    def make(*agents: str, **task: Any) -> list[Job]:
+        who = [Contender(agent, TaskConfig(**task), SceneConfig()) for agent in agents]
+        return matrix(library, lambda _: who, [0], Arrangement(), "none")
+
+    return make
+
+
+def carried_out(
+    jobs: list[Job], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
+) -> tuple[State, list[str]]:
+    """How it was at the end, and which agents began."""
+    executor, told = OneByOne(instead), list[str]()
+    state = bench(
+        jobs, folder, executor, lambda _, job: told.append(job.spec.name), lambda _: True, retry
+    )
+    assert not state.left
+    assert state.finished + len(state.failed) == len(jobs)
+    return state, executor.begun
+
+
+def test_a_folder_is_extended_and_what_is_finished_never_done_again(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    assert carried_out(jobs("zero"), tmp_path)[1] == ["zero"]
+    assert carried_out(jobs("zero"), tmp_path)[1] == []
+    assert carried_out(jobs("zero", "random"), tmp_path)[1] == ["random"]
+    assert carried_out(jobs("zero", stretch=2.0), tmp_path)[1] == ["zero"]
+    assert len(read_results(tmp_path).results) == 3
+
+
+def test_what_failed_is_told_and_carried_out_again_on_demand(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    both = jobs("bench_agents:Raises", "zero")
+    for begun in ["bench_agents:Raises", "zero"], []:
+        state, agents = carried_out(both, tmp_path)
+        assert agents == begun
+        (why,) = state.failed.values()
+        assert why.startswith("agent Raises: act(): ValueError: not today (")
+    assert carried_out(both, tmp_path, retry=True)[1] == ["bench_agents:Raises"]
+    (unfinished,) = read_results(tmp_path).unfinished
+    assert unfinished.why == why
+
+
+def test_a_process_that_crashed_or_vanished_has_failed(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    three = jobs("zero", "random", "bench_agents:Still")
+    (anyone, *_) = three
+    instead = [Ended(anyone, "out of memory"), Ended(anyone), None]
+    state, _ = carried_out(three, tmp_path, instead)
+    assert list(state.failed.values()) == [
+        "out of memory",
+        "its process ended without a result; see log.txt",
+    ]
+    assert carried_out(three, tmp_path, retry=True)[0].finished == 3
+
+
+def test_a_process_that_was_told_to_end_is_taken_up_again(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    (job,) = jobs("zero")
+    state, begun = carried_out([job], tmp_path, [Ended(job, told_to=True)])
+    assert (state.finished, begun) == (1, ["zero", "zero"])
+
+
+def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    (job,) = jobs("zero")
+    looks = 0
+    with locked(tmp_path / "runs" / job.spec.name) as ours:
+        assert ours
+
+        def goes_on(_: State) -> bool:
+            nonlocal looks
+            looks += 1
+            return looks < 4
+
+        executor = OneByOne()
+        state = bench([job], tmp_path, executor, lambda *_: None, goes_on)
+        assert (state.left, state.elsewhere) == (1, [job])
+        assert executor.begun == ["zero"]  # which found it locked
+    assert carried_out([job], tmp_path)[0].finished == 1
+
+
+def test_a_song_that_has_changed_since_is_told(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    planned = jobs("zero")
+    write_midi(Score((Note(0.0, 0.2, 62),)), tmp_path / "songs" / "song.mid")
+    state, _ = carried_out(planned, tmp_path)
+    assert "has other notes here and now" in next(iter(state.failed.values()))

@@ -1,0 +1,204 @@
+"""`cadenza bench` as a person meets it: with processes, Ctrl-C, kills, and others beside it."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from cadenza.evaluation.results import Results, read_results
+from cadenza.evaluation.run import progress_of
+from cadenza.music.midi import write_midi
+from cadenza.music.score import Note, Score
+
+AGENTS = Path(__file__).parent / "evaluation"
+CHANGES = ("planning_seconds", "playing_seconds")  # from run to run
+_PATIENCE = 300.0  # [s] a machine may be busy
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With two songs of one note each, and the folder out for results."""
+    for pitch in 60, 64:
+        write_midi(Score((Note(0.0, 0.3, pitch),)), tmp_path / "songs" / f"{pitch}.mid")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def options(agents: str, *others: str) -> list[str]:
+    chosen = ["--songs", "songs", "--agents", agents, "-o", "out", "--pages", "none"]
+    return ["bench", *chosen, "--jobs", "2", *others]
+
+
+def started(agents: str, *others: str) -> subprocess.Popen[str]:
+    """The command, under way."""
+    paths = os.pathsep.join([*filter(None, sys.path), str(AGENTS)])
+    return subprocess.Popen(
+        [sys.executable, "-m", "cadenza", *options(agents, *others)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": paths},
+        start_new_session=True,
+    )
+
+
+def of(command: subprocess.Popen[str], status: int = 0) -> str:
+    """All that it says until it ends."""
+    try:
+        out, err = command.communicate(timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        command.kill()
+        raise
+    assert command.returncode == status, out + err
+    return out + err
+
+
+def until(what: Callable[[], object]) -> None:
+    """Waits for it."""
+    end = time.monotonic() + _PATIENCE
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def under_way(folder: Path, stage: str = "playing") -> list[int]:
+    """Processes of runs that are that far."""
+    at = [progress_of(run) for run in (folder / "out" / "runs").glob("*")]
+    return [found.pid for found in at if found is not None and found.stage == stage]
+
+
+def in_short(results: Results) -> dict[str, object]:
+    """What is the same whenever and however often it is done."""
+    return {
+        result.folder.name: {n: v for n, v in result.metrics.items() if n not in CHANGES}
+        for result in results.results
+    }
+
+
+def test_one_that_crashes_takes_nothing_else_with_it(folder: Path) -> None:
+    (folder / "songs" / "64.mid").unlink()
+    said = of(started("bench_agents:Aborts,zero"), status=2)
+    assert "1 of 2 runs finished, 1 failed" in said
+    assert "1 of 2 runs failed; add --retry" in said
+    assert "2 of 2: " in said
+    found = read_results(folder / "out")
+    assert [result.agent for result in found.results] == ["zero"]
+    assert ["SIGABRT" in run.why for run in found.unfinished] == [True]
+
+
+@pytest.mark.parametrize(
+    ("others", "what"),
+    [
+        (("--seeds", "x"), "seeds x: give whole numbers"),
+        (("--seeds", "3-1"), "FIRST-LAST"),
+        (("--seeds", ","), "no seed"),
+        (("--agents", ","), "nobody plays"),
+        (("--agents", "playback"), "playback plays a single file"),
+        (("--agents", "nobody"), "no agent 'nobody'"),
+        (("--agents", "train:fats"), "choose from train:fast"),
+        (("--agents", "train:fast", "--num-steps", "0"), "num_steps 0"),
+        (("--songs", "nothing"), "no song library 'nothing'"),
+        (("--jobs", "0"), "jobs 0"),
+        (("--address", "auto"), "add --executor ray"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(
+    folder: Path, others: tuple[str, ...], what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(options("zero", *others))
+    assert stop.value.code == 2
+    said = capsys.readouterr().err
+    assert what in said
+    assert said.count("\n") == 1
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.slow
+def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder: Path) -> None:
+    command = started("bench_agents:Slow")
+    until(lambda: under_way(folder))
+    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+    said = of(command, status=130)
+    assert "0 of 2 runs finished, 2 left" in said
+    assert "run the same command again" in said
+    assert "Traceback" not in said
+    assert "2 of 2 runs finished" in of(started("bench_agents:Slow"))
+
+
+@pytest.mark.slow
+def test_runs_end_with_the_bench_that_was_killed(folder: Path) -> None:
+    command = started("bench_agents:Slow", "--stretch", "100")
+    until(lambda: under_way(folder))
+    (pid, *_) = under_way(folder)
+    command.kill()
+    command.communicate()
+    until(lambda: not Path(f"/proc/{pid}").exists())
+
+
+@pytest.mark.slow
+def test_killed_at_random_it_finishes_with_the_same_results(folder: Path) -> None:
+    chosen = "bench_agents:Slow,planner", "--seeds", "0-1"
+    rng = random.Random(0)
+    for _ in range(6):
+        command = started(*chosen, "--retry")
+        time.sleep(rng.uniform(1.0, 12.0))
+        if rng.random() < 0.5:  # one run only
+            for pid in under_way(folder)[:1]:
+                os.kill(pid, signal.SIGKILL)
+            time.sleep(rng.uniform(0.0, 2.0))
+        command.kill()
+        command.communicate()
+    assert "8 of 8 runs finished" in of(started(*chosen, "--retry"))
+    found = read_results(folder / "out")
+    assert not found.broken
+    of(started(*chosen, "-o", "afresh"))
+    assert in_short(found) == in_short(read_results(folder / "afresh"))
+
+
+@pytest.mark.slow
+def test_two_benches_share_the_runs_of_a_folder(folder: Path) -> None:
+    commands = [started("bench_agents:Counted", "--seeds", "0-1") for _ in range(2)]
+    for command in commands:
+        assert "4 of 4 runs finished" in of(command)
+    assert len(list(folder.glob("begun-*"))) == 4
+    assert len(read_results(folder / "out").results) == 4
+
+
+@pytest.mark.slow
+def test_a_run_of_a_bench_that_was_killed_is_taken_up_by_another(folder: Path) -> None:
+    chosen = "bench_agents:Slow", "--stretch", "10"
+    first = started(*chosen)
+    until(lambda: len(under_way(folder)) == 2)
+    second = started(*chosen)
+    time.sleep(2.0)
+    first.kill()
+    first.communicate()
+    assert "2 of 2 runs finished" in of(second)
+
+
+@pytest.mark.slow
+def test_training_goes_through_the_same_matrix_and_is_resumed(folder: Path) -> None:
+    chosen = "train:fast", "--num-steps", "8000"
+    command = started(*chosen)
+    until(lambda: under_way(folder, "learning"))
+    os.killpg(command.pid, signal.SIGINT)
+    assert "2 left" in of(command, status=130)
+    kept = list((folder / "out").rglob("checkpoints/*"))
+    assert kept  # to go on from
+    assert "2 of 2 runs finished" in of(started(*chosen))
+    for result in read_results(folder / "out").results:
+        assert result.training is not None
+        assert result.training.steps == 8000
+        assert (result.folder / "training" / "best" / "manifest.json").exists()
+        assert not (result.folder / "training" / "checkpoints").exists()
