@@ -20,7 +20,7 @@ from cadenza.music.score import Note, Score
 pytestmark = pytest.mark.slow
 ray = pytest.importorskip("ray")
 
-_PATIENCE = 300.0  # [s] a machine may be busy
+_PATIENCE = 600.0  # [s] a machine may be busy
 
 
 @pytest.fixture

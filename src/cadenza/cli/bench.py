@@ -308,6 +308,7 @@ def _tell_what_is_left(state: State, folder: Path) -> None:
     if state.left:
         print("run the same command again to go on", file=sys.stderr)
         raise KeyboardInterrupt
+    print(f"To sum them up: {shlex.join(['cadenza', 'results', str(folder)])}")
     if state.failed:
         raise CadenzaError(
             f"{len(state.failed)} of {state.total} runs failed; add --retry to carry them out again"
