@@ -19,12 +19,12 @@ def alberti(sheet: Sheet) -> Iterator[Tone]:
     """A melody over chords that the left hand breaks: lowest, highest, middle, highest."""
     *chords, _ = sheet.chords()
     for at, length, degree, chord in melody(sheet, chords, 2, STEPS + 4):
-        yield Tone(at, length, sheet.degree(degree, chord), _LOUD)
+        yield Tone(at, length, sheet.pitch(degree, chord), _LOUD)
     for bar, chord in enumerate(chords):
         lowest = chord.nearest(-STEPS - 2)
         for i in range(sheet.bar):
             degree = chord.tone(lowest + _ALBERTI[i % len(_ALBERTI)])
-            yield Tone(bar * sheet.bar + i, 1, sheet.degree(degree, chord), _SOFT)
+            yield Tone(bar * sheet.bar + i, 1, sheet.pitch(degree, chord), _SOFT)
     yield from sheet.ending(right=STEPS)
 
 
@@ -36,7 +36,7 @@ def leaps(sheet: Sheet) -> Iterator[Tone]:
         yield from _stride(sheet, bar, chord, widest)
     for at, length, degree, chord in melody(sheet, chords, 3, STEPS + 3, slow=True):
         if sheet.difficulty < 6 or length == 1:
-            yield Tone(at, length, sheet.degree(degree, chord), _LOUD)
+            yield Tone(at, length, sheet.pitch(degree, chord), _LOUD)
         else:
             yield from _leap_up(sheet, at, length, degree, chord, widest)
     yield from sheet.ending(right=STEPS)
@@ -44,9 +44,9 @@ def leaps(sheet: Sheet) -> Iterator[Tone]:
 
 def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]:
     """Bass and chord in turn, as in a march; in three beats bass, chord, chord."""
-    above = [chord.tone(chord.nearest(-STEPS + 1) + i) for i in range(_thickness(sheet))]
-    pitches = [sheet.degree(degree, chord) for degree in above]
-    bass = sheet.degree(chord.root - STEPS, chord)
+    above = [chord.tone(chord.nearest(-STEPS + 1) + i) for i in range(sheet.thickness)]
+    pitches = [sheet.pitch(degree, chord) for degree in above]
+    bass = sheet.pitch(chord.root - STEPS, chord)
     while bass >= pitches[0]:
         bass -= OCTAVE
     while bass - OCTAVE >= max(pitches[0] - widest, LOWEST_PITCH):
@@ -61,20 +61,16 @@ def _stride(sheet: Sheet, bar: int, chord: Chord, widest: int) -> Iterator[Tone]
                 yield Tone(at, sheet.division, pitch, _SOFT)
 
 
-def _thickness(sheet: Sheet) -> int:
-    return 1 if sheet.difficulty <= 2 else 2 if sheet.difficulty <= 4 else 3
-
-
 def _leap_up(
     sheet: Sheet, at: float, length: float, degree: int, chord: Chord, widest: int
 ) -> Iterator[Tone]:
     """A note, and then a tone of the chord as far above it as is allowed."""
-    low = sheet.degree(degree, chord)
+    low = sheet.pitch(degree, chord)
     index = chord.nearest(degree)
-    while sheet.degree(chord.tone(index + 1), chord) - low <= widest:
+    while sheet.pitch(chord.tone(index + 1), chord) - low <= widest:
         index += 1
     yield Tone(at, length / 2, low, _LOUD)
-    yield Tone(at + length / 2, length / 2, sheet.degree(chord.tone(index), chord), _LOUD)
+    yield Tone(at + length / 2, length / 2, sheet.pitch(chord.tone(index), chord), _LOUD)
 
 
 def trills(sheet: Sheet) -> Iterator[Tone]:
@@ -98,12 +94,12 @@ def _trill(sheet: Sheet, bar: int, chord: Chord, main: int) -> Iterator[Tone]:
     """Main note and upper neighbour in turn; before the end the lower neighbour."""
     at = bar * sheet.bar
     for i in range(sheet.bar - 2):
-        yield Tone(at + i, 1, sheet.degree(main + i % 2, chord))
-    yield Tone(at + sheet.bar - 2, 1, sheet.degree(main - 1, chord))
-    yield Tone(at + sheet.bar - 1, 1, sheet.degree(main, chord))
+        yield Tone(at + i, 1, sheet.pitch(main + i % 2, chord))
+    yield Tone(at + sheet.bar - 2, 1, sheet.pitch(main - 1, chord))
+    yield Tone(at + sheet.bar - 1, 1, sheet.pitch(main, chord))
 
 
 def _support(sheet: Sheet, bar: int, chord: Chord, home: int) -> Iterator[Tone]:
-    for i in range(_thickness(sheet)):
-        pitch = sheet.degree(chord.tone(chord.nearest(home) + i), chord)
+    for i in range(sheet.thickness):
+        pitch = sheet.pitch(chord.tone(chord.nearest(home) + i), chord)
         yield Tone(bar * sheet.bar, sheet.bar, pitch, _SOFT)

@@ -7,6 +7,7 @@ from itertools import combinations, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.music.etudes.choice import FORBIDDEN, Costs, cheapest, fancy
 from cadenza.music.etudes.harmony import LEADING, TONIC, Chord, progression
@@ -17,7 +18,7 @@ from cadenza.music.etudes.voices import Pitches, are_hidden, are_parallel, is_aw
 _RANGES = {"bass": (38, 57), "tenor": (48, 62), "alto": (58, 72), "soprano": (62, 79)}
 _VOICES = (("bass", "soprano"), ("bass", "alto", "soprano"), tuple(_RANGES))
 _PHRASE = 7  # chords: six of a beat, one of two
-_WIDEST = OCTAVE + 7  # between the bass and the voice above it, where another hand plays that
+_WIDEST = OCTAVE + 7  # between the bass and the alto, which the other hand plays
 _DOUBLED_THIRD, _INVERSION, _NO_FIFTH, _HIDDEN, _NOT_RESOLVED = 40, 30, 60, 60, 80
 _SOPRANO_STAYS = 50
 _FAR = 12  # per semitone beyond a second
@@ -64,7 +65,7 @@ def chorale(sheet: Sheet) -> Iterator[Tone]:
 def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _Voicings:
     """All good ones; where a phrase ends, the root is in the bass."""
     degrees = np.arange(-3 * STEPS, 3 * STEPS)
-    pitches = np.array([sheet.degree(int(degree), chord) for degree in degrees])
+    pitches = np.array([sheet.pitch(int(degree), chord) for degree in degrees])
     fits = np.array([chord.has(int(degree)) for degree in degrees])
     within = [
         (fits & (pitches >= low) & (pitches <= high)).nonzero()[0].tolist()
@@ -73,15 +74,7 @@ def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _
     all_of_them = np.array(list(product(*within)))
     p, d = pitches[all_of_them], degrees[all_of_them]
     tones = (d - chord.root) % STEPS  # 0 the root, 2 the third, 4 the fifth
-    gaps = np.diff(p, axis=1)
-    good = (gaps > 0).all(axis=1) & (gaps[:, 1:] <= OCTAVE).all(axis=1)
-    if len(names) == len(_RANGES):
-        good &= (gaps[:, 0] <= OCTAVE) & (tones == 0).any(axis=1) & (tones == 4).any(axis=1)
-    else:
-        good &= gaps[:, 0] <= (_WIDEST if len(names) > 2 else 3 * OCTAVE)
-    if len(names) > 2:
-        good &= (tones == 2).any(axis=1)
-    good &= tones[:, 0] != 4
+    good = _is_full(tones) & _is_close(p) & (tones[:, 0] != 4)
     good &= (d % STEPS == LEADING).sum(axis=1) <= 1
     if _is_diminished(sheet, chord):
         good &= tones[:, 0] == 2
@@ -96,8 +89,21 @@ def _voicings(sheet: Sheet, chord: Chord, names: Sequence[str], ends: bool) -> _
     return _Voicings(d[good], p[good], costs[good])
 
 
+def _is_full(tones: Pitches) -> NDArray[np.bool_]:
+    """Whether three voices have a third, and four the whole triad; (n, v) above the root."""
+    wanted = {2: [], 3: [2], 4: [0, 2, 4]}[tones.shape[1]]
+    return (tones[..., None] == np.array(wanted, int)).any(axis=1).all(axis=1)
+
+
+def _is_close(pitches: Pitches) -> NDArray[np.bool_]:
+    """Whether voices lie in their order, and those of one hand within an octave; (n, v)."""
+    gaps = np.diff(pitches, axis=1)
+    below = {2: 3 * OCTAVE, 3: _WIDEST, 4: OCTAVE}[pitches.shape[1]]
+    return (gaps > 0).all(axis=1) & (gaps[:, 0] <= below) & (gaps[:, 1:] <= OCTAVE).all(axis=1)
+
+
 def _is_diminished(sheet: Sheet, chord: Chord) -> bool:
-    root, fifth = (sheet.degree(chord.tone(i), chord) for i in (0, 2))
+    root, fifth = (sheet.pitch(chord.tone(i), chord) for i in (0, 2))
     return fifth - root == OCTAVE // 2
 
 
@@ -131,7 +137,7 @@ def _passing(
     moved = degrees[1] - degrees[0]
     for voice in reversed((np.abs(moved) == 2).nonzero()[0].tolist()):
         between = pitches[0].copy()
-        between[voice] = sheet.degree(int(degrees[0][voice] + moved[voice] // 2), chord)
+        between[voice] = sheet.pitch(int(degrees[0][voice] + moved[voice] // 2), chord)
         pairs = list(combinations(range(len(between)), 2))
         faults = (
             are_parallel(between[low], between[high], pitches[1][low], pitches[1][high])

@@ -53,7 +53,7 @@ _KINDS = {
     "repeated-notes": _Kind("Repeated notes", repeated_notes, 1.5, 8),
 }
 KINDS = tuple(_KINDS)
-_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,20}})", re.ASCII)
+_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
 
 
 def make_etude(kind: str, difficulty: int, seed: int) -> Score:

@@ -41,7 +41,7 @@ def _figures(sheet: Sheet, odd: Sequence[int], even: Sequence[int]) -> Iterator[
         for hand in hands:
             lowest = chord.nearest(_HOME[hand])
             for i, tone in enumerate(figure):
-                pitch = sheet.degree(chord.tone(lowest + tone), chord)
+                pitch = sheet.pitch(chord.tone(lowest + tone), chord)
                 yield Tone(bar * sheet.bar + i, 1, pitch)
         if hands == ("right",):
             yield from _held(sheet, bar, chord, chord.nearest(2 - 2 * STEPS))
@@ -55,7 +55,7 @@ def _held(sheet: Sheet, bar: int, chord: Chord, lowest: int) -> Iterator[Tone]:
     """A chord from its tone `lowest` upwards; in the easiest etudes nothing."""
     count = 0 if sheet.difficulty <= 2 else 1 if sheet.difficulty == 3 else 3
     for tone in range(lowest, lowest + count):
-        yield Tone(bar * sheet.bar, sheet.bar, sheet.degree(chord.tone(tone), chord), _CHORD)
+        yield Tone(bar * sheet.bar, sheet.bar, sheet.pitch(chord.tone(tone), chord), _CHORD)
 
 
 def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
@@ -66,18 +66,19 @@ def repeated_notes(sheet: Sheet) -> Iterator[Tone]:
         for i in range(int(length)):
             degrees = (degree, degree - 2) if doubled else (degree,)
             for each in degrees:
-                yield Tone(at + i, 0.6, sheet.degree(each, chord))
+                yield Tone(at + i, 0.6, sheet.pitch(each, chord))
     for bar, chord in enumerate(chords):
         yield from _basses(sheet, bar, chord)
     yield from sheet.ending()
 
 
 def _basses(sheet: Sheet, bar: int, chord: Chord) -> Iterator[Tone]:
-    """Of a bar with repeated notes: held at first, then a chord a beat, then repeated as well."""
-    every = {True: sheet.bar, sheet.difficulty >= 3: sheet.division, sheet.difficulty >= 8: 1}[True]
+    """Of a bar with repeated notes: one at first, then a chord a beat, then repeated as well."""
+    easy, hard = sheet.difficulty <= 2, sheet.difficulty >= 8
+    every = sheet.bar if easy else 1 if hard else sheet.division
     count = 1 if sheet.difficulty < 4 or every == 1 else 2
     lowest = chord.nearest(-STEPS - 3)
     for at in range(0, sheet.bar, every):
         for i in range(count):
-            pitch = sheet.degree(chord.tone(lowest + 2 * i), chord)
+            pitch = sheet.pitch(chord.tone(lowest + 2 * i), chord)
             yield Tone(bar * sheet.bar + at, 0.6 * every, pitch, _CHORD)

@@ -35,7 +35,7 @@ def melody(
 ) -> Iterator[tuple[float, float, int, Chord]]:
     """A note after the other over a chord a bar: (at, length) in steps, degree, chord.
 
-    Beats have tones of the chord, or notes that are reached and left by step.
+    Bars begin with a tone of the chord; other notes are so, too, or are reached and left by step.
 
     Args:
         sheet: of the etude.

@@ -46,9 +46,8 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
     for i, degree in enumerate(degrees):
         length = 1 if i < 2 * top else 2 * octaves
         right = STEPS + degree if motion == "contrary" else low + degree
-        left = {"contrary": -degree, "tenths": low + degree - _TENTH}.get(
-            motion, low + degree - STEPS
-        )
+        apart = _TENTH if motion == "tenths" else STEPS
+        left = -degree if motion == "contrary" else right - apart
         if motion != "left":
             yield Tone(at + i, length, key.pitch(right, "harmonic"))
         if motion != "right":
@@ -68,9 +67,9 @@ def hanon(sheet: Sheet) -> Iterator[Tone]:
         for i, offset in enumerate(figure if climbs else figure[::-1]):
             at, degree = unit * size + i, base + offset
             if "right" in hands:
-                yield Tone(at, 1, sheet.degree(degree + STEPS * contrary))
+                yield Tone(at, 1, sheet.pitch(degree + STEPS * contrary))
             if "left" in hands:
-                yield Tone(at, 1, sheet.degree(-degree if contrary else degree - STEPS))
+                yield Tone(at, 1, sheet.pitch(-degree if contrary else degree - STEPS))
     yield from sheet.ending(left=-STEPS)
 
 

@@ -58,7 +58,12 @@ class Sheet:
         """Steps of the whole."""
         return self.bar * self.bars
 
-    def degree(self, degree: int, chord: Chord | None = None) -> int:
+    @property
+    def thickness(self) -> int:
+        """Notes of a chord that one hand plays."""
+        return 1 if self.difficulty <= 2 else 2 if self.difficulty <= 4 else 3
+
+    def pitch(self, degree: int, chord: Chord | None = None) -> int:
         """The pitch of a degree of the scale, over a chord."""
         return self.key.pitch(degree, chord.form if chord else "natural")
 
@@ -73,10 +78,9 @@ class Sheet:
     def ending(self, right: int = 0, left: int = -STEPS) -> list[Tone]:
         """A tonic chord for the last bar, upwards from the degree of each hand."""
         at, chord = self.length - self.bar, Chord(TONIC)
-        thick = 1 if self.difficulty <= 2 else 2 if self.difficulty <= 4 else 3
-        upper = [chord.tone(chord.nearest(right) + i) for i in range(thick)]
+        upper = [chord.tone(chord.nearest(right) + i) for i in range(self.thickness)]
         degrees = [*upper, chord.tone(3 * (left // STEPS))]
-        return [Tone(at, self.bar, self.degree(degree)) for degree in degrees]
+        return [Tone(at, self.bar, self.pitch(degree)) for degree in degrees]
 
     def hands(self, bar: int) -> tuple[Side, ...]:
         """Which have the figure in a bar: one of them by phrases, in harder etudes both."""
