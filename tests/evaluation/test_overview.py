@@ -7,15 +7,17 @@ import json
 import math
 import statistics
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.overview import overview, with_f1
+from cadenza.evaluation.overview import overview
+from cadenza.evaluation.remarks import usable
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.tables import write_tables
-from cadenza.report.results_page import FIGURES, SHARES, Overview
+from cadenza.report.overview import FIGURES, SHARES, Overview
 from evaluation.made_up import result, write_bench, write_result
 
 
@@ -143,7 +145,7 @@ def test_all_figures_are_those_of_plain_loops(bench: Path) -> None:
 def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
     found = read_results(bench)
     about = overview(found, "made up")
-    names = write_tables(tmp_path, about, with_f1(found))
+    names = write_tables(tmp_path, about, usable(found))
     assert names == ["agents.csv", "pieces.csv", "runs.csv", "results.json"]
     agents, pieces, runs = (
         list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in names[:3]
@@ -168,7 +170,7 @@ def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
 def test_what_is_not_known_is_empty_in_csv_and_null_in_json(tmp_path: Path) -> None:
     write(tmp_path, {("a", "planner", 0): 0.5})
     found = read_results(tmp_path)
-    write_tables(tmp_path / "out", overview(found, "made up"), with_f1(found))
+    write_tables(tmp_path / "out", overview(found, "made up"), usable(found))
     (row,) = csv.DictReader((tmp_path / "out" / "pieces.csv").read_text().splitlines())
     assert (row["f1"], row["f1_low"], row["recall"]) == ("0.5", "", "")
     (entry,) = json.loads((tmp_path / "out" / "results.json").read_text())["pieces"]
@@ -191,12 +193,26 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) ->
     assert len(told(tmp_path).runs) == len(TWO_AGENTS) - 1
 
 
-def test_a_run_without_an_f1_is_reported_and_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("part", "values", "why"),
+    [
+        ("metrics", {"f1": None}, "its result holds no F1"),
+        ("metrics", {"f1": 1e308}, "its f1 cannot be 1e+308"),
+        ("metrics", {"f1": 0.5, "recall": -0.1}, "its recall cannot be -0.1"),
+        ("metrics", {"f1": 0.5, "energy": 1e200}, "its energy cannot be 1e+200"),
+        ("timing", {"wall_seconds": -1.0}, "its wall_seconds cannot be -1.0"),
+        ("song", {"difficulty": 1e300}, "its difficulty cannot be 1e+300"),
+        ("song", {"notes": -1}, "its notes cannot be -1"),
+    ],
+)
+def test_a_run_whose_figures_make_no_sense_is_reported_and_left_out(
+    tmp_path: Path, part: str, values: dict[str, Any], why: str
+) -> None:
     write(tmp_path, TWO_AGENTS)
-    write_result(tmp_path, "empty", result("c", "good", 0, {"f1": None}))
-    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [
-        "empty: its result holds no F1"
-    ]
+    content = result("c", "good", 0, {"f1": 0.5})
+    content[part] |= values
+    write_result(tmp_path, "odd", content)
+    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [f"odd: {why}"]
     assert len(told(tmp_path).pieces) == 2
 
 

@@ -12,7 +12,7 @@ from cadenza.cli.arguments import Quiet
 from cadenza.cli.output import check_name, check_writable
 
 if TYPE_CHECKING:
-    from cadenza.report.results_page import Overview
+    from cadenza.report.overview import Overview
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Results:
 
 
 def results(command: Results) -> None:
-    from cadenza.evaluation.overview import overview, with_f1
+    from cadenza.evaluation.overview import overview
+    from cadenza.evaluation.remarks import usable
     from cadenza.evaluation.results import read_results
     from cadenza.evaluation.tables import write_tables
     from cadenza.report.results_figure import write_figure
@@ -44,7 +45,7 @@ def results(command: Results) -> None:
     found = read_results(command.bench)
     told = overview(found, command.bench.resolve().name)
     check_writable(folder)
-    tables = write_tables(folder, told, with_f1(found))
+    tables = write_tables(folder, told, usable(found))
     index, *_ = write_results_pages(folder, told, tables)
     if command.figure:
         write_figure(command.figure, told)
@@ -56,7 +57,7 @@ def results(command: Results) -> None:
 
 def _in_text(told: Overview) -> str:
     """The table of agents, for a terminal: interquartile means."""
-    from cadenza.report.results_page import FIGURES, HEADLINES, in_interval, shown
+    from cadenza.report.overview import FIGURES, HEADLINES, in_interval, shown
 
     titles = [FIGURES[name].title for name in HEADLINES]
     rows = [["", "pieces", "runs", titles[0], "95 % interval", *titles[1:]]]

@@ -1,16 +1,16 @@
-"""What the runs of a bench say of agents and pieces, and what makes runs hard to compare."""
+"""What the runs of a bench say of agents and pieces."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.remarks import remarks, usable
 from cadenza.evaluation.results import Result, Results
 from cadenza.evaluation.statistics import (
     Scores,
@@ -20,8 +20,7 @@ from cadenza.evaluation.statistics import (
     mean_interval,
     performance_profile,
 )
-from cadenza.report.page import flat
-from cadenza.report.results_page import (
+from cadenza.report.overview import (
     FIGURES,
     SHARES,
     THRESHOLDS,
@@ -33,8 +32,6 @@ from cadenza.report.results_page import (
     Standing,
 )
 
-_UNLIKE = ("song", "song_digest", "seed", "agent")  # of a job, what is to differ
-_OF_AGENT = ("config", "agent_digest")  # and what is an agent's own
 _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
@@ -42,9 +39,9 @@ def overview(found: Results, title: str) -> Overview:
     """Of the runs that were found.
 
     Raises:
-        CadenzaError: there is none with an F1.
+        CadenzaError: there is none that can be summed up.
     """
-    results = with_f1(found)
+    results = usable(found)  # in the order of `Overview.runs`
     if not results:
         raise CadenzaError(f"{title}: no run is finished; run cadenza bench first")
     pieces = {result.song.name: _piece(result) for result in results}
@@ -64,11 +61,6 @@ def overview(found: Results, title: str) -> Overview:
         fair=_fair(groups[0], agents, scores),
         remarks=list(remarks(found)),
     )
-
-
-def with_f1(found: Results) -> list[Result]:
-    """The results that are summed up, in the order of `Overview.runs`."""
-    return [result for result in found.results if result.metrics.get("f1") is not None]
 
 
 def _piece(result: Result) -> Piece:
@@ -211,88 +203,3 @@ def _estimates(scores: Scores, figure: str) -> Estimate:
 
     rng = np.random.default_rng(_SEED)
     return Estimate(statistic(scores), *bootstrap_interval(statistic, scores, rng))
-
-
-# What makes runs hard to compare
-
-
-def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
-    """What to know before comparing runs: in a line, and each case."""
-    without = [r for r in found.results if r.metrics.get("f1") is None]
-    broken = [f"{run.name}: {run.why}" for run in found.broken]
-    broken += [f"{result.folder.name}: its result holds no F1" for result in without]
-    if broken:
-        yield f"{_counted(broken, 'run')} cannot be read, and {_are(broken)} left out.", broken
-    if found.unfinished:
-        missing = [f"{run.name}: {run.why}" for run in found.unfinished]
-        yield f"{_counted(missing, 'run')} {_are(missing)} not finished.", missing
-    if few := _with_fewer_runs(with_f1(found)):
-        yield "Some agents have fewer runs.", few
-    if versions := _differing([(r, r.versions) for r in found.results]):
-        yield "Versions differ.", versions
-    if settings := _differing([(r, _common_settings(r)) for r in found.results]):
-        yield "Settings differ.", settings
-    for agent in dict.fromkeys(result.agent for result in found.results):
-        own = [(r, _own_settings(r)) for r in found.results if r.agent == agent]
-        if settings := _differing(own):
-            yield f"Settings of {agent} differ.", settings
-    if threads := _differing([(r, {"threads": r.timing.threads}) for r in found.results]):
-        yield "Wall times are of different numbers of threads.", threads
-    if songs := _differing_songs(found.results):
-        yield "The notes of a piece differ from run to run.", songs
-
-
-def _common_settings(result: Result) -> dict[str, Any]:
-    left_out = (*_UNLIKE, *_OF_AGENT)
-    return dict(flat({name: value for name, value in result.job.items() if name not in left_out}))
-
-
-def _own_settings(result: Result) -> dict[str, Any]:
-    return dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
-
-
-def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
-    """In a line each: what is not the same in all runs, and who has which."""
-    lines = []
-    for name in dict.fromkeys(name for _, values in told for name in values):
-        whose: dict[Any, list[str]] = {}
-        for result, values in told:
-            value = values.get(name)
-            whose.setdefault("not set" if value is None else str(value), []).append(result.agent)
-        if len(whose) > 1:
-            each = (
-                f"{value} in {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
-                for value, agents in whose.items()
-            )
-            lines.append(f"{name}: {'; '.join(each)}")
-    return lines
-
-
-def _differing_songs(results: Sequence[Result]) -> list[str]:
-    digests: dict[str, set[str]] = {}
-    for result in results:
-        digests.setdefault(result.song.name, set()).add(str(result.job.get("song_digest")))
-    return [name for name, of in digests.items() if len(of) > 1]
-
-
-def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
-    """In a line for each agent that has fewer."""
-    songs: dict[str, list[str]] = {}
-    for result in results:
-        songs.setdefault(result.agent, []).append(result.song.name)
-    all_songs = {result.song.name for result in results}
-    most = max(map(len, songs.values()))
-    return [
-        f"{agent}: {_counted(of, 'run')} of {_counted(set(of), 'piece')}; "
-        f"there are {len(all_songs)} pieces, and agents with {most} runs"
-        for agent, of in songs.items()
-        if len(of) < most or len(set(of)) < len(all_songs)
-    ]
-
-
-def _counted(things: Collection[object], what: str) -> str:
-    return f"{len(things):,} {what}{'' if len(things) == 1 else 's'}"
-
-
-def _are(things: Collection[object]) -> str:
-    return "is" if len(things) == 1 else "are"

@@ -12,7 +12,7 @@ from typing import Any
 
 from cadenza.evaluation.results import Result
 from cadenza.files import write_atomically, write_json
-from cadenza.report.results_page import FIGURES, THRESHOLDS, Estimate, Overview
+from cadenza.report.overview import FIGURES, THRESHOLDS, Estimate, Overview
 
 FORMAT = 1
 Row = Mapping[str, Any]

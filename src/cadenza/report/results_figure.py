@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.files import write_atomically
-from cadenza.report.results_page import Overview, shown
+from cadenza.report.overview import Overview, shown
 
 _FIGURE = "f1"
 _WIDTH, _LEFT, _RIGHT = 1200, 48, 16  # [px]

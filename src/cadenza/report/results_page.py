@@ -9,9 +9,8 @@ import html
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -20,132 +19,30 @@ from numpy.typing import NDArray
 from cadenza.files import folder_name
 from cadenza.report.bars import Bar, bars
 from cadenza.report.line_chart import Line, Points, line_chart
+from cadenza.report.overview import (
+    DRAWN,
+    FIGURES,
+    HEADLINES,
+    SHARES,
+    THRESHOLDS,
+    Estimate,
+    Figure,
+    Group,
+    Overview,
+    Piece,
+    Run,
+    in_interval,
+    shown,
+)
 from cadenza.report.page import asset, write_page
 from cadenza.report.recording import in_json
 
-
-class Figure(NamedTuple):
-    """What is told of every run."""
-
-    title: str
-    decimals: int
-    meaning: str
-
-
-SHARES = {
-    "f1": Figure(
-        "F1", 3, "The balance of precision and recall in each control step, mean over all steps."
-    ),
-    "pooled_f1": Figure("F1, pooled", 3, "The same, with the keys of all steps counted together."),
-    "note_onset_f1": Figure(
-        "Note onset F1", 3, "Whole notes: found is what begins within 50 ms of its time."
-    ),
-    "precision": Figure("Precision", 3, "Of the keys that sound, the share that should."),
-    "recall": Figure("Recall", 3, "Of the keys that should sound, the share that do."),
-}
-"""Figures from 0 to 1, where 1 is perfect."""
-FIGURES = SHARES | {
-    "wall_per_music": Figure(
-        "Wall time / music",
-        2,
-        "Seconds that a run took, with any training, for each second of music.",
-    ),
-    "power": Figure("Energy / music [W]", 1, "Of all actuators, for each second of music."),
-}
-"""All figures of a run. NaN is one that is not known."""
-
-_DRAWN = ("f1", "pooled_f1", "note_onset_f1")  # as bars
-HEADLINES = (*_DRAWN, "wall_per_music")
-"""What is told first."""
 _STYLES = (
     *("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css", "results.css"),
 )
 _SCRIPTS = ("chart.js", "curves.js", "results.js")
 _COLOURS = 8  # that the style sheet has
 _MOST_REMARKS = 12  # of a kind that are spelt out
-
-
-class Estimate(NamedTuple):
-    """A figure and its 95 % interval, from NaN to NaN where there is none; numbers or arrays."""
-
-    value: Any
-    low: Any
-    high: Any
-
-
-@dataclass(frozen=True)
-class Piece:
-    """What was played."""
-
-    name: str
-    title: str
-    composer: str
-    library: str
-    difficulty: float
-    """1 to 10; NaN where it is not known."""
-    seconds: float
-    notes: int
-
-
-@dataclass(frozen=True)
-class Run:
-    """What one agent with one seed made of a piece."""
-
-    piece: int
-    """Its index."""
-    agent: str
-    seed: int
-    figures: Mapping[str, float]
-    page: Path | None
-    """Where it can be seen and heard."""
-
-
-@dataclass(frozen=True)
-class Standing:
-    """How an agent does on a number of pieces."""
-
-    pieces: int
-    runs: int
-    mean: Mapping[str, Estimate]
-    """Of each of `FIGURES`: numbers."""
-    iqm: Mapping[str, Estimate]
-    """Likewise the interquartile mean."""
-    profile: Mapping[str, Estimate]
-    """Of each of `SHARES`: arrays, at `THRESHOLDS`."""
-
-
-THRESHOLDS = np.linspace(0, 1, 51)
-"""Of performance profiles."""
-
-
-@dataclass(frozen=True)
-class Group:
-    """Pieces that are summed up together."""
-
-    name: str
-    pieces: Sequence[int]
-    """Their indices."""
-    standings: Mapping[str, Standing]
-    """Of each agent that played any of them."""
-
-
-@dataclass(frozen=True)
-class Overview:
-    """All that the pages tell."""
-
-    title: str
-    pieces: Sequence[Piece]
-    agents: Sequence[str]
-    """The best first."""
-    runs: Sequence[Run]
-    of_pieces: Mapping[str, Estimate]
-    """Of each of `FIGURES` the mean over seeds: arrays (agents, pieces), NaN without a run."""
-    groups: Sequence[Group]
-    """All pieces first."""
-    fair: Group
-    """The pieces that all agents played; all, if there are none."""
-    remarks: Sequence[tuple[str, Sequence[str]]]
-    """What to know before comparing: in a line, and each case."""
 
 
 def write_results_pages(
@@ -202,19 +99,6 @@ def _page_names(pieces: Sequence[Piece]) -> list[str]:
 
 
 # Words and figures
-
-
-def shown(figure: str, value: float) -> str:
-    """`value` of one of `FIGURES`; a dash if it is not known."""
-    text = "–" if math.isnan(value) else f"{value:z.{FIGURES[figure].decimals}f}"
-    return text.replace("-", "−")
-
-
-def in_interval(figure: str, estimate: Estimate, between: str = "–") -> str:
-    """From where to where it lies; nothing if that is not known."""
-    if math.isnan(estimate.low):
-        return ""
-    return f"{shown(figure, estimate.low)}{between}{shown(figure, estimate.high)}"
 
 
 def _time(seconds: float) -> str:
@@ -302,7 +186,7 @@ def _side_by_side(overview: Overview) -> str:
     if len(overview.agents) == 1:
         return ""
     panels = []
-    for name in _DRAWN:
+    for name in DRAWN:
         lines = []
         for i, agent in enumerate(overview.agents):
             if agent in overview.fair.standings:
@@ -482,7 +366,7 @@ def _piece_parts(
 
 def _piece_bars(overview: Overview, index: int, runs: Sequence[Run]) -> Iterator[str]:
     """The mean of each agent, with a dot for each of several seeds."""
-    for name in _DRAWN:
+    for name in DRAWN:
         lines = []
         for i, agent in enumerate(overview.agents):
             dots = [run.figures[name] for run in runs if run.agent == agent]

@@ -3,7 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const { figures, agents, groups, pieces, values } = JSON.parse($("data").textContent);
 const NAMED = 13; // [px] a column has to be this wide for its name
-const LONGEST = 24; // characters of a name
+const LONGEST = 30; // characters of a name
 const chosen = { group: 0, figure: 0, agent: 0 };
 const order = { by: null, falling: true };
 let columnsOf = agents.length > 1 ? "agents" : "figures";

@@ -1,0 +1,117 @@
+"""Which runs can be summed up, and what makes them hard to compare."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
+
+from cadenza.evaluation.results import Result, Results
+from cadenza.report.overview import SHARES
+from cadenza.report.page import flat
+
+_UNLIKE = ("song", "song_digest", "seed", "agent")  # of a job, what is to differ
+_OF_AGENT = ("config", "agent_digest")  # and what is an agent's own
+_MOST = 1e12  # that a time, an energy or the like can be
+
+
+def usable(found: Results) -> list[Result]:
+    """The results that can be summed up."""
+    return [result for result in found.results if not _fault(result)]
+
+
+def _fault(result: Result) -> str:
+    """Why a result cannot be summed up; nothing if it can."""
+    if result.metrics.get("f1") is None:
+        return "its result holds no F1"
+    figures: dict[str, Any] = {**result.metrics, **vars(result.timing), **vars(result.song)}
+    most = dict.fromkeys(SHARES, 1 + 1e-9)
+    sizes = ("wall_seconds", "music_seconds", "energy", "difficulty", "seconds", "notes")
+    for name, limit in (most | dict.fromkeys(sizes, _MOST)).items():
+        value = figures.get(name)
+        if value is not None and not 0 <= value <= limit:
+            return f"its {name} cannot be {str(value)[:20]}"
+    return ""
+
+
+def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
+    """What to know before comparing runs: in a line, and each case."""
+    results = usable(found)
+    broken = [f"{run.name}: {run.why}" for run in found.broken]
+    broken += [
+        f"{result.folder.name}: {why}" for result in found.results if (why := _fault(result))
+    ]
+    if broken:
+        yield f"{_counted(broken, 'run')} cannot be read, and {_are(broken)} left out.", broken
+    if found.unfinished:
+        missing = [f"{run.name}: {run.why}" for run in found.unfinished]
+        yield f"{_counted(missing, 'run')} {_are(missing)} not finished.", missing
+    if few := _with_fewer_runs(results):
+        yield "Some agents have fewer runs.", few
+    if versions := _differing([(r, r.versions) for r in results]):
+        yield "Versions differ.", versions
+    if settings := _differing([(r, _common_settings(r)) for r in results]):
+        yield "Settings differ.", settings
+    for agent in dict.fromkeys(result.agent for result in results):
+        own = [(r, _own_settings(r)) for r in results if r.agent == agent]
+        if settings := _differing(own):
+            yield f"Settings of {agent} differ.", settings
+    if threads := _differing([(r, {"threads": r.timing.threads}) for r in results]):
+        yield "Wall times are of different numbers of threads.", threads
+    if songs := _differing_songs(results):
+        yield "The notes of a piece differ from run to run.", songs
+
+
+def _common_settings(result: Result) -> dict[str, Any]:
+    left_out = (*_UNLIKE, *_OF_AGENT)
+    return dict(flat({name: value for name, value in result.job.items() if name not in left_out}))
+
+
+def _own_settings(result: Result) -> dict[str, Any]:
+    return dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
+
+
+def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
+    """In a line each: what is not the same in all runs, and who has which."""
+    lines = []
+    for name in dict.fromkeys(name for _, values in told for name in values):
+        whose: dict[Any, list[str]] = {}
+        for result, values in told:
+            value = values.get(name)
+            whose.setdefault("not set" if value is None else str(value), []).append(result.agent)
+        if len(whose) > 1:
+            each = (
+                f"{value} in {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
+                for value, agents in whose.items()
+            )
+            lines.append(f"{name}: {'; '.join(each)}")
+    return lines
+
+
+def _differing_songs(results: Sequence[Result]) -> list[str]:
+    digests: dict[str, set[str]] = {}
+    for result in results:
+        digests.setdefault(result.song.name, set()).add(str(result.job.get("song_digest")))
+    return [name for name, of in digests.items() if len(of) > 1]
+
+
+def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
+    """In a line for each agent that has fewer."""
+    songs: dict[str, list[str]] = {}
+    for result in results:
+        songs.setdefault(result.agent, []).append(result.song.name)
+    all_songs = {result.song.name for result in results}
+    most = max(map(len, songs.values()))
+    return [
+        f"{agent}: {_counted(of, 'run')} of {_counted(set(of), 'piece')}; "
+        f"there are {len(all_songs)} pieces, and agents with {most} runs"
+        for agent, of in songs.items()
+        if len(of) < most or len(set(of)) < len(all_songs)
+    ]
+
+
+def _counted(things: Collection[object], what: str) -> str:
+    return f"{len(things):,} {what}{'' if len(things) == 1 else 's'}"
+
+
+def _are(things: Collection[object]) -> str:
+    return "is" if len(things) == 1 else "are"
