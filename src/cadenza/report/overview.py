@@ -116,7 +116,7 @@ class Overview:
     title: str
     pieces: Sequence[Piece]
     agents: Sequence[str]
-    """The best first."""
+    """Those who played the most pieces first, and of these the best."""
     runs: Sequence[Run]
     of_pieces: Mapping[str, Estimate]
     """Of each of `FIGURES` the mean over seeds: arrays (agents, pieces), NaN without a run."""
