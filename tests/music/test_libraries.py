@@ -5,13 +5,17 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
 from cadenza.music.library import libraries, load_score, open_library
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
+from mutations import at_most_refused, other_bytes
 
 TUNE = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)), title="Of the file")
 
@@ -84,6 +88,20 @@ def test_an_index_that_is_wrong_is_said_to_be(folder: Path, content: str, messag
     (folder / "index.csv").write_bytes(content.encode(errors="surrogateescape"))
     with pytest.raises(CadenzaError, match=message):
         open_library(folder)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_index_is_at_most_refused(
+    tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    place = tmp_path_factory.mktemp("music")
+    (place / "a.mid").write_bytes(b"")
+    rows = b'file,title,seconds,notes\r\na.mid,"A, ""B""",1.5,3\r\nb,,,\r\n'
+    rng = np.random.default_rng(seed)
+    (place / "index.csv").write_bytes(other_bytes(rng, other_bytes(rng, rows) or b"x"))
+    with at_most_refused():
+        open_library(place)
 
 
 def test_etudes() -> None:

@@ -127,6 +127,7 @@ def test_a_file_of_notes() -> None:
         b"\xef\xbb\xbf" + ONE.encode(),
         ONE.strip().encode(),
         ONE.replace("1\t0.5", "// a remark\n\n1\t0.5").encode(),
+        ONE.replace("-5\n", "-5\t// weak\n").encode(),
     ],
 )
 def test_other_ways_to_write_the_same(content: bytes) -> None:

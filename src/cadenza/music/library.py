@@ -22,7 +22,7 @@ from cadenza.music.score import Score
 from cadenza.music.songs import Library, Song, song_named
 from cadenza.registry import Entry, Registry
 
-__all__ = ["LIBRARIES", "Piece", "libraries", "load_score", "open_library", "songs"]
+__all__ = ["LIBRARIES", "Piece", "find_song", "libraries", "load_score", "open_library", "songs"]
 
 ETUDES = "etudes"
 LIBRARIES = Registry(

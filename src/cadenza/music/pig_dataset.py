@@ -5,7 +5,7 @@ as `012-1_fingering.txt`, has the notes of piece 12 with the fingers of annotato
 annotators the first is taken. Its lines have eight columns: number of the note, onset [s], offset
 [s], pitch such as C#4 or Ebb3, velocity at the onset and at the offset, channel (0 right hand, 1
 left), finger (1 to 5 right, -1 to -5 left; 4_1 changes from the fourth to the first, and the fourth
-is taken). Lines that begin with // are comments.
+is taken). From // on, a line is a comment.
 """
 
 from __future__ import annotations
@@ -236,10 +236,11 @@ def read_fingered(content: bytes, where: str) -> Score:
     wrong: dict[int, str] = {}
     other_hand: list[int] = []
     for number, line in enumerate(_lines(content, where), start=1):
-        if not line.strip() or line.lstrip().startswith("//"):
+        said = line.partition("//")[0]
+        if not said.strip():
             continue
         try:
-            id_, note, channel = _note(line)
+            id_, note, channel = _note(said)
         except CadenzaError as error:
             wrong[number] = str(error)
             continue
@@ -272,7 +273,7 @@ def _lines(content: bytes, where: str) -> list[str]:
 
 
 def _note(line: str) -> tuple[int, Sounding, int]:
-    """A line's note, and before and after it its number and its channel.
+    """The number of a line's note, the note, and its channel.
 
     Raises:
         CadenzaError: it is wrong.
