@@ -17,6 +17,7 @@ from cadenza.tasks.config import TaskConfig
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cadenza.fingering.players import Players
     from cadenza.music.score import Score
     from cadenza.music.tracks import Track
 
@@ -95,6 +96,18 @@ def _about_fingering(score: Score) -> str:
     from collections import Counter
 
     from cadenza.fingering.playable import playable
+
+    given = sum(note.finger is not None for note in score.notes)
+    reasons = Counter(playable(score, usual_players()).reasons.values())
+    found = len(score.notes) - given - reasons.total()
+    parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
+    parts += [f"found for {found}"] if found else []
+    parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
+    return "; ".join(parts)
+
+
+def usual_players() -> Players:
+    """The hands that play unless others are chosen."""
     from cadenza.fingering.players import seated
     from cadenza.fingers import SIDES
     from cadenza.hands.named import hand_named
@@ -102,14 +115,7 @@ def _about_fingering(score: Score) -> str:
 
     scene = SceneConfig()
     hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
-    players = seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
-    given = sum(note.finger is not None for note in score.notes)
-    reasons = Counter(playable(score, players).reasons.values())
-    found = len(score.notes) - given - reasons.total()
-    parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
-    parts += [f"found for {found}"] if found else []
-    parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
-    return "; ".join(parts)
+    return seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
 
 
 def _installation_facts() -> dict[str, Any]:

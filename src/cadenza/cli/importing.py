@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from cadenza.cli.about import usual_players
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.progress import progress
 from cadenza.errors import CadenzaError, CadenzaWarning
@@ -36,6 +38,7 @@ class Import:
 
 
 def run(command: Import) -> None:
+    from cadenza.fingering.difficulty import grade
     from cadenza.music.folder import import_folder
     from cadenza.music.library import check_is_free, open_library
     from cadenza.music.pig import TWELVE, etudes_among
@@ -43,12 +46,14 @@ def run(command: Import) -> None:
 
     if (command.kind == "midi") != (command.name is not None):
         raise CadenzaError("--name NAME goes with `cadenza import midi`, which needs it")
+    source, again = command.source, command.replace
+    graded = partial(grade, players=usual_players())
     with progress("importing", "files") as advance:
         if command.name is None:
-            library = import_pig(command.source, command.replace, advance)
+            library = import_pig(source, again, advance, graded)
         else:
             check_is_free(command.name)
-            library = import_folder(command.source, command.name, command.replace, advance)
+            library = import_folder(source, command.name, again, advance, graded)
     for message in (*library.doubtful, *library.left_out):
         warnings.warn(message, CadenzaWarning, stacklevel=1)
     kept, lost = len(library.rows), len(library.left_out)
