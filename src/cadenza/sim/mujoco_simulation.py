@@ -110,7 +110,7 @@ class MujocoSimulation:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: which simulations to step; all by default.
         """
-        out = State.zeros(self.scene, self.num_envs) if env_ids is None else self.state.copy()
+        out = self.state.copy()
 
         def advance(i: int) -> None:
             self._advance(i, ctrl[i])
@@ -150,7 +150,7 @@ class MujocoSimulation:
 
     def _follow(self, state: State) -> None:
         """`state` is what a step has led to."""
-        for i in np.flatnonzero(state.unstable & ~self.state.unstable):
+        for i in (state.unstable & ~self.state.unstable).nonzero()[0]:
             _LOG.warning("simulation %d became unstable", i)
         self.state = state
 

@@ -245,8 +245,9 @@ class PianoTask:
         self._look()
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         self._pedal[moving] = np.fmax(ctrl[moving, -1], 0.0)  # up where it is not a number
-        played = np.concatenate([self.sounding, self.pedal_down[:, None]], axis=1)
-        self._played[self._env_ids[moving], row[moving]] = played[moving]
+        here = self._env_ids[moving], row[moving]
+        self._played[*here, :-1] = self.sounding[moving]
+        self._played[*here, -1] = self.pedal_down[moving]
         sheets.advance(moving)
 
         terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
