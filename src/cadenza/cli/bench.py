@@ -270,7 +270,7 @@ class _Table:
             how_far = "beginning" if at is None else at.stage
             if at is not None and at.total:
                 how_far += f" {100 * at.done // at.total} %"
-            yield f"{_named(job):<60} {how_far:<20} {seconds:6.0f} s"
+            yield f"{_named(job):<50.50} {how_far:<20} {seconds:5.0f} s"
 
 
 def _named(job: Job) -> str:

@@ -24,6 +24,8 @@ class Local:
 
     def __init__(self, num_threads: int, num_jobs: int | None = None) -> None:
         """As many processes as there are cores for their threads, unless a number is given."""
+        # Read when numpy is first imported, which is before a process knows what it is to do.
+        os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
         self.capacity = num_jobs or max(available_cores() // num_threads, 1)
         self._num_threads = num_threads
         self._running: list[tuple[Job, BaseProcess]] = []
