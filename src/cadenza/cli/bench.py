@@ -52,7 +52,7 @@ class Bench(Options):
     """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
     """Folder of the runs. One that holds some already is extended."""
-    retry: bool = False
+    retry: tyro.conf.FlagCreatePairsOff[bool] = False
     """Carry out again what has failed before."""
     jobs: int | None = None
     """How many runs at once, as many as the cores allow by default."""

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, by_others
 from cadenza.evaluation.bench import Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
@@ -37,13 +37,10 @@ class Ray:
         except ImportError as error:
             raise CadenzaError("Ray is not installed: pip install 'cadenza[ray]'") from error
         cores = num_jobs * num_threads if num_jobs and address is None else None
-        try:
+        with by_others(f"Ray cluster {address or 'on this machine'}"):
             ray.init(
                 address or "local", num_cpus=cores, log_to_driver=False, include_dashboard=False
             )
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            said = " ".join(str(error).split())
-            raise CadenzaError(f"no Ray cluster at {address}: {said}") from error
         self._ray = ray
         self._num_threads, self._num_jobs = num_threads, num_jobs
         self._running: dict[Any, Job] = {}
