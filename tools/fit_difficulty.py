@@ -6,8 +6,8 @@
 
 `play` has the planner play the opening of songs of libraries (see `cadenza libraries`) or folders,
 and writes a line for each. Run again, it goes on where it was stopped. `fit` fits the weights to
-the first file, prints them as they stand in the module, and says how well the grades go with the F1
-of the songs in each file. Fingers are found for all songs, as the planner does.
+the first file, prints them as they stand in the module, and says how well the grades go with the
+F1 of the songs in each file. Fingers are found for all songs, as the planner does.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ def rows_of(path: Path) -> list[dict]:
 
 
 def fit(fitted: Path, checked: list[Path]) -> None:
-    features, errors, _ = data_of(fitted)
+    data = {path: data_of(path) for path in (fitted, *checked)}
+    features, errors, _ = data[fitted]
     model = fitted_model(features, errors)
     print(f"FITTED = {model}\n")
-    for path in [fitted, *checked]:
-        features, errors, libraries = data_of(path)
+    for path, (features, errors, libraries) in data.items():
         for library in dict.fromkeys(libraries):
             of_it = np.array(libraries) == library
             report(f"{path.name}, {library}", model, features[of_it], errors[of_it])
@@ -139,8 +139,8 @@ def report(name: str, model: Model, features: Array, errors: Array) -> None:
     least, middle, most = np.percentile(grades, [0, 50, 100])
     print(
         f"{name}: {len(grades)} songs, grades {least:.1f} to {most:.1f}, median {middle:.1f}; "
-        f"rank correlation with the F1 {-spearmanr(grades, errors).statistic:.2f} "
-        f"(95 % interval {-high:.2f} to {-low:.2f})"
+        f"rank correlation with 1 - F1 {spearmanr(grades, errors).statistic:.2f} "
+        f"(95 % interval {low:.2f} to {high:.2f})"
     )
 
 

@@ -67,16 +67,16 @@ class Model:
 
 
 FITTED = Model(
-    constant=0.1,
+    constant=-0.7,
     weights=Features(
-        notes=0.3,
-        chords=0.1,
-        polyphony=1.2,
-        spread=0.7,
+        notes=0.7,
+        chords=0.2,
+        polyphony=1.0,
+        spread=0.8,
         travel=1.0,
-        hurry=4.4,
-        crossings=1.2,
-        black=2.1,
+        hurry=3.5,
+        crossings=1.0,
+        black=2.7,
     ),
 )
 """By `tools/fit_difficulty.py`."""
