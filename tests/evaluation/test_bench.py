@@ -113,6 +113,17 @@ def test_a_process_that_crashed_or_vanished_has_failed(
     assert carried_out(three, tmp_path, retry=True)[0].finished == 3
 
 
+def test_what_a_run_before_has_left_may_be_corrupt(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    (job,) = jobs("zero")
+    failed = tmp_path / "runs" / job.spec.name / "failed.json"
+    failed.parent.mkdir(parents=True)
+    failed.write_text("{")
+    assert "not JSON" in carried_out([job], tmp_path)[0].failed[job.spec.name]
+    assert carried_out([job], tmp_path, retry=True)[0].finished == 1
+
+
 def test_a_process_that_was_told_to_end_is_taken_up_again(
     jobs: Callable[..., list[Job]], tmp_path: Path
 ) -> None:

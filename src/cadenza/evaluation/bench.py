@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from cadenza.errors import CadenzaError
 from cadenza.evaluation.job import Job
-from cadenza.evaluation.results import RESULT, RUNS, failure
+from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import locked, write_failure
 
 _BETWEEN_LOOKS = 0.5  # [s]
@@ -85,9 +86,6 @@ def bench(
         ended: is told of a run that has finished or failed.
         goes_on: is asked now and then; where it is false, all ends that is under way.
         retry: runs that have failed before are carried out again.
-
-    Raises:
-        CadenzaError: what became of a run before cannot be read.
     """
     state = State(folder / RUNS, len(jobs))
     for job in jobs:
@@ -125,7 +123,10 @@ def _is_finished(state: State, job: Job) -> bool:
 
 
 def _has_failed(state: State, job: Job) -> bool:
-    why = failure(state.folder / job.spec.name)
+    try:
+        why = failure(state.folder / job.spec.name)
+    except CadenzaError as error:  # what it says is corrupt
+        why = str(error)
     if why is not None:
         state.failed[job.spec.name] = why
     return why is not None
@@ -139,7 +140,7 @@ def _has_ended(state: State, job: Job, crash: str) -> bool:
     with locked(folder) as ours:
         if not ours:
             return False
-        if crash or failure(folder) is None:
+        if crash or not (folder / FAILED).exists():
             write_failure(folder, crash or "its process ended without a result; see log.txt")
     return _has_failed(state, job)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -39,7 +40,11 @@ class Ray:
         cores = num_jobs * num_threads if num_jobs and address is None else None
         with by_others(f"Ray cluster {address or 'on this machine'}"):
             ray.init(
-                address or "local", num_cpus=cores, log_to_driver=False, include_dashboard=False
+                address or "local",
+                num_cpus=cores,
+                include_dashboard=False,
+                log_to_driver=False,
+                logging_level=logging.ERROR,
             )
         self._ray = ray
         self._num_threads, self._num_jobs = num_threads, num_jobs
