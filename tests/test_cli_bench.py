@@ -9,15 +9,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cadenza.cli import main
+from cadenza.evaluation.bench import State
+from cadenza.evaluation.job import Job, JobSpec
 from cadenza.evaluation.results import Results, read_results
 from cadenza.evaluation.run import progress_of
+from cadenza.learning.config import preset
+from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.tasks.config import TaskConfig, with_time_to_begin
 
 AGENTS = Path(__file__).parent / "evaluation"
 CHANGES = ("planning_seconds", "playing_seconds")  # from run to run
@@ -122,6 +129,27 @@ def test_what_cannot_be_is_told_in_a_line(
     assert what in said
     assert said.count("\n") == 1
     assert not (folder / "out").exists()
+
+
+def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned: dict[str, JobSpec] = {}
+
+    def plan(jobs: list[Job], *_: object) -> State:
+        planned.update({job.spec.agent: job.spec for job in jobs})
+        return State(folder, 0)
+
+    monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
+    policy = str(pretrained_folder("OdeToJoy"))
+    main(options(f"{policy}/,train:paper,zero", "--stretch", "2"))
+    learnt = load_policy(Path(policy))
+    assert planned[policy].task == replace(learnt.task, stretch=2.0)
+    assert planned[policy].scene == learnt.scene
+    assert planned[policy].agent_digest
+    paper = replace(preset("paper"), task=TaskConfig(stretch=2.0))
+    assert planned["train:paper"].config == paper
+    assert planned["zero"].task == replace(with_time_to_begin(), stretch=2.0)
 
 
 @pytest.mark.slow

@@ -153,7 +153,8 @@ def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
     if agent.startswith(TRAIN):
         return _trained(command, again, agent)
     if is_policy_folder(agent):
-        return _with_policy(command, again, agent, Path(agent))
+        folder = Path(agent)
+        return _with_policy(command, again, str(folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # who is not there is told before anyone plays
     return Contender(agent, command.task, command.scene, config)
