@@ -1,7 +1,7 @@
 """Measures how far the fingers of a right hand reach along the keyboard.
 
 Run `python tools/measure_reach.py HAND` (a few minutes) after changing a hand, and put the `Reach`
-that it prints into it. HAND is the name of one that comes with Cadenza, or `module:NAME`. It also
+that it prints into it. HAND is the name of an installed hand, or `module:NAME`. It also
 prints where the fingertips are at rest, which should be over white keys.
 
 The forearm slides where it likes (tx, ty); the joints are those of the reduced action space. A
@@ -153,12 +153,28 @@ def print_rest(hand: Hand) -> None:
         )
 
 
+def misses(hand: Hand, q: Array) -> str:
+    """Why the fingers cannot all press at once, a line for each that does not."""
+    tips = hand.tips(q)[0]
+    lines = ["the fingers cannot all press at once; change rest, on_white or the joints:"]
+    for name, towards, up in zip(
+        hand.names, tips[:, 0] - hand.press_x, tips[:, 2] - hand.press_z, strict=True
+    ):
+        if max(abs(towards), abs(up)) >= TOLERANCE:
+            lines.append(
+                f"    {name} stays {1000 * abs(up):.0f} mm {'above' if up > 0 else 'below'} a "
+                f"pressed key, {1000 * abs(towards):.0f} mm too "
+                f"{'near to' if towards > 0 else 'far from'} the player"
+            )
+    return "\n".join(lines)
+
+
 def measured(hand: Hand) -> dict[str, Array]:
     """The fields of `Reach`."""
     everyone = tuple(hand.fingers)
     q = posture(hand, everyone, None, hand.rest)
     if not presses(hand, q, everyone, None):
-        sys.exit("the fingers cannot all press at once: look at rest, on_white and the joints")
+        sys.exit(misses(hand, q))
     count = len(everyone)
     rest = hand.tips(q)[0][:, 1] - hand.forearm_y(q)
     outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
@@ -178,9 +194,10 @@ def main() -> None:
     sys.path.append("")  # `module:NAME` may lie in the working folder
     hand = Hand(sys.argv[1])
     print_rest(hand)
+    reach = measured(hand)
     print("reach=Reach(")
-    for name, values in measured(hand).items():
-        print(f"    {name}=np.array({np.array2string(values.round(4), separator=', ')}),")
+    for name, values in reach.items():
+        print(f"    {name}=np.array({(values.round(4) + 0.0).tolist()}),")
     print("    forearm_width=forearm.WIDTH,\n)")
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cadenza import CadenzaError, SceneConfig
-from cadenza.hands.body import Actuator, Coupling
+from cadenza.hands.body import Actuator, Body, Coupling, Geom
+from cadenza.hands.servo import Servo
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.scene.scene import build_scene
 
@@ -18,6 +19,21 @@ BODY, THUMB = SHADOW.body, SHADOW.fingers[0]
 
 def with_thumb(**changes: Any) -> Any:
     return (replace(THUMB, **changes), *SHADOW.fingers[1:])
+
+
+def with_palm(**changes: Any) -> Body:
+    change = {"palm": changes}
+    return replace(BODY, links=tuple(replace(i, **change.get(i.name, {})) for i in BODY.links))
+
+
+def with_joint(joint: str, **changes: Any) -> Body:
+    links = tuple(
+        replace(link, joint=replace(link.joint, **changes))
+        if link.joint and link.joint.name == joint
+        else link
+        for link in BODY.links
+    )
+    return replace(BODY, links=links)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +46,17 @@ def with_thumb(**changes: Any) -> Any:
         ({"fingers": with_thumb(links=("thproximal", "x", "y"))}, "no link 'x'"),
         ({"fingers": with_thumb(links=("thproximal",), radii=(0.01,))}, "ff has 3 links and th 1"),
         ({"fingers": with_thumb(radii=(0.01,))}, "finger th: give a radius for each of its 3"),
+        (
+            {"fingers": with_thumb(links=THUMB.links[::-1])},
+            "thmiddle does not hang from thdistal",
+        ),
         ({"start": {"FFJ9": 0.1}}, "start: there is no joint 'FFJ9'"),
+        ({"start": {"FFJ3": 9.0}}, "joint FFJ3 begins at 9.0, outside its range"),
+        ({"body": with_joint("FFJ3", range=(0.3, 1.5))}, "is without 0; say in start where"),
+        ({"servos": {**SHADOW.servos, "TAIL": Servo()}}, "no actuator moves 'TAIL'"),
+        ({"servos": {**SHADOW.servos, "FFJ3": Servo(finger=5)}}, "give 0 to 4, or None"),
+        ({"servos": {**SHADOW.servos, "FFJ3": Servo(rest=9.0)}}, "servo FFJ3: rest is 9.0, outs"),
+        ({"reach": replace(SHADOW.reach, rest=[0.0] * 5)}, "reach.rest is a list; give an array"),
         ({"servos": {}}, "servos has none for the actuator of 'WRJ2'"),
         ({"body": replace(BODY, links=BODY.links[1:])}, "the first link must be 'forearm'"),
         ({"body": replace(BODY, links=(*BODY.links[:2], BODY.links[3]))}, "'palm', its parent"),
@@ -43,6 +69,23 @@ def with_thumb(**changes: Any) -> Any:
             {"body": replace(BODY, actuators=(Actuator("TAIL", 1.0, 1.0),))},
             "no joint or coupling 'TAIL'",
         ),
+        ({"body": replace(BODY, links=BODY.links * 2)}, "two links are named 'forearm'"),
+        ({"body": with_joint("FFJ3", name="FFJ4")}, "two joints or couplings are named 'FFJ4'"),
+        ({"body": replace(BODY, actuators=BODY.actuators * 2)}, "two actuators move 'WRJ2'; keep"),
+        ({"body": with_joint("FFJ3", axis=(1, 0))}, "joint FFJ3: axis is .*; give 3 finite"),
+        ({"body": with_joint("FFJ3", range=(1.5, -0.3))}, "the smaller one first"),
+        ({"body": with_palm(pos=(0, 0))}, "link palm: pos is .*; give 3 finite numbers"),
+        ({"body": with_palm(pos=(0, 0, np.nan))}, "link palm: pos is .*; give 3 finite numbers"),
+        ({"body": with_palm(quat=(0, 0, 0, 0))}, "link palm: quat is .*; give a quaternion"),
+        ({"body": with_palm(geoms=(Geom("cube", (1,)),))}, "no geom of type 'cube'; choose from"),
+        ({"body": with_palm(geoms=(Geom("box", (1,)),))}, "size of its box .* 3 positive numbers"),
+        (
+            {"body": replace(BODY, actuators=(Actuator("FFJ3", -1.0, 1.0),))},
+            "kp is -1.0; give more",
+        ),
+        ({"body": replace(BODY, excluded=(("palm", "x"),))}, "excluded: there is no link 'x'"),
+        ({"body": replace(BODY, locked=("x",))}, "locked: there is no joint 'x'"),
+        ({"body": replace(BODY, reduced_ranges={"x": (0, 1)})}, "reduced_ranges: .* joint 'x'"),
     ],
 )
 def test_parts_that_do_not_go_together(changes: dict[str, Any], said: str) -> None:

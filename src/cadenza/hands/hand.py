@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Body, Options, add_fingertip_site
+from cadenza.hands.faults import faults_of_body
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
@@ -81,49 +83,77 @@ class Hand:
 
 
 def _faults(hand: Hand) -> Iterator[str]:
-    yield from _faults_of_body(hand.body)
-    links = {link.name for link in hand.body.links}
+    yield from faults_of_body(hand.body)
     count = len(hand.fingers)
     if not 0 < count <= MOST_FINGERS:
         yield f"has {count} fingers; give 1 to {MOST_FINGERS}"
+    parents = {link.name: link.parent for link in hand.body.links}
     for finger in hand.fingers:
-        yield from _faults_of_finger(finger, hand.fingers[0], links)
-    for actuator in hand.body.actuators:
-        if actuator.target not in hand.servos:
-            yield f"servos has none for the actuator of {actuator.target!r}; add a Servo"
-    joints = {link.joint.name for link in hand.body.links if link.joint}
-    if unknown := sorted(hand.start.keys() - joints):
-        yield f"start: there is no joint {unknown[0]!r}"
+        yield from _faults_of_finger(finger, hand.fingers[0], parents)
     for name, given in vars(hand.reach).items():
+        if isinstance(given, list | tuple):
+            yield f"reach.{name} is a {type(given).__name__}; give an array of NumPy"
         shape = {"least": (count, count), "most": (count, count)}.get(name, (count,))
         if isinstance(given, np.ndarray) and given.shape != shape:
             yield f"reach.{name} has shape {given.shape}; give {shape}"
+    yield from _faults_of_servos(hand)
+    yield from _faults_of_start(hand)
 
 
-def _faults_of_body(body: Body) -> Iterator[str]:
-    links = [link.name for link in body.links]
-    if links[:1] != [forearm.FOREARM] or body.links[0].parent:
-        yield f"the first link must be {forearm.FOREARM!r}, and have no parent"
-    for place, link in enumerate(body.links):
-        if place and link.parent not in links[:place]:
-            yield f"link {link.name}: no link before it is named {link.parent!r}, its parent"
-    joints = {link.joint.name for link in body.links if link.joint}
-    pulled = {coupling.name: coupling.joints for coupling in body.couplings}
-    for name, those in pulled.items():
-        if unknown := sorted(set(those) - joints):
-            yield f"coupling {name}: there is no joint {unknown[0]!r}"
-    for actuator in body.actuators:
-        if actuator.target not in joints | pulled.keys():
-            yield f"there is no joint or coupling {actuator.target!r} for an actuator to move"
+def _faults_of_servos(hand: Hand) -> Iterator[str]:
+    ranges = {link.joint.name: link.joint.range for link in hand.body.links if link.joint}
+    ranges |= {coupling.name: coupling.control_range for coupling in hand.body.couplings}
+    targets = [actuator.target for actuator in hand.body.actuators]
+    for target in targets:
+        if target not in hand.servos:
+            yield f"servos has none for the actuator of {target!r}; add a Servo"
+    for name, servo in hand.servos.items():
+        if name not in targets:
+            yield f"servos: no actuator moves {name!r}; choose from {', '.join(targets)}"
+            continue
+        if servo.finger is not None and not 0 <= servo.finger < len(hand.fingers):
+            last = len(hand.fingers) - 1
+            yield f"servo {name}: finger is {servo.finger}; give 0 to {last}, or None"
+        if not _within(servo.rest, ranges[name]):
+            yield f"servo {name}: rest is {servo.rest}, outside its range {ranges[name]}"
 
 
-def _faults_of_finger(finger: FingerChain, thumb: FingerChain, links: set[str]) -> Iterator[str]:
-    if unknown := [link for link in finger.links if link not in links]:
+def _faults_of_start(hand: Hand) -> Iterator[str]:
+    ranges = {link.joint.name: link.joint.range for link in hand.body.links if link.joint}
+    for name, position in hand.start.items():
+        if name not in ranges:
+            yield f"start: there is no joint {name!r}"
+        elif not _within(position, ranges[name]):
+            yield f"start: joint {name} begins at {position}, outside its range {ranges[name]}"
+    for name, limits in ranges.items():
+        if name not in hand.start and not _within(0.0, limits):
+            yield f"joint {name}: its range {limits} is without 0; say in start where it begins"
+
+
+def _within(position: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= position <= limits[1]
+
+
+def _faults_of_finger(
+    finger: FingerChain, thumb: FingerChain, parents: Mapping[str, str]
+) -> Iterator[str]:
+    if unknown := [link for link in finger.links if link not in parents]:
         yield f"finger {finger.name}: there is no link {unknown[0]!r}"
     if len(finger.links) != len(thumb.links) or not finger.links:
         yield (
             f"finger {finger.name} has {len(finger.links)} links and {thumb.name} "
             f"{len(thumb.links)}; give as many for every finger"
         )
+    for before, after in pairwise(finger.links):
+        if before not in _ancestors(after, parents):
+            yield (
+                f"finger {finger.name}: link {after} does not hang from {before}; "
+                "name the link nearest to the palm first"
+            )
     if len(finger.radii) != len(finger.links):
         yield f"finger {finger.name}: give a radius for each of its {len(finger.links)} links"
+
+
+def _ancestors(link: str, parents: Mapping[str, str]) -> Iterator[str]:
+    while link := parents[link]:
+        yield link
