@@ -7,6 +7,7 @@ import shlex
 import shutil
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from cadenza.cli.performing import TRAIN, Again, Options, agents_in
 from cadenza.cli.progress import QUIET
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.configs import MOST_SEED, whole_number
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 from cadenza.sim.threads import MOST_THREADS
@@ -82,6 +83,8 @@ def run(command: Bench, again: Again[Bench]) -> None:
         raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
     who = _contenders(command, again, agents)
     jobs = matrix(open_library(command.songs), who, seeds, command.arrangement, command.pages)
+    if not jobs:
+        raise CadenzaError("there is nothing to run: choose other songs or agents")
     check_writable(command.output)
     write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
     with (
@@ -138,9 +141,10 @@ def _contenders(
     fixed = {name: _contender(command, again, name) for name in agents if name != PRETRAINED}
 
     def who(song: str) -> list[Contender]:
-        return [
-            fixed[name] if name in fixed else _of_the_song(command, again, song) for name in agents
-        ]
+        found = (
+            fixed[name] if name in fixed else _pretrained(command, again, song) for name in agents
+        )
+        return [contender for contender in found if contender is not None]
 
     return who
 
@@ -160,10 +164,17 @@ def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
     return Contender(agent, command.task, command.scene, config)
 
 
-def _of_the_song(command: Bench, again: Again[Bench], song: str) -> Contender:
+def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | None:
+    """None where no policy comes with the song."""
     from cadenza.learning.pretrained import pretrained_folder
 
-    return _with_policy(command, again, PRETRAINED, pretrained_folder(song))
+    try:
+        folder = pretrained_folder(song)
+    except CadenzaError:
+        what = f"{song}: left out for {PRETRAINED}, no policy comes with it"
+        warnings.warn(what, CadenzaWarning, stacklevel=2)
+        return None
+    return _with_policy(command, again, PRETRAINED, folder)
 
 
 def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) -> Contender:
