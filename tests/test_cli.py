@@ -207,6 +207,8 @@ def test_info_on_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
     assert int(told["cores"]) >= 1
     assert told["can render video"].startswith(("yes", "no; "))
     assert told["agent ilqg"] == "the paper's planner with derivatives"
+    assert told["hand allegro"] == "the Allegro Hand, four fingers"
+    assert told["keyboard piano"] == "the 88 keys of a piano"
 
 
 @pytest.mark.parametrize("arguments", [["songs"], ["play", "--help"]])

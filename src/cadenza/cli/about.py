@@ -9,6 +9,8 @@ import tyro
 
 from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError
+from cadenza.hands.named import HANDS
+from cadenza.keyboards.named import KEYBOARDS
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -139,6 +141,9 @@ def _installation_facts() -> dict[str, Any]:
         "mujoco": mujoco.__version__,
         "cores": available_cores(),
         "can render video": drawing,
-        **{f"agent {name}": agent.about for name, agent in AGENTS.entries().items()},
-        **{f"learner {name}": learner.about for name, learner in LEARNERS.entries().items()},
+        **{
+            f"{registry.kind} {name}": entry.about
+            for registry in (AGENTS, HANDS, KEYBOARDS, LEARNERS)
+            for name, entry in registry.entries().items()
+        },
     }
