@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 import sys
@@ -15,6 +16,8 @@ import pytest
 
 import cadenza
 from cadenza import Note, SceneConfig, Score, TaskConfig
+from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.registry import make_agent
 from cadenza.cli import main
 from cadenza.music.fingering_file import read_fingering
 from cadenza.music.midi import read_midi, write_midi
@@ -175,6 +178,19 @@ def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
     again = cadenza.play(TUNE, "playback", plan=tmp_path / "tune.npz")
     assert again.metrics["f1"] == plan.metrics["f1"] > 0.9
     assert again.metrics["return"] == plan.metrics["return"]
+
+
+def test_a_performance_does_not_keep_the_postures_that_were_planned() -> None:
+    def postures() -> int:
+        gc.collect()
+        return sum(isinstance(each, Nominal) for each in gc.get_objects())
+
+    before = postures()
+    performance = cadenza.play(
+        TUNE, make_agent("planner", cadenza.ScorePlannerConfig(method="none"))
+    )
+    assert performance.track is not None
+    assert postures() == before
 
 
 def test_loading_songs(tmp_path: Path) -> None:

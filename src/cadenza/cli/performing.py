@@ -177,9 +177,9 @@ def print_what_was_lost(performance: Performance) -> None:
 
     from cadenza.agents.planning.misses import in_words
 
-    if performance.plan is None or performance.misses is None:
+    if performance.track is None or performance.misses is None:
         return
     print(*in_words(performance.misses, performance.episode), sep="\n")
-    reasons = Counter(reason for _, reason in performance.plan.track.dropped or ())
+    reasons = Counter(reason for _, reason in performance.track.dropped or ())
     for reason, count in reasons.most_common():
         print(f"no finger for {count} note{'s'[: count > 1]}: {reason}")

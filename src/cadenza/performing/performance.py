@@ -31,6 +31,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 from cadenza.sim.render import VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 
 Loudness = Literal["struck", "score"]
 """Of a note that was played: as its key was struck, or as the score writes it."""
@@ -52,8 +53,8 @@ class Performance:
     """Who played, in which task and scene."""
     scene: Scene
     """The hands and the keys."""
-    plan: SongPlan | None
-    """What the agent followed, if it plans the whole song."""
+    track: GoalTrack | None
+    """The song with the fingers that play it, if the agent plans the whole of it."""
     misses: list[Miss] | None
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
 
@@ -219,6 +220,6 @@ def perform(
         metrics=result.metrics,
         settings=setup.settings,
         scene=setup.task.scene,
-        plan=plan,
+        track=None if plan is None else plan.track,
         misses=None if plan is None else misses_of(result.episode, plan),
     )

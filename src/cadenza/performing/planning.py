@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
@@ -98,10 +97,10 @@ def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
             f"{setup.settings['song']}: ended after {steps} of {wanted} steps, because of a wrong "
             "key or an unstable simulation, so the plan is incomplete; try another seed"
         )
-    planned = performance.plan
-    assert isinstance(planned, SongPlan)
+    planned = performance.track
+    assert planned is not None
     # The notes are the same in the same order; times and pitches are again those of the song.
-    notes = zip(setup.score.notes, planned.track.score.notes, strict=True)
+    notes = zip(setup.score.notes, planned.score.notes, strict=True)
     fingered = tuple(replace(note, finger=with_finger.finger) for note, with_finger in notes)
     score = replace(setup.score, notes=fingered)
-    return Plan(score, performance, setup.options, planned.scene.fingers)
+    return Plan(score, performance, setup.options, performance.scene.fingers)
