@@ -1,8 +1,9 @@
 """Measures how far the fingers of a right hand reach along the keyboard.
 
-Run `python tools/measure_reach.py HAND` (a few minutes) after changing a hand, and put the `Reach`
-that it prints into it. HAND is the name of an installed hand, or `module:NAME`. It also
-prints where the fingertips are at rest, which should be over white keys.
+Run `python tools/measure_reach.py HAND` after changing a hand, and put the `Reach` that it prints
+into it. It takes minutes, more with more fingers. HAND is the name of an
+installed hand, or `module:NAME`. It also prints where the fingertips are at rest, which should be
+over white keys.
 
 The forearm slides where it likes (tx, ty); the joints are those of the reduced action space. A
 fingertip presses a white key when it is within 3 mm of the point where the finger presses white
@@ -19,6 +20,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from tqdm import tqdm
 
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig
@@ -179,7 +181,7 @@ def measured(hand: Hand) -> dict[str, Array]:
     rest = hand.tips(q)[0][:, 1] - hand.forearm_y(q)
     outward, inward, most = np.zeros(count), np.zeros(count), np.zeros((count, count))
     least = SIDE_BY_SIDE * np.maximum(np.arange(count) - np.arange(count)[:, None], 0)
-    for fingers in [*combinations(everyone, 1), *combinations(everyone, 2)]:
+    for fingers in tqdm([*combinations(everyone, 1), *combinations(everyone, 2)]):
         apart = distance(hand, q, fingers)
         start = posture(hand, fingers, apart, q)
         low, high = (extreme(hand, fingers, start, apart, step) for step in (-STEP, STEP))
