@@ -46,7 +46,7 @@ from cadenza.learning.observation import (
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import Training
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
 

@@ -27,7 +27,7 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
 )
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

@@ -17,7 +17,7 @@ import numpy as np
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
-from cadenza.music.library import load_score, songs
+from cadenza.music.libraries.library import load_score, songs
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 

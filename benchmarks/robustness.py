@@ -20,7 +20,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import build_scene

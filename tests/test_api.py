@@ -19,8 +19,8 @@ from cadenza import Note, SceneConfig, Score, TaskConfig
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.registry import make_agent
 from cadenza.cli import main
-from cadenza.music.fingering_file import read_fingering
-from cadenza.music.midi import read_midi, write_midi
+from cadenza.music.formats.fingering_file import read_fingering
+from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
 from cadenza.sim.mujoco_simulation import MujocoSimulation

@@ -22,7 +22,7 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
-from cadenza.music.fingering_file import read_fingering, write_fingering
+from cadenza.music.formats.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.report.page import write_report
 from cadenza.report.training import Curve, write_training

@@ -21,10 +21,10 @@ from cadenza.cli import arguments as cli_arguments
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.fingering_file import read_fingering
+from cadenza.music.formats.fingering_file import read_fingering
+from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
-from cadenza.music.library import songs
-from cadenza.music.midi import read_midi, write_midi
+from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene

@@ -18,7 +18,7 @@ from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.learning.policy_folder import load_policy, save_policy
 from cadenza.learning.pretrained import pretrained_folder
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))

@@ -22,7 +22,7 @@ from cadenza.evaluation.run import progress_of
 from cadenza.learning.config import preset
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 

@@ -10,7 +10,7 @@ import pytest
 
 from cadenza.cli import main
 from cadenza.music.etudes import KINDS, make_etude
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 
 

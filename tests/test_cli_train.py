@@ -18,8 +18,8 @@ import pytest
 from cadenza.cli import main, train
 from cadenza.learning import training
 from cadenza.learning.run_folder import RunFolder
-from cadenza.music.library import load_score
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

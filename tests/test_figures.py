@@ -26,9 +26,9 @@ PECULIAR = ("hands", "keyboards")
 COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
-    ("music/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
-    ("music/pig_dataset.py", 5): "the note F, in semitones above C",
-    ("music/pig_dataset.py", 10): "lines of a file that are named",
+    ("music/formats/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
+    ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
+    ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
     ("agents/planning/config.py", 10): "candidates and step sizes",
     ("fingering/difficulty.py", 10): "the hardest grade",

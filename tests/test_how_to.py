@@ -14,7 +14,7 @@ import pytest
 
 import cadenza
 from cadenza.cli import main
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 
 PAGES = Path(__file__).parents[1] / "docs" / "how-to"
 TUNE = cadenza.Score((cadenza.Note(0.0, 0.25, 60), cadenza.Note(0.25, 0.5, 62)), title="Tune")

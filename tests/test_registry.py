@@ -15,7 +15,7 @@ import cadenza
 from cadenza.agents.registry import AGENTS, agent_options
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.registry import Entry, Registry
 

@@ -36,7 +36,7 @@ main(["play", "tune.mid", "--agent", "zero", "--no-video", "-o", "played"])
 
 
 def test_the_package_imports_and_plays_without_what_windows_lacks(tmp_path: Path) -> None:
-    from cadenza.music.midi import write_midi
+    from cadenza.music.formats.midi import write_midi
     from cadenza.music.score import Note, Score
 
     write_midi(Score((Note(0, 0.1, 60),)), tmp_path / "tune.mid")

@@ -28,7 +28,7 @@ from cadenza.fingering.search import solve
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.library import load_score, songs
+from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import Note, Score
 
 HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)

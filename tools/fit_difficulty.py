@@ -31,7 +31,7 @@ from cadenza.fingering.search import find_fingering
 from cadenza.fingers import SIDES
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.library import load_score, open_library
+from cadenza.music.libraries.library import load_score, open_library
 from cadenza.music.score import Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask

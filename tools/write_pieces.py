@@ -1,4 +1,4 @@
-"""Writes the bundled pieces: src/cadenza/music/pieces/*.mid, *.fingering and index.toml.
+"""Writes the bundled pieces: src/cadenza/music/libraries/pieces/*.mid, *.fingering and index.toml.
 
 Run `python tools/write_pieces.py` after changing a piece below.
 
@@ -34,12 +34,12 @@ from cadenza.fingering.players import seated
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.fingering_file import write_fingering
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.fingering_file import write_fingering
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, PedalEvent, Score
 
 HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
-PIECES_FOLDER = Path(__file__).parents[1] / "src/cadenza/music/pieces"
+PIECES_FOLDER = Path(__file__).parents[1] / "src/cadenza/music/libraries/pieces"
 
 VELOCITIES = {"p": 50, "mp": 65, "mf": 80, "f": 95, "ff": 115}
 SEMITONES = {"C": 0, "D": 2, "E": 4, "F": 5, "G": 7, "A": 9, "B": 11}

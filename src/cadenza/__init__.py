@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from cadenza.fingers import Finger
     from cadenza.learning.config import TrainingConfig
     from cadenza.music.arrangement import Arrangement
-    from cadenza.music.bundled import Piece, songs
-    from cadenza.music.library import open_library
+    from cadenza.music.libraries.bundled import Piece, songs
+    from cadenza.music.libraries.library import open_library
+    from cadenza.music.libraries.songs import Library, Song
     from cadenza.music.score import Note, PedalEvent, Score
-    from cadenza.music.songs import Library, Song
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
     from cadenza.performing.setup import load_song
@@ -78,10 +78,10 @@ _MODULES = {
     "learning.config": ("TrainingConfig",),
     "scene.config": ("SceneConfig",),
     "music.arrangement": ("Arrangement",),
-    "music.bundled": ("Piece", "songs"),
-    "music.library": ("open_library",),
     "music.score": ("Note", "PedalEvent", "Score"),
-    "music.songs": ("Library", "Song"),
+    "music.libraries.bundled": ("Piece", "songs"),
+    "music.libraries.library": ("open_library",),
+    "music.libraries.songs": ("Library", "Song"),
     "performing.setup": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),

@@ -18,7 +18,7 @@ from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene

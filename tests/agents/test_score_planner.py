@@ -27,7 +27,7 @@ from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics

@@ -14,8 +14,8 @@ from cadenza.evaluation.matrix import Contender, matrix
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.run import carry_out, locked
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.library import open_library
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig

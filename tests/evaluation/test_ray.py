@@ -14,7 +14,7 @@ import pytest
 from cadenza.cli import main
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.run import At, progress_of
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 
 pytestmark = pytest.mark.slow

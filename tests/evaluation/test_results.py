@@ -15,8 +15,8 @@ from cadenza.evaluation.results import read_results
 from cadenza.evaluation.run import carry_out
 from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.library import find_song
-from cadenza.music.songs import Library
+from cadenza.music.libraries.library import find_song
+from cadenza.music.libraries.songs import Library
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

@@ -13,7 +13,7 @@ from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.keyboard import is_black
-from cadenza.music.library import load_score, songs
+from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import lengths, monophonic_per_key, scores, times
 from numbered import finger, numbers

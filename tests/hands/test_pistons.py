@@ -18,7 +18,7 @@ from cadenza.hands.body import Actuator, Body, Geom, Joint, Link
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
-from cadenza.music.fingering_file import read_fingering
+from cadenza.music.formats.fingering_file import read_fingering
 
 RADIUS = 0.006  # [m]
 COUNT = 6

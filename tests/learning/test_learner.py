@@ -19,7 +19,7 @@ from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
 
 # Linear regression on the actions, those that were rewarded most first; in numpy alone.
 PACKAGE = """

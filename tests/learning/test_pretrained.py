@@ -9,7 +9,7 @@ import pytest
 from cadenza.agents.rollout import play_episodes
 from cadenza.learning import pretrained
 from cadenza.learning.policy_folder import load_policy
-from cadenza.music.library import songs
+from cadenza.music.libraries.library import songs
 from cadenza.tasks.piano_task import PianoTask
 
 FOLDERS = sorted(path.parent for path in Path(pretrained.__file__).parent.glob("*/manifest.json"))

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
+from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import MAX_STEPS, score_to_goals
-from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.score import MAX_SECONDS, Note, PedalEvent, Score
 from players import find_fingering
 

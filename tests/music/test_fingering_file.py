@@ -2,7 +2,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from cadenza.errors import CadenzaError
-from cadenza.music.fingering_file import read_fingering, write_fingering
+from cadenza.music.formats.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, Score
 from music_strategies import monophonic_per_key, scores
 from numbered import finger, numbers

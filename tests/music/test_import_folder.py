@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from cadenza.cli import main
-from cadenza.music.folder import import_folder
-from cadenza.music.index import write_index
-from cadenza.music.library import libraries, load_score, open_library
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.folder import import_folder
+from cadenza.music.libraries.index import write_index
+from cadenza.music.libraries.library import libraries, load_score, open_library
 from cadenza.music.score import Note, Score
 
 ROOT = Path(__file__).parents[2]
-PIECES = ROOT / "src/cadenza/music/pieces"
+PIECES = ROOT / "src/cadenza/music/libraries/pieces"
 TUNE = Score((Note(0.0, 0.5, 60), Note(0.5, 1.0, 64)), title="Of the file")
 SHEET = """<?xml version="1.0"?><score-partwise version="3.1"><part-list><score-part id="P">
 <part-name>P</part-name></score-part></part-list><part id="P"><measure number="1"><attributes>

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
-from cadenza.music.library import libraries, load_score, open_library
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.library import libraries, load_score, open_library
 from cadenza.music.score import Note, Score
 from mutations import at_most_refused, other_bytes
 

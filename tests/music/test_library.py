@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.goals import score_to_goals
-from cadenza.music.library import load_score, songs
-from cadenza.music.midi import write_midi
+from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import Note, Score
 from numbered import FIVE, recorded_note
 
 ROOT = Path(__file__).parents[2]
 RECORDED = json.loads((ROOT / "tests/data/songs.json").read_text())
-PIECES = ROOT / "src/cadenza/music/pieces"
+PIECES = ROOT / "src/cadenza/music/libraries/pieces"
 TUNE = Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 64)))
 NAMES = [piece.name for piece in songs()]
 
@@ -215,7 +215,7 @@ def test_a_missing_file_is_called_missing():
 
 def test_listing_songs_does_not_load_the_midi_or_metrics_libraries():
     code = (
-        "import sys; from cadenza.music.library import songs; songs(); "
+        "import sys; from cadenza.music.libraries.library import songs; songs(); "
         "sys.exit(' '.join({'mido', 'mir_eval', 'scipy'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

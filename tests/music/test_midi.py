@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.midi import read_midi, write_midi
+from cadenza.music.formats.midi import read_midi, write_midi
+from cadenza.music.formats.source import MAX_BYTES
 from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.music.source import MAX_BYTES
 from music_strategies import monophonic_per_key, scores, seconds
 
 HALF_TICK = 0.5 / 48_000 + 1e-12

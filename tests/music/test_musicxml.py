@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.library import load_score
-from cadenza.music.musicxml import MAX_XML_BYTES, MOST, read_musicxml
+from cadenza.music.formats.musicxml import MAX_XML_BYTES, MOST, read_musicxml
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PedalEvent
 from numbered import numbers
 
@@ -292,7 +292,7 @@ def test_no_sound_font_is_fetched_where_fluidsynth_is_installed(tmp_path, saved)
     path = saved(document([FOUR_QUARTERS + note("C4", 4)]))
     code = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
-        "from cadenza.music.musicxml import read_musicxml; "
+        "from cadenza.music.formats.musicxml import read_musicxml; "
         f"notes = read_musicxml({str(path)!r}).notes; "
         "from partitura.utils.fluidsynth import HAS_FLUIDSYNTH; "
         "from fluidsynth import Synth; print(len(notes), HAS_FLUIDSYNTH)"

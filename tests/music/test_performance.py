@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 
 from cadenza.keyboards.piano import PIANO
+from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
-from cadenza.music.midi import read_midi, write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores

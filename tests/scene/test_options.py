@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import cadenza
 from cadenza.errors import CadenzaError
-from cadenza.music.library import songs
+from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig

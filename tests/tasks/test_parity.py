@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.metrics import playing_metrics
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene

@@ -73,7 +73,7 @@ class Bench(Options):
 def run(command: Bench, again: Again[Bench]) -> None:
     from cadenza.evaluation.bench import bench
     from cadenza.evaluation.matrix import matrix, write_plan
-    from cadenza.music.library import open_library
+    from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
     for name in "threads", "jobs":

@@ -36,7 +36,7 @@ def etude(command: Etude) -> None:
 
     from cadenza.configs import MOST_SEED, whole_number
     from cadenza.music.etudes.etude import etude_name, make_etude
-    from cadenza.music.midi import write_midi
+    from cadenza.music.formats.midi import write_midi
 
     if command.output is not None:
         check_name(command.output, ".mid", "an etude is a .mid file")

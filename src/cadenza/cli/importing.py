@@ -39,10 +39,10 @@ class Import:
 
 def run(command: Import) -> None:
     from cadenza.fingering.difficulty import grade
-    from cadenza.music.folder import import_folder
-    from cadenza.music.library import check_is_free, open_library
-    from cadenza.music.pig import TWELVE, etudes_among
-    from cadenza.music.pig_dataset import import_pig
+    from cadenza.music.libraries.folder import import_folder
+    from cadenza.music.libraries.library import check_is_free, open_library
+    from cadenza.music.libraries.pig import TWELVE, etudes_among
+    from cadenza.music.libraries.pig_dataset import import_pig
 
     if (command.kind == "midi") != (command.name is not None):
         raise CadenzaError("--name NAME goes with `cadenza import midi`, which needs it")

@@ -46,7 +46,7 @@ class PlanCommand(Performing):
 
 
 def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
-    from cadenza.music.fingering_file import SUFFIX
+    from cadenza.music.formats.fingering_file import SUFFIX
     from cadenza.performing.planning import make_plan
 
     if command.output is not None:

@@ -12,7 +12,7 @@ import tyro
 from cadenza.errors import CadenzaError, CadenzaWarning
 
 if TYPE_CHECKING:
-    from cadenza.music.songs import Library, Song
+    from cadenza.music.libraries.songs import Library, Song
 
 Sort = Literal["name", "length", "difficulty"]
 
@@ -38,7 +38,7 @@ class Libraries:
 
 
 def songs(command: Songs) -> None:
-    from cadenza.music.library import open_library
+    from cadenza.music.libraries.library import open_library
 
     chosen = command.library
     listed = _all_songs() if chosen is None else list(open_library(chosen).songs)
@@ -51,7 +51,7 @@ def songs(command: Songs) -> None:
 
 def _all_songs() -> list[Song]:
     """Each once; why others cannot be listed is a warning."""
-    from cadenza.music.library import distinct_libraries, open_library
+    from cadenza.music.libraries.library import distinct_libraries, open_library
 
     listed: list[Song] = []
     for name in distinct_libraries():
@@ -63,8 +63,8 @@ def _all_songs() -> list[Song]:
 
 
 def libraries(_: Libraries) -> None:
-    from cadenza.music.library import libraries as known
-    from cadenza.music.library import open_library
+    from cadenza.music.libraries.library import libraries as known
+    from cadenza.music.libraries.library import open_library
 
     missing: dict[str, None] = {}
     for name, about in known().items():

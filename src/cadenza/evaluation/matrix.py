@@ -16,7 +16,7 @@ from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.songs import Library
+from cadenza.music.libraries.songs import Library
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

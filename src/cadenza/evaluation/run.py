@@ -45,7 +45,7 @@ from cadenza.files import TEMPORARY, parsed_json, write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
 from cadenza.learning.run_folder import RunFolder
-from cadenza.music.library import find_song
+from cadenza.music.libraries.library import find_song
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import select, set_up
 

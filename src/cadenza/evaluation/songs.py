@@ -9,8 +9,8 @@ from dataclasses import astuple
 from pathlib import Path
 
 from cadenza.evaluation.job import SongFacts
-from cadenza.music.fingering_file import SUFFIX
-from cadenza.music.songs import Library, Song
+from cadenza.music.formats.fingering_file import SUFFIX
+from cadenza.music.libraries.songs import Library, Song
 
 _HASH = 12  # hexadecimal digits
 

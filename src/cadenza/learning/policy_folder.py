@@ -19,7 +19,7 @@ from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
-from cadenza.music.finger_numbers import finger_from, written
+from cadenza.music.formats.finger_numbers import finger_from, written
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.music.tracks import Track
 from cadenza.scene.config import SceneConfig, check_modules

@@ -30,7 +30,7 @@ class Arrangement:
         return score if self.first_seconds is None else score.beginning(self.first_seconds)
 
     def _reduced(self, song: str) -> Score:
-        from cadenza.music.library import load_score
+        from cadenza.music.libraries.library import load_score
         from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 
         score = load_score(song, self.tracks)

@@ -19,8 +19,8 @@ from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import write_json
-from cadenza.music.finger_numbers import written
-from cadenza.music.midi import write_midi
+from cadenza.music.formats.finger_numbers import written
+from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up

@@ -15,7 +15,7 @@ from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger, Fingers
-from cadenza.music.fingering_file import SUFFIX, write_fingering
+from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Setup, Song, select, set_up

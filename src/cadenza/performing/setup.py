@@ -31,8 +31,8 @@ from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.bundled import songs
-from cadenza.music.library import check_is_name
+from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import MOST_THREADS

@@ -23,7 +23,7 @@ import numpy as np
 
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
-from cadenza.music.finger_numbers import finger_from
+from cadenza.music.formats.finger_numbers import finger_from
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE, Samples
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
-from cadenza.music.library import load_score
+from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.lock import Lock, one_at_a_time

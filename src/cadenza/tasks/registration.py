@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from cadenza.music.bundled import songs
+from cadenza.music.libraries.bundled import songs
 
 
 def register_envs() -> None:

@@ -14,8 +14,8 @@ from cadenza.music.etudes.etude import (
     etude_names,
     kind_difficulty_seed,
 )
+from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
-from cadenza.music.songs import Library, Song
 
 _SOME = 100
 _WHICH = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)

@@ -22,7 +22,7 @@ from pathlib import Path
 from cadenza.errors import CadenzaError
 from cadenza.files import opened, write_atomically
 from cadenza.fingers import Finger
-from cadenza.music.finger_numbers import finger_from, written
+from cadenza.music.formats.finger_numbers import finger_from, written
 from cadenza.music.score import Score
 
 SUFFIX = ".fingering"

@@ -8,8 +8,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Literal
 
-from cadenza.music.reading import read_score
-from cadenza.music.songs import Library, Song
+from cadenza.music.formats.reading import read_score
+from cadenza.music.libraries.songs import Library, Song
 
 _FOLDER = Path(__file__).parent / "pieces"
 _SHORT = (  # those that the published system has, too

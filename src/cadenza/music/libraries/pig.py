@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cadenza.errors import CadenzaError
-from cadenza.music.imported import imported, is_imported
-from cadenza.music.songs import Library, Song
+from cadenza.music.libraries.imported import imported, is_imported
+from cadenza.music.libraries.songs import Library, Song
 
 ALL = "repertoire-150"
 TWELVE = "etude-12"

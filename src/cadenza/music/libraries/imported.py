@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Protocol
 
 from cadenza.errors import CadenzaError
-from cadenza.music.index import INDEX, Facts, read_index, write_index
-from cadenza.music.reading import read_score
+from cadenza.music.formats.reading import read_score
+from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
+from cadenza.music.libraries.songs import Library, Song
+from cadenza.music.libraries.user_data import libraries_folder
 from cadenza.music.score import Score
-from cadenza.music.songs import Library, Song
-from cadenza.music.user_data import libraries_folder
 
 _NAME = re.compile(r"\w[\w.-]{0,63}")
 _FILES = "files-"  # what the name of the folder of files begins with

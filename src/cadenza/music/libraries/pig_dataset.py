@@ -25,16 +25,16 @@ from typing import NamedTuple
 from cadenza.errors import CadenzaError
 from cadenza.files import opened
 from cadenza.fingers import Finger
-from cadenza.music.fingering_file import SUFFIX, write_fingering
-from cadenza.music.folder import unique
-from cadenza.music.imported import Grade, NewLibrary, Progress, new_library, silent
-from cadenza.music.index import read_table
-from cadenza.music.midi import write_midi
-from cadenza.music.pig import ALL, WEBSITE, published_name
+from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.source import MAX_BYTES, read_bytes
+from cadenza.music.formats.titles import printable
+from cadenza.music.libraries.folder import unique
+from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
+from cadenza.music.libraries.index import read_table
+from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
 from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import MAX_SECONDS, PITCHES, Note, Score
-from cadenza.music.source import MAX_BYTES, read_bytes
-from cadenza.music.titles import printable
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
 _FILE = re.compile(r"(\d{1,6})-(\d{1,6})_fingering\.txt", re.ASCII)

@@ -19,6 +19,8 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
+from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -28,8 +30,6 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
-from cadenza.music.source import read_bytes
-from cadenza.music.titles import printable, title_of
 from cadenza.music.tracks import Track, check_chosen
 
 MAX_XML_BYTES = 16 * 2**20

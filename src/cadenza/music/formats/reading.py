@@ -32,7 +32,7 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     """The score in a file of MIDI or MusicXML.
 
     Where a file of the same name ending in .fingering lies next to the file, the notes have its
-    fingers, see `cadenza.music.fingering_file`.
+    fingers, see `cadenza.music.formats.fingering_file`.
 
     Args:
         path: the file; of an ending that is not known, it is read as MIDI.
@@ -42,9 +42,9 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
         CadenzaError: a format that is not read, or a file that `read_midi`, `read_musicxml` or
             `read_fingering` refuses.
     """
-    from cadenza.music.fingering_file import SUFFIX, read_fingering
-    from cadenza.music.midi import read_midi
-    from cadenza.music.musicxml import read_musicxml
+    from cadenza.music.formats.fingering_file import SUFFIX, read_fingering
+    from cadenza.music.formats.midi import read_midi
+    from cadenza.music.formats.musicxml import read_musicxml
 
     suffix = path.suffix.lower()
     if suffix in NOT_READ:

@@ -14,12 +14,12 @@ from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError, by_others
-from cadenza.music.bundled import Piece, bundled, songs
-from cadenza.music.folder import folder_library
-from cadenza.music.imported import imported, imported_libraries, is_imported
-from cadenza.music.reading import MUSIC, NOT_READ, read_score
+from cadenza.music.formats.reading import MUSIC, NOT_READ, read_score
+from cadenza.music.libraries.bundled import Piece, bundled, songs
+from cadenza.music.libraries.folder import folder_library
+from cadenza.music.libraries.imported import imported, imported_libraries, is_imported
+from cadenza.music.libraries.songs import Library, Song, song_named
 from cadenza.music.score import Score
-from cadenza.music.songs import Library, Song, song_named
 from cadenza.registry import Entry, Registry
 
 __all__ = ["LIBRARIES", "Piece", "find_song", "libraries", "load_score", "open_library", "songs"]
@@ -29,13 +29,15 @@ LIBRARIES = Registry(
     "song library",
     "cadenza.songs",
     {
-        "bundled": Entry("cadenza.music.bundled:bundled", "the pieces that come with Cadenza"),
-        "debug": Entry("cadenza.music.bundled:debug", "a few short ones of them"),
-        "etude-12": Entry("cadenza.music.pig:etude_12", "the twelve published etudes"),
+        "bundled": Entry(
+            "cadenza.music.libraries.bundled:bundled", "the pieces that come with Cadenza"
+        ),
+        "debug": Entry("cadenza.music.libraries.bundled:debug", "a few short ones of them"),
+        "etude-12": Entry("cadenza.music.libraries.pig:etude_12", "the twelve published etudes"),
         ETUDES: Entry(
             "cadenza.music.etudes.library:etude_library", "etudes:N has N practice pieces"
         ),
-        "repertoire-150": Entry("cadenza.music.pig:repertoire_150", "the PIG dataset"),
+        "repertoire-150": Entry("cadenza.music.libraries.pig:repertoire_150", "the PIG dataset"),
     },
     otherwise="a folder",
 )
@@ -61,10 +63,10 @@ def open_library(spec: str | Path) -> Library:
 
     Args:
         spec: the name of a library, see `libraries`, or the path of a folder of MIDI or MusicXML
-            files, which may have an index (see `cadenza.music.index`). With `:SPLIT` after it, only
-            the songs of that split, as in "repertoire:valid". `etudes:N` are so many etudes, drawn
-            from the seed 0 or from that of `etudes:N:SEED`. A folder that has the same name as a
-            library wants a path with a separator, such as "./bundled".
+            files, which may have an index (see `cadenza.music.libraries.index`). With `:SPLIT`
+            after it, only the songs of that split, as in "repertoire:valid". `etudes:N` are so many
+            etudes, drawn from the seed 0 or from that of `etudes:N:SEED`. A folder that has the
+            same name as a library wants a path with a separator, such as "./bundled".
 
     Raises:
         CadenzaError: there is no such library or split, it has not been imported yet, or its index
@@ -99,7 +101,7 @@ def find_song(name_or_path: str | Path) -> Song:
 
     Whatever is there as a file, or ends as a file of music does, is a path; all else is a name.
     Where a file of the same name ending in .fingering lies next to the file, the notes have its
-    fingers, see `cadenza.music.fingering_file`.
+    fingers, see `cadenza.music.formats.fingering_file`.
 
     Raises:
         CadenzaError: there is no such song.

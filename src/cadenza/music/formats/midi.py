@@ -17,7 +17,9 @@ from mido.midifiles.meta import KeySignatureError
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.music.general_midi import INSTRUMENTS
+from cadenza.music.formats.general_midi import INSTRUMENTS
+from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
@@ -27,8 +29,6 @@ from cadenza.music.score import (
     Score,
     check_length,
 )
-from cadenza.music.source import read_bytes
-from cadenza.music.titles import printable, title_of
 from cadenza.music.tracks import Track, check_chosen
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
@@ -117,7 +117,7 @@ def write_midi(score: Score, path: str | Path) -> None:
 
     Read back, times are the same to half a tick (10.4 us), pitches, velocities and pedal values
     exactly; a note shorter than a tick lasts one. Fingers are not part of MIDI, see
-    `cadenza.music.fingering_file`.
+    `cadenza.music.formats.fingering_file`.
 
     Raises:
         CadenzaError: the score is longer than an hour and a half.

@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
-from cadenza.music.fingering_file import SUFFIX
-from cadenza.music.imported import Grade, NewLibrary, Progress, new_library, silent
-from cadenza.music.index import INDEX, Facts, read_index
-from cadenza.music.reading import MUSIC, read_score
-from cadenza.music.songs import Library, Song
-from cadenza.music.titles import printable
+from cadenza.music.formats.fingering_file import SUFFIX
+from cadenza.music.formats.reading import MUSIC, read_score
+from cadenza.music.formats.titles import printable
+from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
+from cadenza.music.libraries.index import INDEX, Facts, read_index
+from cadenza.music.libraries.songs import Library, Song
 
 _LONGEST = 120  # bytes of the name of a piece
 
@@ -26,7 +26,7 @@ def folder_library(folder: Path, name: str = "") -> Library:
     """The files of music in a folder and the folders in it; none of them is opened.
 
     Args:
-        folder: where they are, with an index if there is one (see `cadenza.music.index`).
+        folder: where they are, with an index if there is one (see `cadenza.music.libraries.index`).
         name: of the library, whose songs are then called `name/piece`. Without it they are called
             by their paths.
 

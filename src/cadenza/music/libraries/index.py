@@ -18,8 +18,8 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.music.source import read_bytes
-from cadenza.music.titles import printable
+from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.titles import printable
 
 INDEX = "index.csv"
 _NAMES = ("file", "path", "filename", "id", "name")

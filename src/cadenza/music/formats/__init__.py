@@ -1,0 +1,1 @@
+"""Files of music: how they are read and written."""

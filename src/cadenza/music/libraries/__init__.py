@@ -1,0 +1,1 @@
+"""Songs by name: the bundled pieces, imported libraries, folders of music."""
