@@ -58,4 +58,4 @@ def test_the_planner_plays_five_notes_with_four_fingers() -> None:
         scene=SceneConfig(hand="allegro", hands="right"),
     )
     assert performance.metrics["f1"] > 0.9
-    assert {note.finger.index for note in performance.plan.track.score.notes} <= {0, 1, 2, 3}
+    assert {note.finger.index for note in performance.track.score.notes} <= {0, 1, 2, 3}

@@ -88,8 +88,8 @@ def test_misses_are_named_by_the_keys_that_it_has() -> None:
     performance = cadenza.play(
         Score(keys), ScorePlanner(UNREFINED), scene=SceneConfig(hands="right", keyboard=KEYBOARD)
     )
-    assert performance.plan is not None
-    dropped = [note.pitch for note, _ in performance.plan.track.dropped or ()]
+    assert performance.track is not None
+    dropped = [note.pitch for note, _ in performance.track.dropped or ()]
     unplayed = {miss.note for miss in performance.misses or () if miss.cause == "no finger"}
     assert unplayed <= {note_name(pitch) for pitch in dropped}
     assert len(unplayed) >= 5

@@ -51,20 +51,21 @@ def _servos(name: str) -> dict[str, Servo]:
     }
 
 
-# Measured by tools/measure_reach.py, but for the least distances of neighbours.
+# Measured by tools/measure_reach.py; `rest` is where the fingertips are at rest, by the same tool,
+# and not where they are when all press.
 _REACH = Reach(
     rest=np.array([-0.048, -0.012, 0.026, 0.064]),
     least=0.0115 * np.maximum(np.arange(4) - np.arange(4)[:, None], 0),
     most=np.array(
         [
-            [0.000, 0.128, 0.171, 0.212],
-            [0.000, 0.000, 0.133, 0.180],
-            [0.000, 0.000, 0.000, 0.133],
+            [0.000, 0.073, 0.133, 0.164],
+            [0.000, 0.000, 0.152, 0.199],
+            [0.000, 0.000, 0.000, 0.154],
             [0.000, 0.000, 0.000, 0.000],
         ]
     ),
-    outward=np.array([0.128, 0.089, 0.045, 0.006]),
-    inward=np.array([0.052, 0.006, 0.045, 0.089]),
+    outward=np.array([0.086, 0.101, 0.056, 0.012]),
+    inward=np.array([0.029, 0.012, 0.056, 0.101]),
     forearm_width=forearm.WIDTH,
     effort=np.array([0.0, 0.0, 0.0, 0.1]),
     effort_on_black=np.array([0.5, 0.0, 0.0, 0.0]),
