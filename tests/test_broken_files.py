@@ -18,6 +18,7 @@ from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.playback import check_options, load_plan, options_of, physics_of, save_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
+from cadenza.fingers import Fingers
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
@@ -71,7 +72,8 @@ def many(fast: int, slow: int) -> Any:
 def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
     whole, path = tmp_path / "whole.npz", tmp_path / "plan.npz"
     options = options_of(TASK, SCENE, 0)
-    save_plan(whole, performance.episode, performance.metrics, options, SONG)
+    hands = Fingers(per_hand=5)
+    save_plan(whole, performance.episode, performance.metrics, options, SONG, hands)
     for _, rng in draws(number):
         path.write_bytes(other_npz(rng, whole))
         for read in (load_plan, physics_of, lambda path: check_options(path, options)):

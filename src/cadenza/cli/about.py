@@ -9,8 +9,6 @@ import tyro
 
 from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError
-from cadenza.hands.named import HANDS
-from cadenza.keyboards.named import KEYBOARDS
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -126,6 +124,8 @@ def _installation_facts() -> dict[str, Any]:
 
     import mujoco
 
+    from cadenza.hands.named import HANDS
+    from cadenza.keyboards.named import KEYBOARDS
     from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.threads import available_cores

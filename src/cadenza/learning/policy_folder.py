@@ -19,9 +19,8 @@ from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.residual import Reference
 from cadenza.learning.sealed_folder import read_sealed, write_sealed
-from cadenza.music.formats.finger_numbers import finger_from, written
-from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.music.tracks import Track
+from cadenza.music.formats.written_score import WrittenScore
+from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -79,41 +78,6 @@ _EXPECTED = _EXPECTED_OF_ALL | {
 
 
 @dataclass(frozen=True)
-class _Note:
-    """A `Note`, its finger as files have it."""
-
-    start: float
-    end: float
-    pitch: int
-    velocity: int
-    finger: int | str
-
-
-@dataclass(frozen=True)
-class _Song:
-    """A `Score` of such notes."""
-
-    notes: tuple[_Note, ...]
-    pedal: tuple[PedalEvent, ...]
-    title: str
-    remarks: tuple[str, ...]
-    tracks: tuple[Track, ...]
-
-    @classmethod
-    def of(cls, score: Score) -> _Song:
-        notes = (_Note(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes)
-        return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks)
-
-    @property
-    def score(self) -> Score:
-        """Raises: CadenzaError: a note is none."""
-        notes = (
-            Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
-        )
-        return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks)
-
-
-@dataclass(frozen=True)
 class _Facts:
     """What is written beside the arrays."""
 
@@ -122,7 +86,7 @@ class _Facts:
     inputs: Inputs
     task: TaskConfig
     scene: SceneConfig
-    score: _Song
+    score: WrittenScore
     about: dict[str, Any]
 
 
@@ -212,7 +176,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "inputs": asdict(learnt.inputs),
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
-        "score": asdict(_Song.of(learnt.score)),
+        "score": asdict(WrittenScore.of(learnt.score)),
     }
     try:
         parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)

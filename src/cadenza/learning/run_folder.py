@@ -48,6 +48,7 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import DROQ, learner_config, name_of
 from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
 from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.scene.config import check_modules
 
@@ -68,7 +69,7 @@ class _About:
 
     config: TrainingConfig
     """But for the options of the learner."""
-    score: Score
+    score: WrittenScore
     versions: dict[str, str]
     id: str = ""
     learner: str = DROQ
@@ -167,7 +168,8 @@ class RunFolder:
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
                 "choose another folder with --output"
             )
-        about = _About(config, score, _versions(), secrets.token_hex(8), name_of(config.learner))
+        song, learner = WrittenScore.of(score), name_of(config.learner)
+        about = _About(config, song, _versions(), secrets.token_hex(8), learner)
         self._write(about)
 
     def set_end(self, config: TrainingConfig) -> None:
@@ -216,7 +218,10 @@ class RunFolder:
             CadenzaError: the folder holds no run.
         """
         about = self._read()
-        return about.config, about.score
+        try:
+            return about.config, about.score.score
+        except CadenzaError as error:
+            raise CadenzaError(f"{self._about}: {error}") from error
 
     @property
     def id(self) -> str:

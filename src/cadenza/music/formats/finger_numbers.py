@@ -40,6 +40,6 @@ def finger_from(text: int | str) -> Finger | None:
     if counted := _COUNTED.fullmatch(text):
         return Finger(_LETTERS.index(counted[1]), int(counted[2]) - 1)
     raise CadenzaError(
-        f"there is no finger {text:.20}; right hand 0-4, left hand 5-9, -1 unknown; beyond the "
+        f"there is no finger {text!r:.20}; right hand 0-4, left hand 5-9, -1 unknown; beyond the "
         "fifth finger of a hand R6, L6 and so on"
     )

@@ -1,0 +1,47 @@
+"""A score as JSON files of runs and policies have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cadenza.music.formats.finger_numbers import finger_from, written
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.tracks import Track
+
+
+@dataclass(frozen=True)
+class WrittenNote:
+    """A `Note`, its finger as files have it."""
+
+    start: float
+    end: float
+    pitch: int
+    velocity: int
+    finger: int | str
+
+
+@dataclass(frozen=True)
+class WrittenScore:
+    """A `Score` of such notes."""
+
+    notes: tuple[WrittenNote, ...]
+    pedal: tuple[PedalEvent, ...] = ()
+    title: str = ""
+    remarks: tuple[str, ...] = ()
+    tracks: tuple[Track, ...] = ()
+
+    @classmethod
+    def of(cls, score: Score) -> WrittenScore:
+        """To be written."""
+        notes = (
+            WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes
+        )
+        return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks)
+
+    @property
+    def score(self) -> Score:
+        """Raises: CadenzaError: a note is none."""
+        notes = (
+            Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
+        )
+        return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks)
