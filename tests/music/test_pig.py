@@ -356,6 +356,20 @@ def test_a_damaged_zip_file_is_at_most_refused(
         import_pig(path, replace=True)
 
 
+def test_a_zip_file_with_odd_names_is_at_most_refused(dataset: Path, tmp_path: Path) -> None:
+    path = zipped(dataset, tmp_path / "pig.zip")
+    for odd in (b"\n", b"\x1c"):  # in the directory and not in the header of the member
+        content = path.read_bytes()
+        at = content.rindex(b"List.csv")
+        path.write_bytes(content[:at] + odd + content[at + 1 :])
+        with at_most_refused():
+            import_pig(path, replace=True)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(zipfile.ZipInfo(""), "")
+    with at_most_refused():
+        import_pig(path, replace=True)
+
+
 # Again, and interrupted
 
 

@@ -129,7 +129,8 @@ def _files(source: Path) -> Iterator[_Files]:
             raise CadenzaError(
                 f"{source}: neither a folder nor a readable ZIP file; get the dataset at {WEBSITE}"
             ) from error
-        members = [member for member in archive.infolist() if not member.is_dir()]
+        # `is_dir` fails on a member without a name.
+        members = [m for m in archive.infolist() if not m.filename.endswith("/")]
         for member in members:
             path = PurePosixPath(member.filename)
             if path.is_absolute() or ".." in path.parts or "\\" in member.filename:
@@ -153,7 +154,7 @@ def _in_folder(folder: Path) -> Iterator[PurePosixPath]:
 
 def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Path) -> bytes:
     """Of a member, which is never unpacked further than a file may be large, whatever it says."""
-    where = f"{source}/{member.filename}"
+    where = f"{source}/{printable(member.filename)}"
     try:
         with archive.open(member) as stream:
             data = stream.read(MAX_BYTES + 1)
