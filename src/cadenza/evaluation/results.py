@@ -7,7 +7,7 @@ FOLDER/runs/NAME/         a run, see `cadenza.evaluation.run`
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,22 +52,15 @@ class ResultFile:
     timing: Timing
     versions: dict[str, str]
     pages: dict[str, str | None]
+    """Kind -> file in the folder, or None."""
     training: Trained | None = None
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(ResultFile):
     """A run that is finished."""
 
-    folder: Path
-    job: dict[str, Any]
-    song: SongFacts
-    metrics: dict[str, int | float | bool | None]
-    timing: Timing
-    versions: dict[str, str]
-    pages: dict[str, str | None]
-    """Kind -> file in the folder, or None."""
-    training: Trained | None = None
+    folder: Path = field(kw_only=True)
 
     @property
     def agent(self) -> str:
@@ -155,8 +148,7 @@ def read_result(run: Path) -> Result:
     path = run / RESULT
     file = read_json(path, ResultFile)
     checked({name: file.job.get(name) for name in ("song", "agent", "seed")}, _Named, path)
-    rest = {name: value for name, value in vars(file).items() if name != "format"}
-    return Result(run, **rest)
+    return Result(**vars(file), folder=run)
 
 
 @dataclass(frozen=True)
