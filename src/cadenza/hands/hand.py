@@ -14,6 +14,7 @@ from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Body, Options, add_fingertip_site
 from cadenza.hands.faults import faults_of_body
+from cadenza.hands.jump import JumpTimes
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
 
@@ -54,6 +55,7 @@ class Hand:
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
     reach: Reach
+    jump_times: JumpTimes = field(default_factory=JumpTimes)
     thumb_meets: int = 2
     """How many of the fingers next to the thumb it can run into."""
     start: Mapping[str, float] = field(default_factory=dict)

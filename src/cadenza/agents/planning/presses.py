@@ -12,20 +12,12 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
+from cadenza.hands.jump import JumpTimes
 
 Array = NDArray[np.float64]
 
 RISE = 0.05  # [s] in which a finger gets off a key
 
-# What a hand needs to jump, measured by having it do so: within `_WITHIN_REACH` the fingers do it;
-# further away it glides with `_GLIDE`, lifting itself on the way and striking at its end, except
-# that it comes straight down on a chord, which takes `_DESCENT` more.
-_WITHIN_REACH = 0.05  # [m]
-_REACH_WHILE_HOLDING = 0.06  # [m]
-_DESCENT = 0.05  # [s]
-# As if it sped up over half the way and slowed down over the other [m/s^2]; a chord has to land
-# on several keys at once.
-_GLIDE, _GLIDE_OF_CHORD = 80.0, 50.0
 _AHEAD = 0.4  # [s] no jump needs more time than this
 _FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _LEAST = 0.05  # [s] that a press lasts
@@ -67,7 +59,7 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Finger
     return sorted(presses, key=lambda press: (press.first, press.key))
 
 
-def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press]:
+def let_go_in_time(presses: list[Press], places: Array, dt: float, times: JumpTimes) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
     A press keeps `_LEAST`.
@@ -77,8 +69,9 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press
         places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
             it is mounted [m].
         dt: control step [s].
+        times: that these hands need.
     """
-    cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt)]
+    cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt, times)]
     rise, least = steps_in(RISE, dt), steps_in(_LEAST, dt)
     next_of: dict[int, Press] = {}
     result = []
@@ -89,11 +82,13 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float) -> list[Press
             last = min(last, max(following.first - rise, press.first + least))
         next_of[press.finger] = press
         result.append(press._replace(last=last))
-    return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt))
+    return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt), times.within_reach)
 
 
-def _with_jumps(presses: list[Press], places: Array, flight: int) -> list[Press]:
-    """Marks presses of one hand that are at most `flight` steps apart and far in space."""
+def _with_jumps(
+    presses: list[Press], places: Array, flight: int, within_reach: float
+) -> list[Press]:
+    """Marks presses of one hand at most `flight` steps apart and beyond `within_reach` [m]."""
     together = Counter((press.side, press.first) for press in presses)
     firsts = [press.first for press in presses]
     left, reached = set[Press](), set[Press]()
@@ -101,7 +96,7 @@ def _with_jumps(presses: list[Press], places: Array, flight: int) -> list[Press]
         soon, too_late = (bisect_right(firsts, press.last + wait) for wait in (0, flight))
         for later in presses[soon:too_late]:
             way = abs(places[later.key, later.finger] - places[press.key, press.finger])
-            if later.side == press.side and way > _WITHIN_REACH:
+            if later.side == press.side and way > within_reach:
                 left.add(press)
                 reached.add(later)
     return [
@@ -113,28 +108,27 @@ def _with_jumps(presses: list[Press], places: Array, flight: int) -> list[Press]
     ]
 
 
-def _let_hand_go(presses: list[Press], side: Side, places: Array, dt: float) -> list[Press]:
+def _let_hand_go(
+    presses: list[Press], side: Side, places: Array, dt: float, times: JumpTimes
+) -> list[Press]:
     ahead, least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
     mine = [press for press in presses if press.side == side]
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
-    hands = [[float(places[press.key, press.finger]) for press in chord] for chord in chords]
-    means = [float(np.mean(hand)) for hand in hands]
+    firsts = np.array([chord[0].first for chord in chords])
+    sizes = np.array([len(chord) for chord in chords])
+    hands = [np.array([places[press.key, press.finger] for press in chord]) for chord in chords]
+    means = np.array([hand.mean() for hand in hands])
     cut = []
     for i, chord in enumerate(chords):
-        for press, place in zip(chord, hands[i], strict=True):
-            last = press.last
-            for j in range(i + 1, len(chords)):
-                first = chords[j][0].first
-                if first > press.last + ahead:
-                    break
-                if press.last > first + least:  # held while the hand plays on
-                    beyond = abs(means[j] - place) - _REACH_WHILE_HOLDING
-                else:
-                    beyond = abs(means[j] - means[i]) - _WITHIN_REACH
-                if beyond > 0:
-                    glide = _GLIDE if len(chord) == len(chords[j]) == 1 else _GLIDE_OF_CHORD
-                    descent = _DESCENT if len(chords[j]) > 1 else 0.0
-                    jump = int(np.ceil(np.sqrt(4 * beyond / glide) / dt + descent / dt))
-                    last = min(last, max(first - jump, press.first + least))
-            cut.append(press._replace(last=last))
+        lasts = np.array([press.last for press in chord])[:, None]
+        next_ones = slice(i + 1, int(np.searchsorted(firsts, lasts.max() + ahead, "right")))
+        first, mean = firsts[next_ones], means[next_ones]
+        holding = lasts > first + least  # while the hand plays on
+        way = np.abs(mean - np.where(holding, hands[i][:, None], means[i]))
+        seconds = times.seconds(way, len(chord), sizes[next_ones], holding)
+        jump = np.ceil(np.round(seconds / dt, 9)).astype(np.intp)
+        in_time = np.maximum(first - jump, firsts[i] + least)
+        in_time = np.where((jump > 0) & (first <= lasts + ahead), in_time, lasts)
+        soonest = np.hstack([lasts, in_time]).min(axis=1).tolist()
+        cut += [p._replace(last=last) for p, last in zip(chord, soonest, strict=True)]
     return cut
