@@ -167,6 +167,18 @@ def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder: Path) 
 
 
 @pytest.mark.slow
+def test_a_run_that_is_killed_loses_only_itself_and_is_taken_up_again(folder: Path) -> None:
+    command = started("bench_agents:Counted")
+    until(lambda: under_way(folder))
+    os.kill(under_way(folder)[0], signal.SIGKILL)
+    said = of(command)
+    assert "its process was killed (SIGKILL)" in said
+    assert "it will be taken up again" in said
+    assert "2 of 2 runs finished" in said
+    assert len(list(folder.glob("begun-*"))) == 3
+
+
+@pytest.mark.slow
 def test_runs_end_with_the_bench_that_was_killed(folder: Path) -> None:
     command = started("bench_agents:Slow", "--stretch", "100")
     until(lambda: under_way(folder))
@@ -181,7 +193,7 @@ def test_killed_at_random_it_finishes_with_the_same_results(folder: Path) -> Non
     chosen = "bench_agents:Slow,planner", "--seeds", "0-1"
     rng = random.Random(0)
     for _ in range(6):
-        command = started(*chosen, "--retry")
+        command = started(*chosen)
         time.sleep(rng.uniform(1.0, 12.0))
         if rng.random() < 0.5:  # one run only
             for pid in under_way(folder)[:1]:
@@ -189,7 +201,7 @@ def test_killed_at_random_it_finishes_with_the_same_results(folder: Path) -> Non
             time.sleep(rng.uniform(0.0, 2.0))
         command.kill()
         command.communicate()
-    assert "8 of 8 runs finished" in of(started(*chosen, "--retry"))
+    assert "8 of 8 runs finished" in of(started(*chosen))
     found = read_results(folder / "out")
     assert not found.broken
     of(started(*chosen, "-o", "afresh"))

@@ -99,18 +99,17 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
     assert unfinished.why == why
 
 
-def test_a_process_that_crashed_or_vanished_has_failed(
+def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(
     jobs: Callable[..., list[Job]], tmp_path: Path
 ) -> None:
-    three = jobs("zero", "random", "bench_agents:Still")
-    (anyone, *_) = three
-    instead = [Ended(anyone, "out of memory"), Ended(anyone), None]
-    state, _ = carried_out(three, tmp_path, instead)
-    assert list(state.failed.values()) == [
-        "out of memory",
-        "its process ended without a result; see log.txt",
-    ]
-    assert carried_out(three, tmp_path, retry=True)[0].finished == 3
+    dies, vanishes, lives = three = jobs("zero", "random", "bench_agents:Still")
+    killed, gone = Ended(dies, "killed"), Ended(vanishes)
+    state, begun = carried_out(three, tmp_path, [killed, gone, None, killed, gone, killed, None])
+    assert begun == ["zero", "random", lives.spec.agent, "zero", "random", "zero", "random"]
+    assert state.failed == {dies.spec.name: "killed; so it went 3 times"}
+    assert state.finished == 2
+    assert carried_out(three, tmp_path)[1] == []
+    assert carried_out(three, tmp_path, [killed], retry=True)[0].finished == 3
 
 
 def test_what_a_run_before_has_left_may_be_corrupt(

@@ -221,7 +221,7 @@ class _Shown(Protocol):
         """How far it is now."""
 
     def ended(self, state: State, job: Job) -> None:
-        """A run has finished or failed."""
+        """A run has finished or failed, or its process has died."""
 
 
 @contextmanager
@@ -294,6 +294,8 @@ def _how_it_went(state: State, job: Job) -> str:
 
     if job.spec.name in state.failed:
         return f"{_named(job)}: failed: {state.failed[job.spec.name]}"
+    if job in state.todo:
+        return f"{_named(job)}: {state.died[job.spec.name][-1]}; it will be taken up again"
     try:
         result = read_result(state.folder / job.spec.name)
     except (CadenzaError, OSError) as error:

@@ -15,6 +15,7 @@ from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import locked, write_failure
 
 _BETWEEN_LOOKS = 0.5  # [s]
+_ATTEMPTS = 3  # at a run whose process dies
 
 
 class Ended(NamedTuple):
@@ -22,8 +23,7 @@ class Ended(NamedTuple):
 
     job: Job
     crash: str = ""
-    """What became of a process that crashed, in a line; others leave a result or why there is
-    none."""
+    """What became of a process that died, in a line; others leave a result or why there is none."""
     told_to: bool = False
     """Whether somebody told it to end, so that it is to be taken up again."""
 
@@ -62,6 +62,8 @@ class State:
     finished: int = 0
     failed: dict[str, str] = field(default_factory=dict)
     """With why."""
+    died: dict[str, list[str]] = field(default_factory=dict)
+    """What became of each process that died."""
 
     @property
     def left(self) -> int:
@@ -83,7 +85,8 @@ def bench(
         jobs: all runs that there are to be.
         folder: of the bench.
         executor: where they are carried out.
-        ended: is told of a run that has finished or failed.
+        ended: is told of a run that has finished or failed, or whose process has died and which is
+            to be taken up again.
         goes_on: is asked now and then; where it is false, all ends that is under way.
         retry: runs that have failed before are carried out again.
     """
@@ -103,7 +106,7 @@ def bench(
             del state.running[job.spec.name]
             if told_to:
                 state.todo.append(job)
-            elif _has_ended(state, job, crash):
+            elif _is_ours(state, job, crash):
                 ended(state, job)
             else:
                 state.elsewhere.append(job)
@@ -132,17 +135,24 @@ def _has_failed(state: State, job: Job) -> bool:
     return why is not None
 
 
-def _has_ended(state: State, job: Job, crash: str) -> bool:
-    """Of a run whose process has ended; else another process is at work on it."""
-    folder = state.folder / job.spec.name
+def _is_ours(state: State, job: Job, crash: str) -> bool:
+    """Whether a run whose process has ended is ours to tell of; else another is at work on it."""
+    name, folder = job.spec.name, state.folder / job.spec.name
     if _is_finished(state, job):
         return True
     with locked(folder) as ours:
         if not ours:
             return False
         if crash or not (folder / FAILED).exists():
-            write_failure(folder, crash or "its process ended without a result; see log.txt")
-    return _has_failed(state, job)
+            why = crash or "its process ended without a result; see log.txt"
+            died = state.died.setdefault(name, [])
+            died.append(why)
+            if len(died) < _ATTEMPTS:
+                state.todo.append(job)  # after all others: there may be more memory then
+                return True
+            write_failure(folder, f"{why}; so it went {_ATTEMPTS} times")
+    _has_failed(state, job)
+    return True
 
 
 def _look_elsewhere(state: State, ended: Callable[[State, Job], None]) -> None:

@@ -13,8 +13,6 @@ from cadenza.evaluation.bench import Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
 
-_RETRIES = 3  # of a run whose process or machine dies, which Ray takes up elsewhere
-
 
 class Ray:
     """As many runs at once as the cluster has cores for, also when it grows or shrinks."""
@@ -50,9 +48,8 @@ class Ray:
         self._num_threads, self._num_jobs = num_threads, num_jobs
         self._running: dict[Any, Job] = {}
         # A process a run, as on one machine: it leaves no memory behind.
-        self._carry_out = ray.remote(
-            num_cpus=num_threads, max_calls=1, max_retries=_RETRIES, retry_exceptions=False
-        )(_work)
+        # One that dies is for the bench to take up again, as on one machine.
+        self._carry_out = ray.remote(num_cpus=num_threads, max_calls=1, max_retries=0)(_work)
 
     @property
     def capacity(self) -> int:
