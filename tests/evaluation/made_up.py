@@ -67,6 +67,7 @@ def write_bench(
                 content = result(f"repertoire/{i:03}", agent, seed, metrics, seed == 0, **song)
                 content["timing"] |= {
                     "wall_seconds": seconds * (0.4 + j),
+                    "cpu_seconds": seconds * (0.3 + j),
                     "music_seconds": seconds,
                 }
                 name = f"{i:03}--{agent.replace(':', '_')}--s{seed}--0123456789ab"

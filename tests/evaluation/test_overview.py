@@ -67,7 +67,11 @@ def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None
     content = result("a", "planner", 0, {"f1": 0.5, "energy": 300.0})
     content["timing"] = {"wall_seconds": 15.0, "music_seconds": 20.0, "threads": 1}
     write_result(tmp_path, "a", content)
-    (run,) = told(tmp_path).runs
+    content["timing"]["cpu_seconds"] = 10.0
+    write_result(tmp_path, "b", content)
+    before, run = told(tmp_path).runs
+    assert math.isnan(before.figures["cpu_per_music"])
+    assert run.figures["cpu_per_music"] == 0.5
     assert run.figures["wall_per_music"] == 0.75
     assert run.figures["power"] == 15.0
     assert math.isnan(run.figures["precision"])

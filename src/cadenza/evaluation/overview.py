@@ -103,6 +103,7 @@ def run_figures(result: Result) -> dict[str, float]:
     figures = {name: _number(result.metrics.get(name)) for name in SHARES}
     return figures | {
         "wall_per_music": result.timing.wall_seconds / music,
+        "cpu_per_music": _number(result.timing.cpu_seconds) / music,
         "power": _number(result.metrics.get("energy")) / music,
     }
 

@@ -25,7 +25,10 @@ def _fault(result: Result) -> str:
         return "its result holds no F1"
     figures: dict[str, Any] = {**result.metrics, **vars(result.timing), **vars(result.song)}
     most = dict.fromkeys(SHARES, 1 + 1e-9)
-    sizes = ("wall_seconds", "music_seconds", "energy", "difficulty", "seconds", "notes")
+    sizes = (
+        *("wall_seconds", "cpu_seconds", "music_seconds", "energy"),
+        *("difficulty", "seconds", "notes"),
+    )
     for name, limit in (most | dict.fromkeys(sizes, _MOST)).items():
         value = figures.get(name)
         if value is not None and not 0 <= value <= limit:

@@ -28,6 +28,8 @@ class Timing:
     music_seconds: float
     """How much music was played."""
     threads: int
+    cpu_seconds: float | None = None
+    """The same as `wall_seconds`, of all threads, without waiting; not known of training."""
 
 
 @dataclass(frozen=True)

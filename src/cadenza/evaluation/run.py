@@ -179,20 +179,23 @@ def _result(
     spec, tell = job.spec, _telling(folder)
     tell("beginning", 0, 0)
     _check_song(spec)
-    began, trained = time.perf_counter(), None
+    began, cpu_before, trained = time.perf_counter(), time.process_time(), None
     if spec.training is not None:
         trained = _train(spec, spec.training, folder / "training", num_threads, tell, stop)
         if trained is None:
             return None
     performance = _play(spec, folder, num_threads, tell)
-    seconds = time.perf_counter() - began if trained is None else trained.seconds
+    if trained is None:
+        seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu_before
+    else:
+        seconds, cpu_seconds = trained.seconds, None
     performance.save(folder, progress=tell, page=job.page)
     return ResultFile(
         format=FORMAT,
         job=spec.as_json(),
         song=replace(job.song, notes=len(performance.score.notes)),
         metrics=performance.metrics | {"energy": performance.energy},
-        timing=Timing(seconds, performance.seconds, num_threads),
+        timing=Timing(seconds, performance.seconds, num_threads, cpu_seconds),
         versions=_versions(),
         pages={"report": "report.html" if job.page else None},
         training=trained,

@@ -35,7 +35,14 @@ FIGURES = SHARES | {
     "wall_per_music": Figure(
         "Wall time / music",
         2,
-        "Seconds that a run took, with any training, for each second of music.",
+        "Seconds that a run took, with any training, for each second of music. It is longer where "
+        "other programs, or other runs, kept the cores busy.",
+    ),
+    "cpu_per_music": Figure(
+        "CPU time / music",
+        2,
+        "Seconds that all threads of a run computed, for each second of music; not known of "
+        "policies that were trained first.",
     ),
     "power": Figure("Energy / music [W]", 1, "Of all actuators, for each second of music."),
 }
