@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -158,3 +160,37 @@ def test_a_song_that_has_changed_since_is_told(
     write_midi(Score((Note(0.0, 0.2, 62),)), tmp_path / "songs" / "song.mid")
     state, _ = carried_out(planned, tmp_path)
     assert "has other notes here and now" in next(iter(state.failed.values()))
+
+
+def test_pages_of_finished_runs_are_made_from_their_files(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    (job,) = jobs("random", random_stretch=0.5)
+    paged = replace(job, page=True)
+    carried_out([job], tmp_path / "a")
+    (result,) = read_results(tmp_path / "a").results
+    files = {p.name: p.read_bytes() for p in result.folder.iterdir() if p.name != "result.json"}
+    assert carried_out([paged], tmp_path / "a")[0].finished == 1
+    assert carried_out([paged], tmp_path / "a")[1] == []
+    (again,) = read_results(tmp_path / "a").results
+    assert again.pages == {"report": "report.html"}
+    assert (again.metrics, again.timing) == (result.metrics, result.timing)
+    assert {name: (result.folder / name).read_bytes() for name in files} == files
+
+    carry_out(paged, tmp_path / "b", num_threads=1)
+    pages = [(run / "report.html").read_text() for run in (result.folder, tmp_path / "b")]
+    assert len(pages[0]) > 500_000
+    made, saved = (re.sub(r"<th[^>]*>(Planning|Playing)</th><td>.*?</td>", "", p) for p in pages)
+    assert made == saved
+
+
+def test_a_run_of_which_no_page_can_be_made_keeps_its_result(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    (job,) = jobs("zero")
+    carried_out([job], tmp_path)
+    run = tmp_path / "runs" / job.spec.name
+    (run / "episode.npz").write_text("")
+    assert carried_out([replace(job, page=True)], tmp_path)[0].finished == 1
+    assert "episode.npz" in (run / "log.txt").read_text()
+    assert len(read_results(tmp_path).results) == 1

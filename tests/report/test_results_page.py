@@ -102,7 +102,7 @@ def test_words_of_others_are_escaped_and_stay_in_the_folder(tmp_path: Path) -> N
     for i, name in enumerate((BAD, "A/b", "a_b", "..")):
         content = result(name, BAD, 0, {"f1": 0.5}, page=True, **song)
         content["versions"]["mujoco"] = f"{BAD}{i}"
-        write_result(bench, f"run {i} #", content)
+        (write_result(bench, f"run {i} #", content) / "report.html").touch()
     index = write_pages(bench)
     pages = sorted((index.parent / "pieces").iterdir())
     assert len(pages) == 4

@@ -62,7 +62,7 @@ class Bench(Options):
     num_steps: int | None = None
     """Environment steps of training, for train:PRESET; what the preset says by default."""
     pages: Advanced[Literal["first-seed", "all", "none"]] = "first-seed"
-    """Which runs leave a page to watch and hear."""
+    """Which runs leave a page to watch and hear; made later too, without playing again."""
     executor: Literal["local", "ray"] = "local"
     """Where the runs are carried out: on this machine, or on a Ray cluster."""
     address: Advanced[str | None] = None
@@ -290,7 +290,7 @@ def _named(job: Job) -> str:
 
 
 def _how_it_went(state: State, job: Job) -> str:
-    from cadenza.evaluation.results import read_result
+    from cadenza.evaluation.results import PAGE, read_result
 
     if job.spec.name in state.failed:
         return f"{_named(job)}: failed: {state.failed[job.spec.name]}"
@@ -300,7 +300,9 @@ def _how_it_went(state: State, job: Job) -> str:
         result = read_result(state.folder / job.spec.name)
     except (CadenzaError, OSError) as error:
         return f"{_named(job)}: {error}"
-    return f"{_named(job)}: F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s"
+    no_page = "; no page, see log.txt" * (job.page and not (result.folder / PAGE).exists())
+    how = f"F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s"
+    return f"{_named(job)}: {how}{no_page}"
 
 
 def _in_all(state: State) -> str:

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
-from cadenza.evaluation.run import locked, write_failure
+from cadenza.evaluation.run import is_complete, locked, write_failure
 
 _BETWEEN_LOOKS = 0.5  # [s]
 _ATTEMPTS = 3  # at a run whose process dies
@@ -79,7 +79,7 @@ def bench(
     goes_on: Callable[[State], bool],
     retry: bool = False,
 ) -> State:
-    """Carries out what is not finished yet.
+    """Carries out what is not finished yet, or has no page that is wanted.
 
     Args:
         jobs: all runs that there are to be.
@@ -92,7 +92,9 @@ def bench(
     """
     state = State(folder / RUNS, len(jobs))
     for job in jobs:
-        if not _is_finished(state, job) and (retry or not _has_failed(state, job)):
+        if is_complete(job, state.folder / job.spec.name):
+            state.finished += 1
+        elif retry or not _has_failed(state, job):
             state.todo.append(job)
     while state.todo or state.running or state.elsewhere:
         if not goes_on(state):

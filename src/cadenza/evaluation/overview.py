@@ -11,7 +11,7 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.remarks import remarks, usable
-from cadenza.evaluation.results import Result, Results
+from cadenza.evaluation.results import PAGE, Result, Results
 from cadenza.evaluation.statistics import (
     Scores,
     bootstrap_interval,
@@ -87,13 +87,13 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
 
 
 def _run(result: Result, names: Mapping[str, str], piece: int) -> Run:
-    page = result.pages.get("report")
+    page = result.folder / (result.pages.get("report") or PAGE)
     return Run(
         piece=piece,
         agent=names[result.agent],
         seed=result.seed,
         figures=run_figures(result),
-        page=result.folder / page if page else None,
+        page=page if page.exists() else None,
     )
 
 

@@ -16,7 +16,8 @@ from cadenza.evaluation.job import SongFacts
 from cadenza.files import checked, read_json
 
 FORMAT: Literal[1] = 1
-RESULT, FAILED, PLANS, RUNS = "result.json", "failed.json", "plans", "runs"
+RESULT, FAILED, PAGE = "result.json", "failed.json", "report.html"
+PLANS, RUNS = "plans", "runs"
 
 
 @dataclass(frozen=True)

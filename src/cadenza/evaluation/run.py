@@ -10,7 +10,8 @@ NAME/failed.json      or why there is none
 NAME/lock             held by the process at work
 
 A run that is killed leaves no result. Carried out again, a performance begins anew, and training
-goes on from its last checkpoint.
+goes on from its last checkpoint. If a page is wanted of a run that was finished without one, it is
+made from these files.
 """
 
 from __future__ import annotations
@@ -35,18 +36,19 @@ from cadenza.evaluation.job import Job, JobSpec
 from cadenza.evaluation.results import (
     FAILED,
     FORMAT,
+    PAGE,
     RESULT,
     ResultFile,
     Timing,
     Trained,
 )
 from cadenza.evaluation.songs import digest_of
-from cadenza.files import TEMPORARY, parsed_json, write_json
+from cadenza.files import TEMPORARY, parsed_json, read_json, write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.libraries.library import find_song
-from cadenza.performing.performance import Performance, perform
+from cadenza.performing.performance import Performance, add_page, perform
 from cadenza.performing.setup import select, set_up
 
 _PATIENCE = 2.0  # [s] for which a run waits for one that may just be ending
@@ -87,6 +89,8 @@ def carry_out(
 ) -> None:
     """Leaves a result, or why there is none, in `folder`; nothing where another process is at it.
 
+    Of a run that is finished, leaves the page if one is wanted.
+
     Args:
         job: what to run.
         folder: of the run.
@@ -94,21 +98,47 @@ def carry_out(
         stop: is asked now and then whether training is to end, with a checkpoint to go on from.
     """
     with locked(folder, _PATIENCE) as ours:
-        if not ours or (folder / RESULT).exists():
+        if not ours or is_complete(job, folder):
             return
         _tidy(folder)
-        write_json(folder / "job.json", job.spec.as_json())
         with _logged(folder / "log.txt"):
-            try:
-                result = _result(job, folder, num_threads, stop)
-            except Exception as error:
-                traceback.print_exc()
-                write_failure(folder, _in_a_line(error))
+            if (folder / RESULT).exists():
+                _add_page(job.spec, folder)
             else:
-                if result is not None:
-                    write_json(folder / RESULT, asdict(result))
-                    _drop_checkpoints(folder / "training")
+                _carry_out(job, folder, num_threads, stop)
         (folder / _PROGRESS).unlink(missing_ok=True)
+
+
+def is_complete(job: Job, folder: Path) -> bool:
+    """Whether the run is finished, and has the page that is wanted."""
+    return (folder / RESULT).exists() and (not job.page or (folder / PAGE).exists())
+
+
+def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]) -> None:
+    write_json(folder / "job.json", job.spec.as_json())
+    try:
+        result = _result(job, folder, num_threads, stop)
+    except Exception as error:
+        traceback.print_exc()
+        write_failure(folder, _in_a_line(error))
+    else:
+        if result is not None:
+            write_json(folder / RESULT, asdict(result))
+            _drop_checkpoints(folder / "training")
+
+
+def _add_page(spec: JobSpec, folder: Path) -> None:
+    """Of a run that is finished; one of which none can be made keeps its result."""
+    try:
+        result = read_json(folder / RESULT, ResultFile)
+        write_json(folder / RESULT, asdict(replace(result, pages={"report": PAGE})))
+        _check_song(spec)
+        selection = select(spec.song, "zero", arrangement=spec.arrangement)
+        with set_up(selection, spec.task, spec.scene, spec.seed) as setup:
+            goal = perform(setup, stop=lambda: True).goal  # of its first step
+        add_page(folder, goal)
+    except Exception:
+        traceback.print_exc()
 
 
 def write_failure(folder: Path, error: str) -> None:
@@ -197,7 +227,7 @@ def _result(
         metrics=performance.metrics | {"energy": performance.energy},
         timing=Timing(seconds, performance.seconds, num_threads, cpu_seconds),
         versions=_versions(),
-        pages={"report": "report.html" if job.page else None},
+        pages={"report": PAGE if job.page else None},
         training=trained,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,9 +16,9 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.misses import Miss, misses_of
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.rollout import play_episode
-from cadenza.episode import Episode
+from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.files import write_json
+from cadenza.files import read_json, write_json
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
@@ -61,14 +61,7 @@ class Performance:
     @property
     def played(self) -> Score:
         """The notes and the pedal that sounded."""
-        episode = self.episode
-        return performed_score(
-            episode["key_activation"],
-            episode["sustain_activation"],
-            episode.dt,
-            episode.key_depth,
-            episode.lowest_pitch,
-        )
+        return _played(self.episode)
 
     @property
     def energy(self) -> float | None:
@@ -115,26 +108,14 @@ class Performance:
         write_midi(played, folder / "played.mid")
         if not page:
             return
-        progress("making the sound", 0, 2)
-        goal = synthesize(self.goal.until(self.seconds))
-        goal_mp3 = encode_mp3(goal, bit_rate=48_000, mono=True, seconds=self.seconds)
-        progress("making the sound", 1, 2)
+        progress("making the sound", 0, 1)
         audio = synthesize(played)
         path, drawn = folder / "video.mp4", False
         try:
             drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
         finally:  # who does not wait for the video has the page all the same
-            write_report(
-                folder / "report.html",
-                self.episode,
-                self.metrics,
-                self.settings,
-                audio,
-                misses=lost,
-                goal_mp3=goal_mp3,
-                midi=(folder / "played.mid").read_bytes(),
-                video=path.name if drawn else "",
-            )
+            shown = self.episode, self.metrics, self.settings, audio, lost, self.goal
+            _write_page(folder, *shown, video=path.name if drawn else "")
 
     def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
         """Whether this machine can draw it."""
@@ -157,6 +138,64 @@ class Performance:
 
             write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
         return True
+
+
+def add_page(folder: Path, goal: Score) -> None:
+    """Makes the page of a performance that was saved without one, from its files.
+
+    Args:
+        folder: of the performance.
+        goal: see `Performance`; what the page compares the sound with.
+
+    Raises:
+        CadenzaError: a file is not there, or cannot be read.
+    """
+    episode = load_episode(folder / "episode.npz")
+    metrics = read_json(folder / "metrics.json", dict[str, Any])
+    settings = read_json(folder / "settings.json", dict[str, Any])
+    lost = folder / "misses.json"
+    misses = read_json(lost, list[dict[str, Any]]) if lost.exists() else []
+    _write_page(folder, episode, metrics, settings, synthesize(_played(episode)), misses, goal)
+
+
+def _played(episode: Episode) -> Score:
+    return performed_score(
+        episode["key_activation"],
+        episode["sustain_activation"],
+        episode.dt,
+        episode.key_depth,
+        episode.lowest_pitch,
+    )
+
+
+def _write_page(
+    folder: Path,
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    audio: Sound,
+    misses: Sequence[Mapping[str, Any]],
+    goal: Score,
+    video: str = "",
+) -> None:
+    """Of a performance whose other files are there."""
+    seconds = episode.num_steps * episode.dt
+    goal_mp3 = encode_mp3(
+        synthesize(goal.until(seconds)), bit_rate=48_000, mono=True, seconds=seconds
+    )
+    midi = (folder / "played.mid").read_bytes()
+    path = folder / "report.html"
+    write_report(
+        path,
+        episode,
+        metrics,
+        settings,
+        audio,
+        misses=misses,
+        goal_mp3=goal_mp3,
+        midi=midi,
+        video=video,
+    )
 
 
 def play(
