@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 from cadenza.files import folder_name, plain
@@ -46,7 +47,7 @@ class JobSpec:
         content: dict[str, Any] = plain(asdict(self))
         return content
 
-    @property
+    @cached_property
     def key(self) -> str:
         """A hash, the same on every machine."""
         text = json.dumps(self.as_json(), sort_keys=True)
