@@ -242,6 +242,13 @@ def test_a_zip_file_of_the_files_themselves(dataset: Path, tmp_path: Path) -> No
     assert len(import_pig(tmp_path / "pig.zip").rows) == 3
 
 
+def test_the_list_may_call_its_columns_otherwise(dataset: Path) -> None:
+    path = dataset / "List.csv"
+    path.write_text(path.read_text().replace("ID,Composer,Piece", "No.,Composer,Title"))
+    import_pig(dataset)
+    assert open_library("repertoire-150").songs[0].title == "Invention No. 1, BWV 772"
+
+
 def test_the_twelve_etudes_are_found_however_their_titles_are_written(tmp_path: Path) -> None:
     titles = [
         *("Piano Sonata No. 14 Op. 27 No. 2, 1st mov.", "Waltz Op. 64 No. 2", *ETUDES),
@@ -308,7 +315,7 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, data: Path, dataset: Path
     (tmp_path / "no.zip").write_bytes(b"PK nothing")
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "List.csv").write_text("ID,Title\n1,x\n")
+    (tmp_path / "other" / "List.csv").write_text("ID,Composer\n1,x\n")
     for source, message in {
         "no.zip": "neither a folder nor a readable ZIP file",
         "nowhere": "there is no such folder or ZIP file",

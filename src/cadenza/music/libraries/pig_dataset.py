@@ -199,12 +199,13 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
     except UnicodeDecodeError:  # as spreadsheets may save it
         text = content.decode("cp1252", errors="replace")
     header, rows = read_table(text, where, strict=False)
-    if "piece" not in header:
-        raise CadenzaError(f"{where}:1: there is no column Piece, which has the titles")
+    titles = next((name for name in ("piece", "title") if name in header), None)
+    if titles is None:
+        raise CadenzaError(f"{where}:1: there is no column Piece or Title, which has the titles")
     column = "id" if "id" in header else header[0]
     pieces: dict[int, _Piece] = {}
     for line, cells in rows:
-        number, title = cells.get(column, ""), printable(cells.get("piece", ""))
+        number, title = cells.get(column, ""), printable(cells.get(titles, ""))
         if not _WHOLE.fullmatch(number):
             left_out.append(f"{where}:{line}: {number!r} is not the number of a piece")
         elif not title:
