@@ -144,13 +144,16 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
 
     monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
     policy = str(pretrained_folder("OdeToJoy"))
-    main(options(f"{policy}/,train:paper,zero", "--stretch", "2"))
+    main(options(f"{policy}/,train:paper,train:fast-residual,zero", "--stretch", "2"))
     learnt = load_policy(Path(policy))
     assert planned[policy].task == replace(learnt.task, stretch=2.0)
     assert planned[policy].scene == learnt.scene
     assert planned[policy].agent_digest
     paper = replace(preset("paper"), task=TaskConfig(stretch=2.0))
     assert planned["train:paper"].config == paper
+    residual = preset("fast", residual=True)
+    residual = replace(residual, task=replace(residual.task, stretch=2.0))
+    assert planned["train:fast-residual"].config == residual
     assert planned["zero"].task == replace(with_time_to_begin(), stretch=2.0)
 
 

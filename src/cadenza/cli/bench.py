@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, get_args
 
 import tyro
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cadenza.evaluation.matrix import Contender
 
 _MOST_SEEDS = 10_000
+_RESIDUAL = "-residual"
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class Bench(Options):
     """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
     agents: tuple[str, ...] = ("planner",)
     """Who plays, with commas or spaces between: as in "cadenza play", or train:fast, train:paper,
-    train:published for a policy that is trained on each song first. All but playback."""
+    train:published for a policy that is trained on each song first; with -residual after it, the
+    policy corrects a plan. All but playback."""
     seeds: tuple[str, ...] = ("0",)
     """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
@@ -191,11 +193,14 @@ def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
     from cadenza.evaluation.matrix import Contender
     from cadenza.learning.config import check
 
-    name: Any = agent.removeprefix(TRAIN)
-    if name not in get_args(Preset):
-        known = ", ".join(TRAIN + known for known in get_args(Preset))
-        raise CadenzaError(f"no agent {agent!r}: choose from {known}")
-    begun = preset(name)
+    presets = {
+        f"{TRAIN}{name}{_RESIDUAL * residual}": (name, residual)
+        for residual in (False, True)
+        for name in get_args(Preset)
+    }
+    if agent not in presets:
+        raise CadenzaError(f"no agent {agent!r}: choose from {', '.join(presets)}")
+    begun = preset(*presets[agent])
     own = again(replace(command, task=begun.task, scene=begun.scene))
     steps = begun.num_steps if command.num_steps is None else command.num_steps
     config = replace(begun, task=own.task, scene=own.scene, num_steps=steps)

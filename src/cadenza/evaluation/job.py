@@ -27,7 +27,7 @@ class JobSpec:
     song_digest: str
     """Of what is played, see `cadenza.evaluation.songs`."""
     agent: str
-    """As `cadenza play` takes it, or train:PRESET for a policy that is trained first."""
+    """As `cadenza play` takes it, or train:PRESET(-residual) for a policy that is trained first."""
     seed: int
     task: TaskConfig
     scene: SceneConfig
