@@ -9,8 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -247,3 +249,22 @@ def test_training_goes_through_the_same_matrix_and_is_resumed(folder: Path) -> N
     assert result.training.steps == 6000
     assert (result.folder / "training" / "best" / "manifest.json").exists()
     assert not (result.folder / "training" / "checkpoints").exists()
+
+
+def test_rows_of_the_table_tell_runs_apart(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    (folder / "songs" / "60.mid").rename(folder / "songs" / f"{'long-' * 20}60.mid")
+
+    def watched(jobs: list[Job], *others: Any) -> State:
+        state = State(folder, 0, running={job.spec.name: job for job in jobs})
+        others[3](state)
+        return state
+
+    monkeypatch.setattr("cadenza.evaluation.bench.bench", watched)
+    with suppress(KeyboardInterrupt):
+        main(options("zero,random", "--seeds", "0-1"))
+    rows = [line for line in capsys.readouterr().err.splitlines() if "beginning" in line]
+    assert len(set(rows)) == 8
+    assert all(len(row) < 80 for row in rows)

@@ -261,7 +261,7 @@ class _Table:
 
     def show(self, state: State) -> None:
         columns, rows = shutil.get_terminal_size()
-        lines = [*self._rows(state)][: rows - 2]
+        lines = [*self._rows(state, columns)][: rows - 2]
         self.clear()
         print(
             *(line[: columns - 1] for line in [*lines, _in_all(state)]), sep="\n", file=sys.stderr
@@ -270,6 +270,7 @@ class _Table:
 
     def ended(self, state: State, job: Job) -> None:
         self.clear()
+        self._began.pop(job.spec.name, None)
         print(_how_it_went(state, job), file=sys.stderr)
 
     def clear(self) -> None:
@@ -277,7 +278,7 @@ class _Table:
             print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
         self._lines = 0
 
-    def _rows(self, state: State) -> Iterator[str]:
+    def _rows(self, state: State, columns: int) -> Iterator[str]:
         from cadenza.evaluation.run import progress_of
 
         now = time.monotonic()
@@ -287,7 +288,13 @@ class _Table:
             how_far = "beginning" if at is None else at.stage
             if at is not None and at.total:
                 how_far += f" {100 * at.done // at.total} %"
-            yield f"{_named(job):<50.50} {how_far:<20} {seconds:5.0f} s"
+            yield f"{_named_in(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
+
+
+def _named_in(job: Job, columns: int) -> str:
+    """Where there is not enough room, the beginning of the song's name is left out."""
+    name = _named(job)
+    return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
 
 
 def _named(job: Job) -> str:
