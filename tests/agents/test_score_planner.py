@@ -374,9 +374,9 @@ def places(rest_y: np.ndarray) -> np.ndarray:
 
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     near = [Press("right", 0, 39, 10, 20), Press("right", 1, 41, 20, 30)]
-    assert let_go_in_time(near, places(np.linspace(0.0, 0.2, 10)), 0.05, SHADOW.jump_times) == near
+    assert let_go_in_time(near, places(np.linspace(0.0, 0.2, 10)), 0.05, SHADOW) == near
     far = [Press("right", 0, 39, 10, 20), Press("right", 0, 60, 20, 30)]
-    cut = let_go_in_time(far, places(np.zeros(10)), 0.05, SHADOW.jump_times)
+    cut = let_go_in_time(far, places(np.zeros(10)), 0.05, SHADOW)
     assert 11 <= cut[0].last < 19
     assert cut[1] == far[1]
 
@@ -388,9 +388,9 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
         Press("right", 4, 53, 20, 30),
     )
     there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
-    left, reached = let_go_in_time([first, key], there, 0.05, SHADOW.jump_times)
+    left, reached = let_go_in_time([first, key], there, 0.05, SHADOW)
     assert (left.flies_off, reached.flies_to) == (True, True)
-    left_sooner, *landed = let_go_in_time([first, key, chord], there, 0.05, SHADOW.jump_times)
+    left_sooner, *landed = let_go_in_time([first, key, chord], there, 0.05, SHADOW)
     assert left_sooner.last < left.last < 20
     assert not any(press.flies_to for press in landed)
 
@@ -403,8 +403,8 @@ def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> N
     presses.append(Press("right", 1, 45, 30, 34))
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
     there = places(np.zeros(10))
-    usual = let_go_in_time(presses, there, 0.05, SHADOW.jump_times)
-    fine = let_go_in_time(finer, there, FINER, SHADOW.jump_times)
+    usual = let_go_in_time(presses, there, 0.05, SHADOW)
+    fine = let_go_in_time(finer, there, FINER, SHADOW)
     for one, other in zip(usual, fine, strict=True):
         assert other.last / 2 - one.last in (0, 0.5)  # whole steps before the next press
         assert one == other._replace(first=one.first, last=one.last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,21 @@ class Reach:
     """(F,) what it costs to press with a finger, 1 for something worth avoiding once."""
     effort_on_black: Array | float = 0.0
     """(F,) what it costs beyond that on black keys."""
+
+    def spans(self, finger: ArrayLike, other: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
+        """Whether two fingers can press two keys at once.
+
+        All arguments broadcast.
+
+        Args:
+            finger: that presses one key, 0 for the thumb.
+            other: that presses the other key.
+            distance: of the other key from the one, outwards: to the right for a right hand [m].
+        """
+        finger, other, distance = np.asarray(finger), np.asarray(other), np.asarray(distance)
+        outer, inner = np.maximum(finger, other), np.minimum(finger, other)
+        apart = np.where(finger < other, distance, -distance)
+        return (apart >= self.least[inner, outer]) & (apart <= self.most[inner, outer])
 
     @property
     def num_fingers(self) -> int:

@@ -151,7 +151,7 @@ class _Hands:
         kept = last - first if last == len(asked) else size - steps_in(_OVERLAP, dt)
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
         wanted = presses_of(asked[since:last] >= 0, asked[since:last], self._scene.fingers)
-        presses = let_go_in_time(wanted, self._places, dt, self._scene.hand.jump_times)
+        presses = let_go_in_time(wanted, self._places, dt, self._scene.hand)
         window = self._planned(plan, presses, first - since, last - since, progress)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
         return window._replace(presses=presses), kept

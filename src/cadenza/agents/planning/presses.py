@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
-from cadenza.hands.jump import JumpTimes
+from cadenza.hands.hand import Hand
 
 Array = NDArray[np.float64]
 
@@ -59,19 +59,20 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Finger
     return sorted(presses, key=lambda press: (press.first, press.key))
 
 
-def let_go_in_time(presses: list[Press], places: Array, dt: float, times: JumpTimes) -> list[Press]:
+def let_go_in_time(presses: list[Press], places: Array, dt: float, hand: Hand) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
-    A press keeps `_LEAST`.
+    A press keeps `_LEAST`. One that the hand can hold together with all that it strikes is not
+    cut.
 
     Args:
         presses: by time.
         places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
             it is mounted [m].
         dt: control step [s].
-        times: that these hands need.
+        hand: of either side.
     """
-    cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt, times)]
+    cut = [press for side in SIDES for press in _let_hand_go(presses, side, places, dt, hand)]
     rise, least = steps_in(RISE, dt), steps_in(_LEAST, dt)
     next_of: dict[int, Press] = {}
     result = []
@@ -82,7 +83,7 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float, times: JumpTi
             last = min(last, max(following.first - rise, press.first + least))
         next_of[press.finger] = press
         result.append(press._replace(last=last))
-    return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt), times.within_reach)
+    return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt), hand.jump_times.within_reach)
 
 
 def _with_jumps(
@@ -109,26 +110,40 @@ def _with_jumps(
 
 
 def _let_hand_go(
-    presses: list[Press], side: Side, places: Array, dt: float, times: JumpTimes
+    presses: list[Press], side: Side, places: Array, dt: float, hand: Hand
 ) -> list[Press]:
     ahead, least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
     mine = [press for press in presses if press.side == side]
+    if not mine:
+        return []
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
     firsts = np.array([chord[0].first for chord in chords])
     sizes = np.array([len(chord) for chord in chords])
-    hands = [np.array([places[press.key, press.finger] for press in chord]) for chord in chords]
-    means = np.array([hand.mean() for hand in hands])
+    begins = np.cumsum([0, *sizes])
+    key, number = np.array([(press.key, press.finger) for press in mine]).T
+    finger = number % len(hand.fingers)
+    outwards = places[key, 0] * (1 if side == "right" else -1)
+    place = places[key, number]
+    means = np.array([place[begin:end].mean() for begin, end in pairwise(begins)])
     cut = []
     for i, chord in enumerate(chords):
         lasts = np.array([press.last for press in chord])[:, None]
-        next_ones = slice(i + 1, int(np.searchsorted(firsts, lasts.max() + ahead, "right")))
-        first, mean = firsts[next_ones], means[next_ones]
+        end = int(np.searchsorted(firsts, lasts.max() + ahead, "right"))
+        if end == i + 1:
+            cut += chord
+            continue
+        first, mean, strikes = firsts[i + 1 : end], means[i + 1 : end], begins[i + 1 : end]
+        here, there = slice(begins[i], begins[i + 1]), slice(begins[i + 1], begins[end])
         holding = lasts > first + least  # while the hand plays on
-        way = np.abs(mean - np.where(holding, hands[i][:, None], means[i]))
-        seconds = times.seconds(way, len(chord), sizes[next_ones], holding)
+        way = np.abs(mean - np.where(holding, place[here, None], means[i]))
+        seconds = hand.jump_times.seconds(way, len(chord), sizes[i + 1 : end], holding)
         jump = np.ceil(np.round(seconds / dt, 9)).astype(np.intp)
-        in_time = np.maximum(first - jump, firsts[i] + least)
-        in_time = np.where((jump > 0) & (first <= lasts + ahead), in_time, lasts)
-        soonest = np.hstack([lasts, in_time]).min(axis=1).tolist()
+        spans = hand.reach.spans(
+            finger[here, None], finger[there], outwards[there] - outwards[here, None]
+        )
+        spanned = np.logical_and.reduceat(spans, strikes - begins[i + 1], axis=1)
+        too_late = (jump > 0) & ~spanned & (first <= lasts + ahead)
+        in_time = np.where(too_late, np.maximum(first - jump, firsts[i] + least), lasts)
+        soonest = np.minimum(lasts[:, 0], in_time.min(axis=1)).tolist()
         cut += [p._replace(last=last) for p, last in zip(chord, soonest, strict=True)]
     return cut
