@@ -381,6 +381,19 @@ def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     assert cut[1] == far[1]
 
 
+def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes() -> None:
+    rest = SHADOW.reach.rest
+    there = places(np.concatenate([rest, -rest]))
+    octave = [Press("right", 0, 39, 10, 40), Press("right", 4, 51, 20, 30)]
+    assert let_go_in_time(octave, there, 0.05, SHADOW) == octave
+    mirrored = [Press("left", 5, 51, 10, 40), Press("left", 9, 39, 20, 30)]
+    assert let_go_in_time(mirrored, there, 0.05, SHADOW) == mirrored
+    twelfth = [octave[0], octave[1]._replace(key=58)]
+    assert let_go_in_time(twelfth, there, 0.05, SHADOW)[0].last < 20
+    crossing = [octave[0]._replace(finger=4), octave[1]._replace(finger=0)]
+    assert let_go_in_time(crossing, there, 0.05, SHADOW)[0].last < 20
+
+
 def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     first, key, chord = (
         Press("right", 0, 39, 10, 20),
