@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 
@@ -193,24 +194,27 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     rows = np.arange(8, 15)
     middle = hand._clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
-    costs, mistakes = hand._try(hand._batch, plans, rows)
-    most = float(np.median(costs))
-    bounded, mistakes_then = hand._try(hand._batch, plans, rows, most)
-    np.testing.assert_array_equal(bounded, np.where(costs < most, costs, np.inf))
-    np.testing.assert_array_equal(mistakes_then[costs < most], mistakes[costs < most])
+    hand._begin_trials(rows)
+    tried = [hand._try(plan, rows) for plan in plans]
+    most = float(np.median([cost for cost, _ in tried]))
+    for plan, (cost, mistakes) in zip(plans, tried, strict=True):
+        bounded, mistakes_then = hand._try(plan, rows, most)
+        if cost < most:
+            assert (bounded, mistakes_then) == (cost, mistakes)
+        else:
+            assert bounded == np.inf
 
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated = []
-    step = refinement.PlanningSimulation.step
+    run = refinement.HandTrials.run
 
-    def counted(
-        self: refinement.PlanningSimulation, ctrl: np.ndarray, env_ids: list[int] | None = None
-    ):
-        simulated.append(len(env_ids or ()))
-        step(self, ctrl, env_ids)
+    def counted(trials: refinement.HandTrials, ctrl: np.ndarray) -> Iterator[object]:
+        for state in run(trials, ctrl):
+            simulated.append(1)
+            yield state
 
-    monkeypatch.setattr(refinement.PlanningSimulation, "step", counted)
+    monkeypatch.setattr(refinement.HandTrials, "run", counted)
     leaps = melody(*[40, 90] * 10, length=0.1)
     config = ScorePlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]

@@ -185,14 +185,14 @@ class Keyboard:
         """Name of the key's body; its joint and geom carry the same name."""
         return f"{'black' if self.is_black[key] else 'white'}_key_{key}"
 
-    def add_to(self, spec: mujoco.MjSpec, actuated: bool) -> None:
+    def add_to(self, spec: mujoco.MjSpec, keys: range, actuated: bool) -> None:
         """Adds base and keys to the world of `spec`; `actuated` keys follow a position target."""
         piano = spec.worldbody.add_body(name="piano")
         self._add_base(piano)
-        for key in range(self.num_keys):
+        for key in keys:
             self._add_key(piano, key)
         if actuated:
-            for key in range(self.num_keys):
+            for key in keys:
                 self._add_key_actuator(spec, key)
 
     def _add_base(self, piano: mujoco.MjsBody) -> None:

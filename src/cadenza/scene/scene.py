@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -27,6 +27,8 @@ Ids = NDArray[np.intp]
 PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
 """Keys at rest cost nothing; at this tolerance a recorded song replays to 1e-4 rad."""
+_ON_KEYS = 2  # a bit of contype and conaffinity
+_POSTURES = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     add_cameras(spec)
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
     sides = _sides(config)
-    keyboard.add_to(spec, actuated=not sides)
+    keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
     options = _options(config, keyboard)
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     try:
@@ -124,6 +126,57 @@ def hand_alone(scene: Scene, side: Side) -> HandAlone:
     alone = build_scene(replace(scene.config, hands=side))
     servos = _place(alone.actuator_names, scene.actuator_names)
     return HandAlone(alone, servos, _place(alone.hand_joint_names, scene.hand_joint_names))
+
+
+Part = tuple[str, int]
+"""A geom of a hand: its body's name, and its place in that body."""
+
+
+def parts_that_touch(scene: Scene) -> set[Part]:
+    """What of the hands meets other parts of them in any of many random postures."""
+    model = scene.model
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    low, high = model.jnt_range[model.dof_jntid[scene.hand_qvel]].T
+    parts: set[Part] = set()
+    for posture in rng.uniform(low, high, (_POSTURES, len(low))):
+        data.qpos[scene.hand_qpos] = posture
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        bodies = model.geom_bodyid[data.contact.geom]
+        for geoms in data.contact.geom[np.isin(bodies, scene.hand_bodies).all(axis=1)]:
+            for geom, body in zip(geoms, model.geom_bodyid[geoms], strict=True):
+                parts.add((model.body(body).name, int(geom - model.body_geomadr[body])))
+    return parts
+
+
+def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.MjModel:
+    """The model of a scene with hands, without most of what costs time and never matters.
+
+    Joints, servos and fingertips are those of the scene, in its order, except for keys that are
+    left out. With keys, only the last two links of each finger collide.
+
+    Args:
+        scene: with hands.
+        keys: those that are there.
+        parts: of the hands that are there beside the fingers.
+    """
+    spec = mujoco.MjSpec()
+    _set_options(spec, scene.config)
+    scene.keyboard.add_to(spec, keys, actuated=False)
+    for geom in spec.geoms:
+        geom.conaffinity = _ON_KEYS
+    for side in scene.sides:
+        scene.hand.add_to(spec, side, _options(scene.config, scene.keyboard))
+        ends = {prefix(side) + name for each in scene.hand.fingers for name in each.links[-2:]}
+        for body in spec.body(f"{side}_hand").find_all(mujoco.mjtObj.mjOBJ_BODY):
+            for i, geom in enumerate(body.geoms):
+                if body.name in ends and geom.contype:
+                    geom.contype |= _ON_KEYS
+                elif (body.name, i) not in parts:
+                    spec.delete(geom)
+    model = spec.compile()
+    _damp_forearms_critically(model, scene.sides, scene.config)
+    return model
 
 
 def _place(names: tuple[str, ...], everyone: tuple[str, ...]) -> slice:

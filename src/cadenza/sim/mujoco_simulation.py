@@ -25,8 +25,8 @@ PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MOST_ENVS = 10_000
 """Each takes about a megabyte."""
 _LOG = logging.getLogger(__name__)
-# Bad positions, velocities, accelerations and controls are neighbours among MuJoCo's warnings.
-_UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+"""Warnings of bad positions, velocities, accelerations and controls, neighbours in MuJoCo."""
 
 # MuJoCo would otherwise print to the terminal and leave MUJOCO_LOG.TXT wherever it runs.
 mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
@@ -146,7 +146,7 @@ class MujocoSimulation:
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
             out.forearm_contact[row] = touched.all(axis=0).any()
-        out.unstable[row] = data.warning.number[_UNSTABLE].any()
+        out.unstable[row] = data.warning.number[UNSTABLE].any()
 
     def _follow(self, state: State) -> None:
         """`state` is what a step has led to."""

@@ -10,6 +10,7 @@ from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
 from cadenza.scene.scene import hand_alone
+from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
 
@@ -55,7 +56,7 @@ class SongPlanner:
             view: of the first step, of one environment.
             rng: what is random.
             config: how to plan.
-            num_threads: that share the search.
+            num_threads: that share the search, one a hand at most.
             progress: is told of "fingers" and "postures".
 
         Raises:
@@ -68,12 +69,13 @@ class SongPlanner:
         self.plan = next(self._plans)
         self._sides = task.scene.sides
         self._pedal = self.plan.goals.sustain.astype(np.float64)
+        self._threads = Threads(num_threads)
         self._hands = []
         dt = task.config.control_timestep
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
             alone, servos, joints = hand_alone(task.scene, side)
             part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
-            hand = HandRefinement(alone, part, tracking, config, dt, num_threads, hand_rng)
+            hand = HandRefinement(alone, part, tracking, config, dt, hand_rng)
             self._hands.append((hand, servos, joints))
 
     def act(self, view: View) -> Array:
@@ -81,10 +83,14 @@ class SongPlanner:
         self._plan_ahead(step)
         action = np.zeros(view.task.action_size)
         action[-1] = self._pedal[step]
-        for hand, servos, joints in self._hands:
+
+        def act(i: int) -> None:
+            hand, servos, joints = self._hands[i]
             action[servos] = hand.act(
                 state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
             )
+
+        self._threads.for_each(range(len(self._hands)), act)
         return action
 
     def _plan_ahead(self, step: int) -> None:

@@ -1,0 +1,124 @@
+"""Tries out controls of one hand, quickly: with the keys near it, and the links that touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.scene.scene import Part, Scene, hand_on_keys, parts_that_touch
+from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
+
+Array = NDArray[np.float64]
+
+_BESIDE = 0.05  # [m] of keys to each side of where fingertips should go
+_GRID = 6  # keys; a song needs few models where they begin and end at every sixth
+_SOON_ASLEEP = -1  # of a tree that is awake and has been at rest for long enough
+
+
+class HandTrials:
+    """Trials of one hand, one after the other, all from the same state.
+
+    The hand moves as in the whole scene, to a few micrometres, unless it touches keys with more
+    than the last two links of its fingers.
+
+    Attributes:
+        keys: which are there.
+    """
+
+    keys: slice
+
+    def __init__(self, scene: Scene, control_timestep: float) -> None:
+        """Args:
+        scene: with one hand.
+        control_timestep: time that a step takes [s].
+        """
+        self._scene = scene
+        self._substeps = round(control_timestep / scene.model.opt.timestep)
+        self._parts = parts_that_touch(scene)
+        self._whole = mujoco.MjData(scene.model)
+        self._on_keys: dict[range, _HandOnKeys] = {}
+
+    def begin_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
+        """Trials begin in the state that the first simulation of this scene is in now.
+
+        Args:
+            simulation: of this scene.
+            low: where fingertips go along the keyboard, at least [m].
+            high: at most [m].
+        """
+        keys = self._keys_between(low - _BESIDE, high + _BESIDE)
+        self.keys = slice(keys.start, keys.stop)
+        if keys not in self._on_keys:
+            self._on_keys[keys] = _HandOnKeys(self._scene, keys, self._parts)
+        self._hand = self._on_keys[keys]
+        simulation.copy_to([self._whole], 0)
+        self._hand.begin_from(self._whole)
+
+    def run(self, ctrl: Array) -> Iterator[tuple[Array, Array]]:
+        """Takes a control step with each row of `ctrl` (H, A), one trial.
+
+        Yields:
+            (K,) angles of `keys` [rad] and (F, 3) fingertips [m].
+        """
+        model, data, start = self._hand.model, self._hand.data, self._hand.start
+        mujoco.mj_copyData(data, model, start)
+        for row in ctrl:
+            data.ctrl = row
+            mujoco.mj_step2(model, data)
+            if self._substeps > 1:
+                mujoco.mj_step(model, data, self._substeps - 1)
+            mujoco.mj_step1(model, data)
+            yield self._hand.key_qpos, self._hand.fingertip_xpos
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the last trial has diverged."""
+        return bool(self._hand.data.warning.number[UNSTABLE].any())
+
+    def _keys_between(self, low: float, high: float) -> range:
+        y = self._scene.keyboard.centre[:, 1]
+        first, last = np.searchsorted(y, [low, high])
+        first = min(first // _GRID, (len(y) - 1) // _GRID) * _GRID
+        return range(int(first), min(int(max(-(-last // _GRID) * _GRID, first + 1)), len(y)))
+
+
+class _HandOnKeys:
+    """A hand on some of the keys of a scene.
+
+    Attributes:
+        model: see `hand_on_keys`.
+        start: the state that trials begin in.
+        data: the state that a trial is in.
+    """
+
+    def __init__(self, scene: Scene, keys: range, parts: set[Part]) -> None:
+        self.model = hand_on_keys(scene, keys, parts)
+        self.start, self.data = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        joints = [scene.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dofs = np.array([joint.dofadr[0] for joint in joints])
+        self._keys = slice(0, len(keys))
+        self._tips = [
+            self.model.site(scene.model.site(site).name).id for site in scene.fingertip_sites
+        ]
+
+    def begin_from(self, whole: mujoco.MjData) -> None:
+        """The state of this hand is that of `whole`, with all keys."""
+        start = self.start
+        mujoco.mj_resetData(self.model, start)
+        start.qpos, start.qvel = whole.qpos[self._qpos], whole.qvel[self._dofs]
+        start.qacc_warmstart = whole.qacc_warmstart[self._dofs]
+        asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
+        start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _SOON_ASLEEP, asleep)
+        mujoco.mj_step1(self.model, start)
+
+    @property
+    def key_qpos(self) -> Array:
+        return self.data.qpos[self._keys]
+
+    @property
+    def fingertip_xpos(self) -> Array:
+        return self.data.site_xpos[self._tips]

@@ -1,0 +1,67 @@
+"""What is tried out is what happens, whatever is left out of the trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from cadenza.agents.playback import load_plan
+from cadenza.fingers import Side
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene, hand_alone, hand_on_keys, parts_that_touch
+from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.planning_simulation import PlanningSimulation
+
+RECORDED = Path(__file__).parents[1] / "data" / "episode_d.npz"
+AHEAD = 7  # steps
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
+    scene, servos, _ = hand_alone(build_scene(), side)
+    actions = load_plan(RECORDED)[:, :-1][:, servos]
+    whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
+    trials = HandTrials(scene, whole.control_timestep)
+    fingers = scene.fingers_there
+    touched = False
+    for step in range(len(actions) - AHEAD):
+        if step % 5 == 0:
+            there.copy_from(whole, 0)
+            y = whole.state.fingertip_xpos[0, fingers, 1]
+            trials.begin_from(whole, y.min(), y.max())
+            assert trials.keys.stop - trials.keys.start < 40
+            ahead = actions[step : step + AHEAD]
+            for (key_qpos, fingertips), ctrl in zip(trials.run(ahead), ahead, strict=True):
+                there.step(ctrl[None])
+                expected = there.state.key_qpos[0, trials.keys]
+                np.testing.assert_allclose(key_qpos, expected, atol=1e-3)
+                tips = there.state.fingertip_xpos[0, fingers]
+                np.testing.assert_allclose(fingertips, tips, atol=1e-3)
+                touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[trials.keys]).any())
+            assert not trials.unstable
+        whole.step(actions[step][None])
+    assert touched
+
+
+@pytest.mark.parametrize("hand", ["shadow", "allegro"])
+def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
+    scene = build_scene(SceneConfig(hands="left", hand=hand))
+    whole, some = scene.model, hand_on_keys(scene, range(30, 50), parts_that_touch(scene))
+    joints = [some.joint(j).name for j in range(some.njnt)]
+    assert joints == [
+        name
+        for name in (whole.joint(j).name for j in range(whole.njnt))
+        if "key" not in name or 30 <= int(name.rsplit("_", 1)[1]) < 50
+    ]
+    assert [some.actuator(a).name for a in range(some.nu)] == list(scene.actuator_names)
+    body = mujoco.mjtObj.mjOBJ_BODY
+    names = [mujoco.mj_id2name(some, body, b) for b in range(1, some.nbody)]
+    same = [mujoco.mj_name2id(whole, body, name) for name in names]
+    np.testing.assert_allclose(some.body_mass[1:], whole.body_mass[same])
+    np.testing.assert_allclose(some.body_inertia[1:], whole.body_inertia[same])
+    kept = [whole.joint(name).dofadr[0] for name in joints]
+    np.testing.assert_allclose(some.dof_damping, whole.dof_damping[kept], rtol=1e-12)
+    assert some.ngeom < 0.5 * whole.ngeom
