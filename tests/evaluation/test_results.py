@@ -93,6 +93,7 @@ def test_what_is_missing_is_told(tmp_path: Path, finished: str) -> None:
         run.mkdir(parents=True)
     (first / "result.json").write_text(finished)
     (second / "failed.json").write_text('{"format": 1, "error": "out of luck"}')
+    (tmp_path / "runs" / ".DS_Store").touch()  # as file managers leave it
     found = read_results(tmp_path)
     assert len(found.results) == 1
     assert {(run.name, run.why) for run in found.unfinished} == {

@@ -68,6 +68,14 @@ def test_names_are_safe_and_unique_and_facts_come_along(folder: Path) -> None:
     assert len(load_score("mine/sheet").notes) == 1
 
 
+def test_a_line_with_the_path_of_a_file_is_of_no_other_of_the_same_name(tmp_path: Path) -> None:
+    for name in ("one.mid", "a/one.mid"):
+        write_midi(TUNE, tmp_path / name)
+    (tmp_path / "index.csv").write_text("file,title,split\none.mid,First,train\n")
+    for library in open_library(tmp_path), open_library(import_folder(tmp_path, "mine").name):
+        assert [song.split for song in library.songs] == ["", "train"]
+
+
 def test_what_cannot_be_read_is_left_out_and_said(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,7 +119,8 @@ def read_results(folder: str | Path) -> Results:
         raise CadenzaError(f"{folder}: holds no runs; give the folder of a bench")
     results, broken, unfinished = [], [], []
     asked_for, unreadable = _asked_for(sorted((folder / PLANS).glob("*.json")))
-    for name in sorted({path.name for path in (folder / RUNS).iterdir()} | asked_for):
+    there = {path.name for path in (folder / RUNS).iterdir() if path.is_dir()}
+    for name in sorted(there | asked_for):
         run = folder / RUNS / name
         try:
             if (run / RESULT).exists():

@@ -36,15 +36,15 @@ def folder_library(folder: Path, name: str = "") -> Library:
     files = music_files(folder)
     if not files:
         raise CadenzaError(f"{folder}: there is no file of music in it ({', '.join(MUSIC)})")
-    index = index_of(folder)
     names = unique(file.stem for file in files)
+    known = _facts(files, index_of(folder))
     songs = (
         Song(
             f"{name}/{piece}" if name else str(folder / file),
             partial(read_score, folder / file),
-            **facts_of(file, index),
+            **facts,
         )
-        for piece, file in zip(names, files, strict=True)
+        for piece, file, facts in zip(names, files, known, strict=True)
     )
     return Library(name or str(folder), tuple(songs))
 
@@ -73,9 +73,9 @@ def import_folder(
     if not os.path.isdir(folder):
         raise CadenzaError(f"{folder}: there is no such folder")
     files, index = music_files(folder), index_of(folder)
-    names = _safe_names(files)
+    pieces = list(zip(files, _safe_names(files), _facts(files, index), strict=True))
     with new_library(name, replace, grade) as library:
-        for done, (file, piece) in enumerate(zip(files, names, strict=True)):
+        for done, (file, piece, facts) in enumerate(pieces):
             progress(done, len(files))
             with library.leaving_out_what_is_wrong():
                 score = read_score(folder / file)
@@ -83,9 +83,8 @@ def import_folder(
                 shutil.copyfile(folder / file, copy)
                 if os.path.isfile(fingers := (folder / file).with_suffix(SUFFIX)):
                     shutil.copyfile(fingers, copy.with_suffix(SUFFIX))
-                facts = facts_of(file, index)
                 library.add(copy.name, score, {**facts, "title": facts.get("title") or score.title})
-        known = {name for file in files for name in names_of(file)}
+        known = {name for file in files for name in (*_paths(file), *_names(file))}
         library.left_out.extend(
             f"{folder / INDEX}: there is no file of music {name!r}"
             for name in index
@@ -135,14 +134,21 @@ def index_of(folder: Path) -> dict[str, Facts]:
     return read_index(folder / INDEX) if os.path.isfile(folder / INDEX) else {}
 
 
-def facts_of(file: Path, index: Mapping[str, Facts]) -> Facts:
-    """What an index says of a file, however it names it."""
-    return next((index[name] for name in names_of(file) if name in index), {})
+def _facts(files: Sequence[Path], index: Mapping[str, Facts]) -> Iterator[Facts]:
+    """What an index says of each file. What is the path of one file names no other."""
+    paths = {path for file in files for path in _paths(file)}
+    for file in files:
+        names = [*_paths(file), *(name for name in _names(file) if name not in paths)]
+        yield next((index[name] for name in names if name in index), {})
 
 
-def names_of(file: Path) -> tuple[str, ...]:
-    """How an index may name a file: by its path or by its name, with its ending or without."""
-    return file.as_posix(), file.with_suffix("").as_posix(), file.name, file.stem
+def _paths(file: Path) -> tuple[str, str]:
+    """A file's, with its ending and without."""
+    return file.as_posix(), file.with_suffix("").as_posix()
+
+
+def _names(file: Path) -> tuple[str, str]:
+    return file.name, file.stem
 
 
 def unique(names: Iterable[str]) -> list[str]:
