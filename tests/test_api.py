@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 import cadenza
 from cadenza import Note, SceneConfig, Score, TaskConfig
@@ -137,6 +138,14 @@ def test_an_agent_of_ones_own_plays() -> None:
         cadenza.play(TUNE, OneFinger())
 
 
+def test_no_agent_takes_more_than_two_cores_unasked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cadenza.sim.threads.available_cores", lambda: 16)
+    for wanted, used in ((None, 2), (3, 3)):
+        with set_up(select(TUNE, "planner"), num_threads=wanted) as setup:
+            assert setup.agent.threads == used
+            assert max(pool["num_threads"] for pool in threadpool_info()) <= used
+
+
 def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
     steps_left = iter(range(12))
     with set_up(select(TUNE, "planner")) as setup:
@@ -151,18 +160,17 @@ def test_the_part_that_was_played_is_a_performance(tmp_path: Path) -> None:
 def test_a_planner_uses_as_many_threads_as_it_is_told_and_plays_the_same() -> None:
     quick = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, p) for i, p in enumerate((60, 72, 61, 70))))
     actions, threads = [], []
-    for number in (1, 3):
+    for number in (1, 2):
         before, seen = threading.active_count(), []
         performance = cadenza.play(
             quick,
-            scene=SceneConfig(hands="right"),
             progress=lambda *_, seen=seen: seen.append(threading.active_count()),
             num_threads=number,
         )
         actions.append(performance.episode["action"])
         threads.append(max(seen) - before)
     np.testing.assert_array_equal(*actions)
-    assert threads == [0, 3]
+    assert threads == [0, 2]
     with pytest.raises(cadenza.CadenzaError, match="num_threads 0: choose 1 to"):
         cadenza.play(TUNE, num_threads=0)
 

@@ -324,7 +324,7 @@ def test_agents_that_there_are_not(
 
 @pytest.mark.usefixtures("here")
 def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
-    line = refused(capsys, "plan", "tune.mid", "--threads", "0")
+    line = refused(capsys, "plan", "tune.mid", "--num-threads", "0")
     assert line == "cadenza: num_threads 0: choose 1 to 1024"
 
 

@@ -110,8 +110,9 @@ def test_old_options_are_taken_with_a_notice(
 
 
 def test_every_old_option_has_an_option_of_today(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["train", "--help-all"])
+    for command in ("train", "bench"):
+        with pytest.raises(SystemExit):
+            main([command, "--help-all"])
     shown = capsys.readouterr().out
     for new in OPTIONS.values():
         assert new in shown, new

@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.sim.threads import available_cores
+from cadenza.sim.threads import default_threads
 from cadenza.tasks.view import View
 
 Array = NDArray[np.float64]
@@ -26,7 +26,8 @@ class Agent(ABC):
     """Chooses the actions of N environments at once.
 
     Attributes:
-        num_threads: how many threads it may use, if it can use several; one per core by default.
+        num_threads: how many threads it may use, if it can use several; by default two, one for
+            each hand.
         progress: is told how far its long work is, if it has any. Whoever has the agent play sets
             both before.
     """
@@ -100,7 +101,7 @@ class PlannerPerEnv(Agent, Generic[P]):
     @property
     def threads(self) -> int:
         """How many it uses."""
-        return self.num_threads or available_cores()
+        return self.num_threads or default_threads()
 
 
 class ZeroAgent(Agent):

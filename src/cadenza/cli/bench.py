@@ -59,7 +59,7 @@ class Bench(Options):
     """Carry out again what has failed before."""
     jobs: int | None = None
     """How many runs at once, as many as the cores allow by default."""
-    threads: int = 1
+    num_threads: int = 1
     """Threads of each run."""
     num_steps: int | None = None
     """Environment steps of training, for train:PRESET; what the preset says by default."""
@@ -78,7 +78,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
-    for name in "threads", "jobs":
+    for name in "num_threads", "jobs":
         if (number := getattr(command, name)) is not None:
             whole_number(number, name, 1, MOST_THREADS)
     if command.executor == "local" and command.address is not None:
@@ -212,10 +212,10 @@ def _executor(command: Bench) -> Executor:
     if command.executor == "ray":
         from cadenza.evaluation.executors.ray import Ray
 
-        return Ray(command.threads, command.jobs, command.address)
+        return Ray(command.num_threads, command.jobs, command.address)
     from cadenza.evaluation.executors.local import Local
 
-    return Local(command.threads, command.jobs)
+    return Local(command.num_threads, command.jobs)
 
 
 # What is shown

@@ -22,7 +22,6 @@ _LEAST, _MOST = 0.6, 1.8
 def tell_how_long(setup: Setup) -> None:
     """Says on stderr about how long the planner will take, where that is long."""
     from cadenza.agents.planning.score_planner import ScorePlanner
-    from cadenza.sim.threads import available_cores
 
     agent, config, score = setup.agent, setup.task.config, setup.task.scores[0]
     if QUIET.get() or not isinstance(agent, ScorePlanner) or agent.config.method == "none":
@@ -30,7 +29,7 @@ def tell_how_long(setup: Setup) -> None:
     seconds = score.total_time + config.initial_buffer_time
     steps = seconds / config.control_timestep
     plain_steps = _STEPS + _STEPS_PER_DENSITY * len(score.notes) / seconds
-    plain_steps *= 2 / min(available_cores(), 2)
+    plain_steps *= 2 / min(agent.threads, 2)
     about = steps * plain_steps * seconds_of_a_step(setup.task.scene, config.control_timestep)
     if about > _WORTH_TELLING:
         music = f"{seconds // 60:.0f}:{seconds % 60:02.0f} of music"

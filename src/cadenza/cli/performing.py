@@ -47,8 +47,8 @@ class Options:
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
-    threads: int | None = None
-    """Threads of a planner, one per core by default."""
+    num_threads: int | None = None
+    """Threads of a planner, two by default: one for each hand."""
 
     of_ours: ClassVar[Sequence[str]] = [name for name, entry in AGENTS.own.items() if entry.config]
     """Our agents whose options it has."""
@@ -142,7 +142,7 @@ def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterato
     with ExitStack() as kept:
         with stages("playing") as progress:
             setup = kept.enter_context(
-                set_up(selection, command.task, command.scene, seed, progress, command.threads)
+                set_up(selection, command.task, command.scene, seed, progress, command.num_threads)
             )
         yield setup
 

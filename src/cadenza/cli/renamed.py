@@ -11,6 +11,7 @@ OPTIONS = {
     **{f"--{old}".replace("_", "-"): f"--{new}".replace("_", "-") for old, new in RENAMED.items()},
     "--keep-zero-inputs": "--no-prune-inputs",
     "--no-keep-zero-inputs": "--prune-inputs",
+    "--threads": "--num-threads",
 }
 """Old name -> new name."""
 

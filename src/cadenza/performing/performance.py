@@ -229,7 +229,8 @@ def play(
         scene: hands and keys; None is what the policy was trained with, or `SceneConfig()`.
         plan: the file whose actions "playback" plays: a plan or an episode.
         progress: is told how far each stage is, `progress(stage, done, total)`.
-        num_threads: how many threads a planner uses, one per core by default; it plays the same.
+        num_threads: how many threads a planner uses, by default two, one for each hand; it plays
+            the same.
 
     Raises:
         CadenzaError: the song or the agent is not there, an option makes no sense, or they do not

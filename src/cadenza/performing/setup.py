@@ -35,7 +35,7 @@ from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.threads import MOST_THREADS
+from cadenza.sim.threads import MOST_THREADS, default_threads
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
 
@@ -209,8 +209,8 @@ def set_up(
         task, scene: what holds instead of the selection's own.
         seed: of everything random.
         progress: is told of "fingers", which are looked for before anyone plays.
-        num_threads: how many threads an agent may use that can use several; by default one per
-            core, or as many as it was told.
+        num_threads: how many threads an agent may use that can use several; by default as many as
+            it was told, or two, one for each hand.
 
     Raises:
         CadenzaError: an option makes no sense, or the agent cannot play with it.
@@ -255,7 +255,7 @@ def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
     if num_threads is not None and hasattr(agent, "num_threads"):
         agent.num_threads = num_threads
     try:
-        with threadpool_limits(num_threads):
+        with threadpool_limits(getattr(agent, "num_threads", None) or default_threads()):
             yield
     finally:
         if hasattr(agent, "close"):

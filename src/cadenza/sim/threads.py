@@ -16,6 +16,11 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def default_threads() -> int:
+    """How many an agent uses unless it is told: one for each hand, if there are cores for them."""
+    return min(2, available_cores())
+
+
 class Threads:
     """Started when they are first needed. A copy, and a forked child, starts its own."""
 
