@@ -15,7 +15,19 @@ from io import TextIOWrapper
 from itertools import pairwise
 from typing import NoReturn, TextIO, get_args
 
-from cadenza.cli import about, bench, compare, etude, importing, plan, play, results, songs, train
+from cadenza.cli import (
+    about,
+    bench,
+    compare,
+    etude,
+    importing,
+    plan,
+    play,
+    practice,
+    results,
+    songs,
+    train,
+)
 from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
@@ -27,6 +39,7 @@ from cadenza.registry import module_of
 _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
+    "practice": (practice.PracticeCommand, practice.run),
     "compare": (compare.Compare, compare.compare),
     "bench": (bench.Bench, bench.run),
     "results": (results.Results, results.results),

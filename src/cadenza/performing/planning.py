@@ -90,7 +90,15 @@ def plan(
 
 def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
     """See `plan`; the agent of `setup` plans the whole song."""
-    performance = perform(setup, progress)
+    return plan_of(setup, perform(setup, progress))
+
+
+def plan_of(setup: Setup, performance: Performance) -> Plan:
+    """What was planned for a performance by a planner.
+
+    Raises:
+        CadenzaError: the hands could not play to the end.
+    """
     steps, wanted = performance.episode.num_steps, setup.num_steps
     if steps < wanted:
         raise CadenzaError(

@@ -61,6 +61,9 @@ class ScorePlannerConfig:
     """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35
     """Planning horizon [s]."""
+    effort: float = 0.0
+    """Effort of practice before playing: 1 is 100 simulated control steps for each of the song and
+    each hand. With 0, it plays at first sight."""
 
 
 @dataclass(frozen=True)

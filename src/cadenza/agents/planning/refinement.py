@@ -7,6 +7,8 @@ in about a third of the time that both take. Sampling is only done where the nom
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,8 +92,24 @@ class HandPart:
         self.weight = np.where(self.playing, _ASTRAY, _IDLE_ASTRAY)
 
 
+class Here(NamedTuple):
+    """A place in a song, and what decides how a hand goes on from it."""
+
+    step: int
+    state: Array
+    """(S,) of the simulation, see `MujocoSimulation.physics_state`."""
+    correction: Array
+    """(H, A) to the plan, of the steps that are looked ahead."""
+    savings: float
+    """Control steps that it may simulate."""
+
+
 class HandRefinement:
-    """Controls of one hand, step by step."""
+    """Controls of one hand, step by step.
+
+    Attributes:
+        twin: a simulation of it, after the steps that it has played.
+    """
 
     def __init__(
         self,
@@ -122,13 +140,25 @@ class HandRefinement:
         self._sigma = np.array([use.noise for use in uses])
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
         self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon, dt)
-        self._twin = PlanningSimulation(scene, 1, dt)
+        self.twin = PlanningSimulation(scene, 1, dt)
         self._trials = HandTrials(scene, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self._step = 0
+
+    @property
+    def here(self) -> Here:
+        """Where it has got."""
+        return Here(self._step, self.twin.physics_state(0), self._correction.copy(), self._savings)
+
+    def go_to(self, here: Here, rng: np.random.Generator) -> None:
+        """Plays on from there, with other random numbers."""
+        self._step, state, correction, self._savings = here
+        self.twin.set_physics_state(state)
+        self._correction = correction.copy()
+        self._rng = rng
 
     @property
     def steps_seen(self) -> int:
@@ -147,11 +177,15 @@ class HandRefinement:
             hand_qvel: (J,)
             key_qpos: (K,) [rad]
         """
-        if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
-            self._twin.place(hand_qpos, hand_qvel, key_qpos)
+        if np.abs(self.twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
+            self.twin.place(hand_qpos, hand_qvel, key_qpos)
+        return self.play_on()
+
+    def play_on(self) -> Array:
+        """(A,) the next controls, if the hand has moved as it should."""
         self._savings += self._earned
         ctrl = self._plan()
-        self._twin.step(ctrl[None])
+        self.twin.step(ctrl[None])
         self._step += 1
         return ctrl
 
@@ -173,7 +207,7 @@ class HandRefinement:
 
     def _feedback(self) -> Array:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
-        state = self._twin.state
+        state = self.twin.state
         here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
         return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
@@ -227,10 +261,10 @@ class HandRefinement:
 
     def _begin_trials(self, rows: NDArray[np.intp]) -> None:
         """From where the hand is, over all keys on its way."""
-        here = self._twin.state.fingertip_xpos[0, self._part.fingers]
+        here = self.twin.state.fingertip_xpos[0, self._part.fingers]
         there = self._part.fingertips[rows + 1]
         y = np.concatenate([here[:, 1], there[..., 1].ravel()])
-        self._trials.begin_from(self._twin, float(y.min()), float(y.max()))
+        self._trials.begin_from(self.twin, float(y.min()), float(y.max()))
 
     def _try_all(
         self, candidates: Array, rows: NDArray[np.intp], most: float

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.practice import MOST_EFFORT, Practice, PractisedPlanner
 from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
@@ -14,10 +17,12 @@ from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
 
-class ScorePlanner(PlannerPerEnv["SongPlanner"]):
+class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
     """Plans a song a window ahead of where it plays, and refines the plan as it goes.
 
-    Its progress is that of "fingers" and "postures".
+    With an effort, it plans and practises the whole song before it begins to play.
+
+    Its progress is that of "fingers", "postures" and "practising".
     """
 
     def __init__(self, config: ScorePlannerConfig | None = None) -> None:
@@ -28,11 +33,27 @@ class ScorePlanner(PlannerPerEnv["SongPlanner"]):
         self.config = config or ScorePlannerConfig()
         _check(self.config)
 
-    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner:
+    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
+        if self.config.effort:
+            practice = self._practised(view, rng)
+            assert practice.best is not None
+            return PractisedPlanner(practice.plan, practice.best)
         return SongPlanner(view, rng, self.config, self.threads, self.progress)
+
+    def _practised(self, view: View, rng: np.random.Generator) -> Practice:
+        config, effort = replace(self.config, effort=0.0), self.config.effort
+        practice = Practice(view, rng, config, self.threads, self.progress)
+        most = round(practice.steps_of(effort))
+
+        def goes_on() -> bool:
+            self.progress("practising", min(practice.simulated, most), most)
+            return True
+
+        practice.run(effort, goes_on)
+        return practice
 
 
 class SongPlanner:
@@ -105,5 +126,11 @@ class SongPlanner:
 
 def _check(config: ScorePlannerConfig) -> None:
     check_ranges(
-        config, {"num_candidates": (4, 10_000), "iterations": (1, 10_000), "horizon": (0, 60)}
+        config,
+        {
+            "num_candidates": (4, 10_000),
+            "iterations": (1, 10_000),
+            "horizon": (0, 60),
+            "effort": (0, MOST_EFFORT),
+        },
     )

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from cadenza.scene.servos import Servos
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import Servos, servos_of
+from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 
@@ -30,6 +32,30 @@ class Tracking(NamedTuple):
     def feedback(self, step: int, here: Array) -> Array:
         """(A,) what positions and speeds `here` (A, 2) before a step take from its controls."""
         return (self.gain[step] * (here - self.expected[step])).sum(axis=1)
+
+
+class Follower:
+    """Follows what was tracked, from the states that a scene's hands are really in."""
+
+    def __init__(self, scene: Scene, tracking: Tracking) -> None:
+        """Args:
+        scene: with the hands.
+        tracking: of all their servos.
+        """
+        servos = servos_of(scene)
+        self._tracking, self._low, self._high = tracking, servos.low, servos.high
+        self._to_posture = np.linalg.pinv(servos.joints)
+
+    def posture(self, state: State) -> Array:
+        """(N, A, 2) position and speed of each servo."""
+        speeds = state.hand_qvel @ self._to_posture
+        return np.stack([state.hand_qpos @ self._to_posture, speeds], axis=2)
+
+    def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
+        """(N, A) controls before `steps` (N,); where the hands are as expected, those tracked."""
+        ctrl, gain, expected = (values[steps] for values in self._tracking)
+        feedback = (gain * (self.posture(state) - expected)).sum(axis=2)
+        return np.clip(ctrl - feedback, self._low, self._high)
 
 
 # How much less a control's distance from the reference weighs than the servo's own.

@@ -1,0 +1,153 @@
+"""Practice: the same effort comes to the same, stopped or not, and what comes out plays better."""
+
+from __future__ import annotations
+
+import io
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import cadenza
+from cadenza.agents.planning import practice as practice_module
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.practice import Practice
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.rollout import play_episode
+from cadenza.cli import main
+from cadenza.episode import load_episode
+from cadenza.errors import CadenzaError
+from cadenza.files import read_arrays
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+QUICK = TaskConfig(initial_buffer_time=0.4)
+EFFORT = 0.5
+BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
+NO_SEARCH = ScorePlannerConfig(method="none")
+HARD = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
+
+
+def practice(num_threads: int = 1, seed: int = 0) -> Practice:
+    task = PianoTask([HARD], QUICK)
+    task.reset([np.random.default_rng(0)], [0])
+    rng = np.random.default_rng(seed)
+    return Practice(task.view(), rng, NO_SEARCH, num_threads)
+
+
+def as_read(practised: Practice) -> dict[str, NDArray[Any]]:
+    """Its state, by way of a file."""
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **practised.state())
+    return read_arrays(file.getvalue(), practised.expected())
+
+
+def assert_same(one: Practice, other: Practice) -> None:
+    mine, others = one.state(), other.state()
+    assert mine.keys() == others.keys()
+    for name in mine:
+        np.testing.assert_array_equal(mine[name], others[name], name)
+
+
+@pytest.fixture(scope="module")
+def practised() -> Practice:
+    done = practice()
+    assert done.run(EFFORT)
+    return done
+
+
+def test_it_plays_better_than_at_first_sight(practised: Practice) -> None:
+    (_, f1, onsets), *_, (effort, later_f1, later_onsets) = practised.history
+    assert effort == EFFORT
+    assert later_f1 + later_onsets / 2 > f1 + onsets / 2
+
+
+def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
+    shared = practice(num_threads=2)
+    shared.run(EFFORT)
+    assert_same(shared, practised)
+
+
+def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
+    practised: Practice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(practice_module, "_LOOK", 0.001)
+    first = practice()
+    assert not first.run(EFFORT, lambda: first.simulated < 300)
+    assert 300 <= first.simulated < practised.simulated
+    second = practice()
+    second.restore(as_read(first), "state")
+    assert second.run(EFFORT)
+    assert_same(second, practised)
+
+
+def test_practice_of_something_else_is_refused(practised: Practice) -> None:
+    other = practice(seed=1)
+    with pytest.raises(CadenzaError, match="state: is the practice of another song"):
+        other.restore(practised.state(), "state")
+
+
+def test_the_planner_practises_before_it_plays() -> None:
+    planner = ScorePlanner(replace(NO_SEARCH, effort=0.01))
+    planner.num_threads = 1
+    told = []
+    result = play_episode(
+        PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: told.append(stage)
+    )
+    assert "practising" in told
+    assert result.metrics["f1"] > 0.5
+
+
+def folder_of(tmp_path: Path, *options: str) -> Path:
+    write_midi(HARD, tmp_path / "hard.mid")
+    song, folder = str(tmp_path / "hard.mid"), tmp_path / "practised"
+    usual = (
+        "--no-video",
+        "-q",
+        "--threads",
+        "1",
+        "--initial-buffer-time",
+        "0.4",
+        "--planner.method",
+        "none",
+    )
+    main(["practice", song, "-o", str(folder), *usual, *options])
+    return folder
+
+
+def test_a_practised_plan_plays_again_bit_for_bit(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "--effort", "0.1")
+    played = load_episode(folder / "episode.npz")
+    again = cadenza.play(
+        tmp_path / "hard.mid", "playback", plan=folder / "plan.npz", task=QUICK
+    ).episode
+    for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
+        np.testing.assert_array_equal(again[name], played[name])
+    assert (folder / "report.html").exists()
+
+
+def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Practice.run
+
+    def run_and_interrupt(self: Practice, _: float, goes_on: Callable[[], bool]) -> bool:
+        run(self, 0.0)
+        assert goes_on()
+        signal.raise_signal(signal.SIGINT)
+        return goes_on()
+
+    monkeypatch.setattr(Practice, "run", run_and_interrupt)
+    with pytest.raises(SystemExit) as stop:
+        folder_of(tmp_path)
+    assert stop.value.code == 130
+    assert load_episode(tmp_path / "practised" / "episode.npz").num_steps > 20
+    monkeypatch.setattr(Practice, "run", lambda self, *_: found.append(self.history))
+    found: list[Any] = []
+    folder_of(tmp_path)
+    assert [len(history) for history in found] == [1]
