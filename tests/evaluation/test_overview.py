@@ -188,6 +188,22 @@ def test_runs_alike_need_no_remark(bench: Path) -> None:
     assert told(bench).remarks == []
 
 
+def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
+    for seed in range(2):
+        content = result("a", "planner", seed, {"f1": 0.5}, seconds=200.0)
+        content["job"]["arrangement"] = {"tracks": [], "reduce": "off", "first_seconds": 20.0}
+        content["job"]["task"] = {"stretch": 2.0, "transpose": 0}
+        write_result(tmp_path, f"run {seed}", content)
+    assert remarks(tmp_path) == {
+        "Pieces were not played whole and as written.": [
+            "arrangement.first_seconds 20.0: 2 runs (planner)",
+            "task.stretch 2.0: 2 runs (planner)",
+        ]
+    }
+    (piece,) = told(tmp_path).pieces
+    assert piece.seconds == 20.0  # that were played
+
+
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"format": 2}', '{"format": 1}'])
 def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) -> None:
     write(tmp_path, TWO_AGENTS)

@@ -72,7 +72,7 @@ def _piece(result: Result) -> Piece:
         composer=song.composer,
         library=f"{library}:{song.split}" if song.split else library,
         difficulty=math.nan if song.difficulty is None else song.difficulty,
-        seconds=result.timing.music_seconds if song.seconds is None else song.seconds,
+        seconds=result.timing.music_seconds,
         notes=song.notes or 0,
     )
 

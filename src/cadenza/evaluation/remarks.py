@@ -11,6 +11,13 @@ from cadenza.report.page import flat
 
 _UNLIKE = ("song", "song_digest", "seed", "agent")  # of a job, what is to differ
 _OF_AGENT = ("config", "agent_digest")  # and what is an agent's own
+_AS_WRITTEN: dict[str, Any] = {
+    "arrangement.first_seconds": None,
+    "arrangement.tracks": [],
+    "arrangement.reduce": "off",
+    "task.stretch": 1.0,
+    "task.transpose": 0,
+}
 _MOST = 1e12  # that a time, an energy or the like can be
 
 
@@ -60,6 +67,8 @@ def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
             yield f"Settings of {agent} differ.", settings
     if threads := _differing([(r, {"threads": r.timing.threads}) for r in results]):
         yield "Wall times are of different numbers of threads.", threads
+    if changed := _not_as_written(results):
+        yield "Pieces were not played whole and as written.", changed
     if songs := _differing_songs(results):
         yield "The notes of a piece differ from run to run.", songs
 
@@ -88,6 +97,20 @@ def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
             )
             lines.append(f"{name}: {'; '.join(each)}")
     return lines
+
+
+def _not_as_written(results: Sequence[Result]) -> list[str]:
+    """In a line for each option that changes the music."""
+    told: dict[str, list[str]] = {}
+    for result in results:
+        settings = dict(flat(result.job))
+        for name, usual in _AS_WRITTEN.items():
+            if (value := settings.get(name)) not in (usual, None):
+                told.setdefault(f"{name} {value}", []).append(result.agent)
+    return [
+        f"{what}: {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
+        for what, agents in told.items()
+    ]
 
 
 def _differing_songs(results: Sequence[Result]) -> list[str]:

@@ -75,7 +75,9 @@ class Piece:
     difficulty: float
     """1 to 10; NaN where it is not known."""
     seconds: float
+    """That were played."""
     notes: int
+    """That were to be played."""
 
 
 @dataclass(frozen=True)
