@@ -3,11 +3,13 @@
     python tools/fit_difficulty.py play repertoire:train etudes:100 -o fitted.jsonl
     python tools/fit_difficulty.py play repertoire:valid etudes:30:1 -o checked.jsonl
     python tools/fit_difficulty.py fit fitted.jsonl checked.jsonl
+    python tools/fit_difficulty.py compare BENCH
 
 `play` has the planner play the opening of songs of libraries (see `cadenza libraries`) or folders,
 and writes a line for each. Run again, it goes on where it was stopped. `fit` fits the weights to
 the first file, prints them as they stand in the module, and says how well the grades go with the
-F1 of the songs in each file. Fingers are found for all songs, as the planner does.
+F1 of the songs in each file. Fingers are found for all songs, as the planner does. `compare` says
+how well the grades of songs go with what agents have reached in a folder of `cadenza bench`.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from scipy.stats import spearmanr
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
+from cadenza.evaluation.overview import overview
+from cadenza.evaluation.results import read_results
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
 from cadenza.fingering.players import seated
 from cadenza.fingering.search import find_fingering
@@ -56,11 +60,15 @@ def main() -> None:
     fitting = commands.add_parser("fit", help="fit the weights, and check them")
     fitting.add_argument("fitted", type=Path, help="what is fitted to")
     fitting.add_argument("checked", type=Path, nargs="*", help="what is looked at only")
+    comparing = commands.add_parser("compare", help="compare the grades with what agents reach")
+    comparing.add_argument("bench", type=Path, help="folder of `cadenza bench`")
     options = parser.parse_args()
     if options.command == "play":
         play(options.libraries, options.output, options.most, options.seconds, options.method)
-    else:
+    elif options.command == "fit":
         fit(options.fitted, options.checked)
+    else:
+        compare(options.bench)
 
 
 def play(libraries: list[str], output: Path, most: int | None, seconds: float, method: str) -> None:
@@ -101,7 +109,8 @@ def fit(fitted: Path, checked: list[Path]) -> None:
     for path, (features, errors, libraries) in data.items():
         for library in dict.fromkeys(libraries):
             of_it = np.array(libraries) == library
-            report(f"{path.name}, {library}", model, features[of_it], errors[of_it])
+            grades = np.array([model.grade(Features(*row)) for row in features[of_it]])
+            report(f"{path.name}, {library}", grades, errors[of_it])
 
 
 def data_of(path: Path) -> tuple[Array, Array, list[str]]:
@@ -130,8 +139,19 @@ def fitted_model(features: Array, errors: Array) -> Model:
     return Model(round(EASIEST + start, 1), Features(*per_feature))
 
 
-def report(name: str, model: Model, features: Array, errors: Array) -> None:
-    grades = np.array([model.grade(Features(*row)) for row in features])
+def compare(bench: Path) -> None:
+    """With the mean over the seeds of each song that has a grade."""
+    about = overview(read_results(bench), bench.name)
+    grades = np.array([piece.difficulty for piece in about.pieces])
+    libraries = np.array([piece.library for piece in about.pieces])
+    for agent, f1 in zip(about.agents, about.of_pieces["f1"].value, strict=True):
+        for library in dict.fromkeys(libraries):
+            of_it = (libraries == library) & ~np.isnan(grades) & ~np.isnan(f1)
+            if of_it.sum() > 2:
+                report(f"{agent}, {library}", grades[of_it], 1 - f1[of_it])
+
+
+def report(name: str, grades: Array, errors: Array) -> None:
     rng = np.random.default_rng(0)
     draws = rng.integers(len(grades), size=(2000, len(grades)))
     drawn = [spearmanr(grades[draw], errors[draw]).statistic for draw in draws]
