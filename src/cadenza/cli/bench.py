@@ -89,10 +89,12 @@ def run(command: Bench, again: Again[Bench]) -> None:
         raise CadenzaError("there is nothing to run: choose other songs or agents")
     check_writable(command.output)
     write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
+    trains = any(job.spec.training is not None for job in jobs)
+    what_comes = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     with (
         closing(_executor(command)) as executor,
         _shown() as shown,
-        asked_to_stop("a checkpoint of the runs that train") as stop,
+        asked_to_stop(what_comes) as stop,
     ):
         stop()  # from now on
 
