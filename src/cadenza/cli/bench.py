@@ -49,8 +49,8 @@ class Bench(Options):
     """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
     agents: tuple[str, ...] = ("planner",)
     """Who plays, with commas or spaces between: as in "cadenza play", or train:fast, train:paper,
-    train:published for a policy that is trained on each song first; with -residual after it, the
-    policy corrects a plan. All but playback."""
+    train:published, train:fast-residual for a policy trained on each song first. All but
+    playback."""
     seeds: tuple[str, ...] = ("0",)
     """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
