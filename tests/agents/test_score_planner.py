@@ -6,6 +6,7 @@ import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,22 +196,22 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     middle = hand._clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
     hand._begin_trials(rows)
-    tried = [hand._try(plan, rows) for plan in plans]
-    most = float(np.median([cost for cost, _ in tried]))
-    for plan, (cost, mistakes) in zip(plans, tried, strict=True):
-        bounded, mistakes_then = hand._try(plan, rows, most)
-        if cost < most:
-            assert (bounded, mistakes_then) == (cost, mistakes)
-        else:
-            assert bounded == np.inf
+    tried = [hand._try(plan) for plan in plans]
+    for trial in tried:
+        hand._note(trial)
+    bounded = [hand._try(plan, float(np.median([trial.cost for trial in tried]))) for plan in plans]
+    kept = [pair for pair in zip(tried, bounded, strict=True) if np.isfinite(pair[1].cost)]
+    assert 0 < len(kept) < len(plans)
+    assert all(before == then for before, then in kept)
+    assert min(tried) == min(bounded)
 
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated = []
     run = refinement.HandTrials.run
 
-    def counted(trials: refinement.HandTrials, ctrl: np.ndarray) -> Iterator[object]:
-        for state in run(trials, ctrl):
+    def counted(trials: refinement.HandTrials, *args: Any) -> Iterator[object]:
+        for state in run(trials, *args):
             simulated.append(1)
             yield state
 

@@ -41,7 +41,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
                 tips = there.state.fingertip_xpos[0, fingers]
                 np.testing.assert_allclose(fingertips, tips, atol=1e-3)
                 touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[trials.keys]).any())
-            assert not trials.unstable
+            assert not trials.unstable()
         whole.step(actions[step][None])
     assert touched
 

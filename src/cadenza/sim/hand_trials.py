@@ -13,13 +13,17 @@ from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 
 Array = NDArray[np.float64]
 
+PLACES = 2
+"""Trials that can be under way at once."""
 _BESIDE = 0.05  # [m] of keys to each side of where fingertips should go
 _GRID = 6  # keys; a song needs few models where they begin and end at every sixth
 _SOON_ASLEEP = -1  # of a tree that is awake and has been at rest for long enough
 
 
 class HandTrials:
-    """Trials of one hand, one after the other, all from the same state.
+    """Trials of one hand, all from the same state, each in one of `PLACES` places.
+
+    Trials in different places may run in different threads.
 
     The hand moves as in the whole scene, to a few micrometres, unless it touches keys with more
     than the last two links of its fingers.
@@ -57,13 +61,14 @@ class HandTrials:
         simulation.copy_to([self._whole], 0)
         self._hand.begin_from(self._whole)
 
-    def run(self, ctrl: Array) -> Iterator[tuple[Array, Array]]:
+    def run(self, ctrl: Array, place: int = 0) -> Iterator[tuple[Array, Array]]:
         """Takes a control step with each row of `ctrl` (H, A), one trial.
 
         Yields:
             (K,) angles of `keys` [rad] and (F, 3) fingertips [m].
         """
-        model, data, start = self._hand.model, self._hand.data, self._hand.start
+        hand = self._hand
+        model, data, start = hand.model, hand.data[place], hand.start
         mujoco.mj_copyData(data, model, start)
         for row in ctrl:
             data.ctrl = row
@@ -71,12 +76,11 @@ class HandTrials:
             if self._substeps > 1:
                 mujoco.mj_step(model, data, self._substeps - 1)
             mujoco.mj_step1(model, data)
-            yield self._hand.key_qpos, self._hand.fingertip_xpos
+            yield data.qpos[hand.keys], data.site_xpos[hand.fingertips]
 
-    @property
-    def unstable(self) -> bool:
-        """Whether the last trial has diverged."""
-        return bool(self._hand.data.warning.number[UNSTABLE].any())
+    def unstable(self, place: int = 0) -> bool:
+        """Whether the last trial there has diverged."""
+        return bool(self._hand.data[place].warning.number[UNSTABLE].any())
 
     def _keys_between(self, low: float, high: float) -> range:
         y = self._scene.keyboard.centre[:, 1]
@@ -91,19 +95,21 @@ class _HandOnKeys:
     Attributes:
         model: see `hand_on_keys`.
         start: the state that trials begin in.
-        data: the state that a trial is in.
+        data: the states that trials are in, one for each place.
+        keys: where the keys are in qpos.
+        fingertips: the sites of the fingertips.
     """
 
     def __init__(self, scene: Scene, keys: range, parts: set[Part]) -> None:
         self.model = hand_on_keys(scene, keys, parts)
-        self.start, self.data = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        self.start = mujoco.MjData(self.model)
+        self.data = [mujoco.MjData(self.model) for _ in range(PLACES)]
         joints = [scene.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
-        self._keys = slice(0, len(keys))
-        self._tips = [
-            self.model.site(scene.model.site(site).name).id for site in scene.fingertip_sites
-        ]
+        self.keys = slice(0, len(keys))
+        sites = [scene.model.site(site).name for site in scene.fingertip_sites]
+        self.fingertips = [self.model.site(name).id for name in sites]
 
     def begin_from(self, whole: mujoco.MjData) -> None:
         """The state of this hand is that of `whole`, with all keys."""
@@ -114,11 +120,3 @@ class _HandOnKeys:
         asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _SOON_ASLEEP, asleep)
         mujoco.mj_step1(self.model, start)
-
-    @property
-    def key_qpos(self) -> Array:
-        return self.data.qpos[self._keys]
-
-    @property
-    def fingertip_xpos(self) -> Array:
-        return self.data.site_xpos[self._tips]

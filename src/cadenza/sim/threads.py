@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 from cadenza.configs import whole_number
+
+_T = TypeVar("_T")
 
 MOST_THREADS = 1024
 
@@ -39,16 +42,31 @@ class Threads:
             for i in ids:
                 work(i)
             return
-        if self._pool is None or self._pool_of != os.getpid():
-            self._pool, self._pool_of = ThreadPoolExecutor(self._num_threads), os.getpid()
+        pool = self._started()
         shared = iter(list(ids))  # each thread takes the next one that nobody has taken
 
         def work_on() -> None:
             for i in shared:
                 work(i)
 
-        for future in [self._pool.submit(work_on) for _ in range(workers)]:
+        for future in [pool.submit(work_on) for _ in range(workers)]:
             future.result()
+
+    def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:
+        """What calls return. Threads that have nothing else to do make some of them.
+
+        May be called from within `for_each`.
+        """
+        if self._num_threads == 1:
+            return [call() for call in calls]
+        by_others = [(call, self._started().submit(call)) for call in calls[1:]]
+        first = calls[0]()
+        return [first, *(call() if f.cancel() else f.result() for call, f in by_others)]
+
+    def _started(self) -> ThreadPoolExecutor:
+        if self._pool is None or self._pool_of != os.getpid():
+            self._pool, self._pool_of = ThreadPoolExecutor(self._num_threads), os.getpid()
+        return self._pool
 
     def close(self) -> None:
         """Stops them."""

@@ -30,6 +30,7 @@ from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
+from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -116,7 +117,13 @@ class HandPractice:
         self.gain = tracking.gain
         self._seed = (seed, SIDES.index(side))
         self._planner = HandRefinement(
-            alone, part, tracking, config, dt, np.random.default_rng(self._seed)
+            alone,
+            part,
+            tracking,
+            config,
+            dt,
+            np.random.default_rng(self._seed),
+            Threads(num_threads),
         )
         servos = servos_of(alone)
         self._low, self._high = servos.low, servos.high

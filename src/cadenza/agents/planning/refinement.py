@@ -7,6 +7,7 @@ in about a third of the time that both take. Sampling is only done where the nom
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,12 @@ from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.fingers import SIDES, Side
+from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.hand_trials import PLACES, HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.tasks import reward
+from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,10 +44,12 @@ _ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where
 _IDLE_ASTRAY = 200.0
 _FURTHEST = 0.03  # [m] further away does not count more
 _COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
+_ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within three times the music on two cores where every step fails.
 _SUSTAINED = 0.55
+_EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
@@ -61,7 +65,7 @@ class HandPart:
         fingertips: (P + 1, F, 3) where its F fingertips should be [m].
         fingers: their numbers.
         playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
-        weight: (P + 1, F) of their squared distance from there [1 / m^2].
+        weight: (T + 1, F) of their squared distance from there [1 / m^2].
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
@@ -119,6 +123,7 @@ class HandRefinement:
         config: ScorePlannerConfig,
         dt: float,
         rng: np.random.Generator,
+        threads: Threads,
     ) -> None:
         """Args:
         scene: with this hand only.
@@ -128,9 +133,10 @@ class HandRefinement:
         config: how to sample.
         dt: control step [s].
         rng: what is random.
+        threads: that share the search.
         """
         self.follow(part, tracking)
-        self._rng, self._dt = rng, dt
+        self._rng, self._dt, self._threads = rng, dt, threads
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._to_posture = np.linalg.pinv(self._servos.joints)
         self._update = UPDATES[config.method] if config.method != "none" else None
@@ -198,9 +204,10 @@ class HandRefinement:
             return self._clip(nominal[0])
         best = self._clip(nominal + self._correction)
         self._begin_trials(rows)
-        cost, mistakes = self._try(best, rows)
-        if mistakes:
-            best = self._search(self._clip(nominal), best, cost, rows)
+        trial = self._try(best)
+        self._note(trial)
+        if trial.mistakes:
+            best = self._search(self._clip(nominal), best, trial.cost, rows)
         self._correction[:-1] = self._kept * (best - nominal)[1:]
         self._correction[-1] = 0.0
         return best[0]
@@ -225,7 +232,7 @@ class HandRefinement:
             candidates[: len(self._lifts)] = self._clip(around.mean + self._lifts)
             if iteration == 0:
                 candidates[len(self._lifts)] = nominal
-            costs, mistakes = self._try_all(candidates, rows, self._most(cost))
+            costs, mistakes = self._try_all(candidates, self._most(cost))
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
             if costs[first] < cost:
@@ -233,8 +240,11 @@ class HandRefinement:
                 if not mistakes[first]:
                     return best
         mean = self._clip(around.mean)
-        if not (mean == best).all() and self._try(mean, rows, cost)[0] < cost:
-            return mean
+        if not (mean == best).all():
+            trial = self._try(mean, cost)
+            self._note(trial)
+            if trial.cost < cost:
+                return mean
         return best
 
     def _draw(self, around: Around) -> Array:
@@ -260,61 +270,107 @@ class HandRefinement:
         return cost if self._update is cheapest else np.inf  # the others weigh all candidates
 
     def _begin_trials(self, rows: NDArray[np.intp]) -> None:
-        """From where the hand is, over all keys on its way."""
+        """From where the hand is, over all keys on its way through the steps `rows`."""
         here = self.twin.state.fingertip_xpos[0, self._part.fingers]
         there = self._part.fingertips[rows + 1]
         y = np.concatenate([here[:, 1], there[..., 1].ravel()])
         self._trials.begin_from(self.twin, float(y.min()), float(y.max()))
+        inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
+        self._ahead = _Ahead(self._part, inside, self._keyboard, self._trials.keys)
+        self._least = np.full(len(inside), np.inf)
 
-    def _try_all(
-        self, candidates: Array, rows: NDArray[np.intp], most: float
-    ) -> tuple[Array, NDArray[np.intp]]:
-        """Costs (N,) and mistakes (N,) of plans (N, H, A), see `_try`."""
+    def _try_all(self, candidates: Array, most: float) -> tuple[Array, NDArray[np.intp]]:
+        """Costs (N,) and mistakes (N,) of plans (N, H, A), see `_try`.
+
+        They are tried in pairs, so that an idle thread can take one of each: what is known of the
+        pairs before decides what is given up, however many threads there are.
+        """
         costs, mistakes = np.empty(len(candidates)), np.empty(len(candidates), np.intp)
-        for i, ctrl in enumerate(candidates):
-            costs[i], mistakes[i] = self._try(ctrl, rows, most)
-            most = min(most, self._most(costs[i]))
+        for i in range(0, len(candidates), PLACES):
+            tries = [
+                partial(self._try, ctrl, most, place)
+                for place, ctrl in enumerate(candidates[i : i + PLACES])
+            ]
+            for j, trial in enumerate(self._threads.together(tries)):
+                self._note(trial)
+                costs[i + j], mistakes[i + j] = trial.cost, trial.mistakes
+                most = min(most, self._most(trial.cost))
         return costs, mistakes
 
-    def _try(self, ctrl: Array, rows: NDArray[np.intp], most: float = np.inf) -> tuple[float, int]:
-        """Cost of a plan (H, A) from here on, and how often a key was wrong in it.
+    def _try(self, ctrl: Array, most: float = np.inf, place: int = 0) -> _Trial:
+        """Tries a plan (H, A) from here on.
 
-        A plan that reaches `most` before its end is given up there, at infinite cost.
+        One that will hardly cost less than `most` is given up before its end, at infinite cost: its
+        remaining steps are expected to cost most of the least that they cost any plan so far.
         """
-        inside = min(len(rows), len(self._tracking.ctrl) - self._step)  # then nothing matters
-        cost, mistakes = 0.0, 0
-        for k, (key_qpos, fingertips) in enumerate(self._trials.run(ctrl[:inside])):
-            self._savings -= 1
-            more, wrong = self._cost(key_qpos, fingertips, rows[k], last=k == inside - 1)
+        rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
+        cost, mistakes, steps = 0.0, 0, []
+        for k, state in enumerate(self._trials.run(ctrl[: len(self._least)], place)):
+            more, wrong = self._ahead.cost(k, *state)
             cost, mistakes = cost + more, mistakes + wrong
-            if cost >= most:
-                return np.inf, mistakes
-        return np.inf if self._trials.unstable else cost, mistakes
+            steps.append(more)
+            if rest is not None and cost + _EXPECTED * rest[k] >= most:
+                return _Trial(np.inf, mistakes, steps)
+        return _Trial(np.inf if self._trials.unstable(place) else cost, mistakes, steps)
 
-    def _cost(self, key_qpos: Array, fingertips: Array, row: int, last: bool) -> tuple[float, int]:
-        """Cost and mistakes of a state after step `row`.
+    def _note(self, trial: _Trial) -> None:
+        """Reckons with a trial."""
+        taken = len(trial.steps)
+        self._savings -= taken
+        self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
+
+
+class _Trial(NamedTuple):
+    """What came of trying a plan."""
+
+    cost: float
+    mistakes: int
+    """How often a key was wrong."""
+    steps: list[float]
+    """What each of the steps that were simulated cost."""
+
+
+class _Ahead:
+    """What the steps ahead ask of a hand, and what it costs not to do it."""
+
+    def __init__(
+        self, part: HandPart, rows: NDArray[np.intp], keyboard: Keyboard, keys: slice
+    ) -> None:
+        """Args:
+        part: of the hand.
+        rows: the steps.
+        keyboard: all of it.
+        keys: those that count.
+        """
+        mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
+        self._mine, self._counts = mine, mine | wrong
+        self._mistaken = (mine & part.planned[rows, keys]) | wrong
+        self._sounds_from = keyboard.sounds_from[keys]
+        # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
+        sign = wrong.astype(np.float64) - mine
+        self._slope = sign / keyboard.travel[keys]
+        self._offset = np.where(mine, 1.0, np.where(wrong, -_NO_HARM, 0.0))
+        self._fingertips = part.fingertips[rows + 1]
+        self._weight = part.weight[rows + 1]
+        self._weight[-1] *= _AT_THE_END
+
+    def cost(self, k: int, key_qpos: Array, fingertips: Array) -> tuple[float, int]:
+        """Cost and mistakes of a state after the k-th of the steps.
 
         A key that the plan lets go early is no mistake to search for, though it costs.
 
         Args:
-            key_qpos: (K,) of the keys of the trials [rad].
+            k: which step.
+            key_qpos: (K,) of the keys that count [rad].
             fingertips: (F, 3) [m].
-            row: of the step.
-            last: whether it is the last step of the horizon.
         """
-        part, keyboard, keys = self._part, self._keyboard, self._trials.keys
-        mine, wrong = part.mine[row, keys], part.wrong[row, keys]
-        depth = reward.key_state(key_qpos, keyboard.travel[keys])
-        sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
-        missing, sounds_wrong = mine & ~sounding, wrong & sounding
-        mistakes = int(np.count_nonzero((missing & part.planned[row, keys]) | sounds_wrong))
-        lacking = mine * (1.0 - depth)
-        too_far = wrong * np.maximum(depth - _NO_HARM, 0.0)
-        offset = (fingertips - part.fingertips[row + 1]) * _COUNTS
-        astray = np.minimum((offset * offset).sum(axis=1), _FURTHEST**2) @ part.weight[row + 1]
-        cost = _WRONG * (np.count_nonzero(missing) + np.count_nonzero(sounds_wrong))
-        cost += _ALMOST * (lacking @ lacking + too_far @ too_far)
-        return float(cost + astray * (_AT_THE_END if last else 1.0)), mistakes
+        amiss = ((key_qpos >= self._sounds_from) ^ self._mine[k]) & self._counts[k]
+        wrong = int(np.count_nonzero(amiss))
+        lacking = np.maximum(self._slope[k] * key_qpos + self._offset[k], 0.0)
+        offset = (fingertips - self._fingertips[k]) * _COUNTS
+        astray = np.minimum((offset * offset) @ _ONES, _FURTHEST**2) @ self._weight[k]
+        mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
+        return float(_WRONG * wrong + _ALMOST * (lacking @ lacking) + astray), mistakes
 
 
 def _lifts(lift: Array, horizon: int, dt: float) -> Array:

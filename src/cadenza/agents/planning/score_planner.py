@@ -77,7 +77,7 @@ class SongPlanner:
             view: of the first step, of one environment.
             rng: what is random.
             config: how to plan.
-            num_threads: that share the search, one a hand at most.
+            num_threads: that share the search.
             progress: is told of "fingers" and "postures".
 
         Raises:
@@ -96,7 +96,7 @@ class SongPlanner:
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
             alone, servos, joints = hand_alone(task.scene, side)
             part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
-            hand = HandRefinement(alone, part, tracking, config, dt, hand_rng)
+            hand = HandRefinement(alone, part, tracking, config, dt, hand_rng, self._threads)
             self._hands.append((hand, servos, joints))
 
     def act(self, view: View) -> Array:
