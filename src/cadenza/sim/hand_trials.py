@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import mujoco
 import numpy as np
@@ -61,8 +61,10 @@ class HandTrials:
         simulation.copy_to([self._whole], 0)
         self._hand.begin_from(self._whole)
 
-    def run(self, ctrl: Array, place: int = 0) -> Iterator[tuple[Array, Array]]:
+    def run(self, ctrl: Iterable[Array], place: int = 0) -> Iterator[tuple[Array, Array]]:
         """Takes a control step with each row of `ctrl` (H, A), one trial.
+
+        Rows may depend on where the hand has come to, see `hand_joints`.
 
         Yields:
             (K,) angles of `keys` [rad] and (F, 3) fingertips [m].
@@ -77,6 +79,11 @@ class HandTrials:
                 mujoco.mj_step(model, data, self._substeps - 1)
             mujoco.mj_step1(model, data)
             yield data.qpos[hand.keys], data.site_xpos[hand.fingertips]
+
+    def hand_joints(self, place: int = 0) -> tuple[Array, Array]:
+        """(J,) positions and velocities of the hand's joints in the trial there."""
+        data, first = self._hand.data[place], self._hand.keys.stop
+        return data.qpos[first:], data.qvel[first:]
 
     def unstable(self, place: int = 0) -> bool:
         """Whether the last trial there has diverged."""

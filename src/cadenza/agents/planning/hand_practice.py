@@ -3,7 +3,7 @@
 What it has played is a *take*: controls, and what came of them, step by step. The first is what
 the planner plays. Then the hand goes over the song again and again. A *sweep* works on two seconds
 after two seconds, from the beginning to the end: it picks a step that loses something, begins a
-little before it, tries many variations of the take at once in simulation, and puts the best of them
+little before it, tries many variations of the take in simulation, and puts the best of them
 into the take if that and what comes after it are better for it. The smallest change is felt for
 seconds, however feedback leads back to the take; therefore what follows is always played anew from
 where the hand has really come to, and a sweep that comes to a worse end is undone.
@@ -11,7 +11,7 @@ where the hand has really come to, and a sweep that comes to a worse end is undo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.losses import Losses
+from cadenza.agents.planning.losses import Heard, Losses
 from cadenza.agents.planning.refinement import HandPart, HandRefinement, Here
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower
@@ -28,14 +28,14 @@ from cadenza.files import ArrayOf, Expected
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
+from cadenza.sim.hand_trials import HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_CANDIDATES = 24  # variations that are tried at once
+_CANDIDATES = 24  # variations that are tried in a unit
 _KEPT_STATES = 0.5  # [s] between the states of a take in which playing can begin
 _CHUNK = 2.0  # [s] of the first take in a unit
 _WINDOW = 4  # times this are worked on at a time
@@ -43,6 +43,7 @@ _ADVANCE = 3  # times this later begins the next window
 _AFTER = 2  # times this after a window must not suffer
 _BEFORE = 0.6  # [s] at most that a variation begins before what it is to mend
 _BEYOND = 0.6  # [s] for which it is judged after it
+_UNSTABLE = 1000.0  # what a step costs after which the simulation is of no more use
 _AROUND = 0.15  # [s] before and after a step that share its failures
 
 
@@ -100,7 +101,6 @@ class HandPractice:
         start: Array,
         side: Side,
         config: ScorePlannerConfig,
-        num_threads: int,
         seed: int,
     ) -> None:
         """Args:
@@ -108,7 +108,6 @@ class HandPractice:
         start: (J,) joint positions of the hands where the song begins [m, rad].
         side: of the hand.
         config: how the first take is planned.
-        num_threads: that share the simulations of a unit.
         seed: of everything random.
         """
         dt = plan.track.config.control_timestep
@@ -123,15 +122,16 @@ class HandPractice:
             config,
             dt,
             np.random.default_rng(self._seed),
-            Threads(num_threads),
+            Threads(1),
         )
         servos = servos_of(alone)
         self._low, self._high = servos.low, servos.high
-        self._posture = Follower(alone, tracking).posture
-        self._losses = Losses(plan, part)
+        self._to_posture = Follower(alone, tracking).posture
+        self._part, self._losses = part, Losses(plan, part)
+        self._slides = servos.along_keyboard
         self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
         self._one = PlanningSimulation(alone, 1, dt)
-        self._many = PlanningSimulation(alone, _CANDIDATES, dt, num_threads)
+        self._trials = HandTrials(alone, dt)
         self._before, self._beyond = steps_in(_BEFORE, dt), steps_in(_BEYOND, dt)
         self._around, self._chunk = steps_in(_AROUND, dt), steps_in(_CHUNK, dt)
         self._between = between = steps_in(_KEPT_STATES, dt)
@@ -225,16 +225,15 @@ class HandPractice:
         """Adds a chunk to the first take."""
         planner, first = self._planner, self.played
         planner.go_to(self._here, rng)
-        sounding, begun = self._sounding(first)
+        heard = self._heard(first)
         self.at = first
         for row in range(first, min(first + self._chunk, self.num_steps)):
             if row % self._between == 0:
                 self._states[row // self._between] = planner.twin.physics_state(0)
-            here = self._posture(planner.twin.state)
-            ctrl = planner.play_on()[None]
-            state = planner.twin.state
-            loss, cost, sounding, begun = self._losses(state, row, sounding, begun)
-            self.take.put(row, Take(ctrl, here, sounding, loss, cost))
+            here = self._posture(planner.twin)
+            ctrl = planner.play_on()
+            step, heard = self._judged(planner.twin, row, heard)
+            self.take.put(row, Take(ctrl[None], here[None], *step))
         self._here = planner.here
 
     def _begin_sweep(self, most: float) -> _Sweep:
@@ -289,37 +288,55 @@ class HandPractice:
     def _best_of(self, offsets: Array, first: int, end: int) -> Take | None:
         """The cheapest variation of the steps from `first` to `end`, if one is cheaper than they.
 
-        Candidates that have become as expensive are given up. Only `ctrl` and `expected` of what is
-        returned mean anything.
+        Only `ctrl` and `expected` of what is returned mean anything.
 
         Args:
-            offsets: (L, N, A) to the positions of the servos after each of the first L steps.
+            offsets: (N, L, A) to the positions of the servos after each of the first L steps.
         """
-        take, many = self.take, self._many
-        length, count, servos = offsets.shape
-        offsets = np.pad(offsets, ((1, end - first - length), (0, 0), (0, 0)))
-        ctrl = np.zeros((end - first, count, servos))
-        expected = np.zeros((end - first, count, servos, 2))
-        most, cost = take.cost[first:end].sum(), np.zeros(count)
-        sounding, begun = (np.repeat(keys, count, axis=0) for keys in self._sounding(first))
-        many.copy_from(self._one, 0)
-        going = np.arange(count)
-        for k, row in enumerate(range(first, end)):
-            expected[k] = self._posture(many.state)
-            off = expected[k] - take.expected[row]
-            off[..., 0] -= offsets[k]
-            ctrl[k] = self._clip(take.ctrl[row] - self._feedback(row, off) + offsets[k + 1])
-            many.step(ctrl[k], going.tolist())
-            self.simulated += len(going)
-            state = State._make(values[going] for values in many.state)
-            judged = self._losses(state, row, sounding[going], begun[going])
-            _, more, sounding[going], begun[going] = judged
-            cost[going] += more
-            going = going[cost[going] < most]
-            if not len(going):
-                return None
-        best = int(going[cost[going].argmin()])
-        return take.part(first, end)._replace(ctrl=ctrl[:, best], expected=expected[:, best])
+        self._begin_trials(offsets, first, end)
+        best, most = None, float(self.take.cost[first:end].sum())
+        for each in np.pad(offsets, ((0, 0), (1, end - first - offsets.shape[1]), (0, 0))):
+            tried = self.take.part(first, end)
+            cost = self._try(each, tried, first, most)
+            if cost < most:
+                best, most = tried, cost
+        return best
+
+    def _begin_trials(self, offsets: Array, first: int, end: int) -> None:
+        """From where the one simulation is, over all keys on the way."""
+        tips = self._part.fingertips[first : end + 1, :, 1]
+        here = self._one.state.fingertip_xpos[0, self._part.fingers, 1]
+        low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
+        slides = offsets[..., self._slides]
+        self._trials.begin_from(
+            self._one, low + min(slides.min(), 0.0), high + max(slides.max(), 0.0)
+        )
+
+    def _try(self, offsets: Array, take: Take, first: int, most: float) -> float:
+        """What steps of a take cost, with offsets (L + 1, A) to where servos are before each.
+
+        Infinite where they cost `most` or more. They are written to the `take`.
+        """
+        trials = self._trials
+
+        def controls() -> Iterator[Array]:
+            for k, row in enumerate(range(first, first + len(take.ctrl))):
+                here = self._to_posture(*trials.hand_joints())
+                off = here - take.expected[k]
+                off[:, 0] -= offsets[k]
+                take.expected[k] = here
+                take.ctrl[k] = self._clip(take.ctrl[k] - self._feedback(row, off) + offsets[k + 1])
+                yield take.ctrl[k]
+
+        cost, heard = 0.0, self._heard(first).of(trials.keys)
+        for k, (key_qpos, fingertips) in enumerate(trials.run(controls())):
+            self.simulated += 1
+            judged = self._losses.after(first + k, key_qpos, fingertips, heard, trials.keys)
+            _, more, heard = judged
+            cost += more
+            if cost >= most:
+                return np.inf
+        return np.inf if trials.unstable() else cost
 
     def _keep(self, better: Take, first: int, last: int) -> bool:
         """Puts `better` in from `first` on, if it and the rest up to `last` are cheaper then."""
@@ -347,15 +364,15 @@ class HandPractice:
         states = self._states[first // between : last // between + 1].copy()
         played = take.part(0, len(take.ctrl))
         one.set_physics_state(states[0])
-        sounding, begun = self._sounding(first)
+        heard = self._heard(first)
         for k, row in enumerate(range(first, last)):
             if row % between == 0:
                 states[k // between] = one.physics_state(0)
-            here = self._posture(one.state)
+            here = self._posture(one)
             ctrl = self._clip(take.ctrl[k] - self._feedback(row, here - take.expected[k]))
-            one.step(ctrl)
-            loss, cost, sounding, begun = self._losses(one.state, row, sounding, begun)
-            played.put(k, Take(ctrl, here, sounding, loss, cost))
+            one.step(ctrl[None])
+            step, heard = self._judged(one, row, heard)
+            played.put(k, Take(ctrl[None], here[None], *step))
         if last % between == 0:
             states[-1] = one.physics_state(0)
         self.simulated += last - first
@@ -366,24 +383,38 @@ class HandPractice:
         begin = step - step % self._between
         self._one.set_physics_state(self._states[begin // self._between])
         for row in range(begin, step):
-            off = self._posture(self._one.state) - self.take.expected[row]
-            self._one.step(self._clip(self.take.ctrl[row] - self._feedback(row, off)))
+            off = self._posture(self._one) - self.take.expected[row]
+            self._one.step(self._clip(self.take.ctrl[row] - self._feedback(row, off))[None])
         self.simulated += step - begin
 
+    def _judged(
+        self, simulation: PlanningSimulation, row: int, heard: Heard
+    ) -> tuple[tuple[Mask, Array, Array], Heard]:
+        """What sounds, is lost and costs after a step, as a row of a take, and what is heard."""
+        state = simulation.state
+        tips = state.fingertip_xpos[0, self._part.fingers]
+        loss, cost, heard = self._losses.after(row, state.key_qpos[0], tips, heard)
+        unstable = _UNSTABLE * state.unstable
+        return (heard.sounding[None], loss + unstable, cost + unstable), heard
+
+    def _posture(self, simulation: PlanningSimulation) -> Array:
+        """(A, 2) position and speed of each servo."""
+        return self._to_posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
+
     def _feedback(self, row: int, off: Array) -> Array:
-        """(N, A) what deviations (N, A, 2) before a step take from its controls."""
-        return np.asarray((self.gain[row] * off).sum(axis=2))
+        """(A,) what deviations (A, 2) before a step take from its controls."""
+        return np.asarray((self.gain[row] * off).sum(axis=1))
 
     def _clip(self, ctrl: Array) -> Array:
         return np.clip(ctrl, self._low, self._high)
 
-    def _sounding(self, step: int) -> tuple[Mask, Mask]:
-        """(1, K) keys of the take that sound before a step, and those of them that just began."""
+    def _heard(self, step: int) -> Heard:
+        """Keys of the take before a step."""
         before, earlier = (
             self.take.sounding[row] if row >= 0 else np.zeros_like(self.take.sounding[0])
             for row in (step - 1, step - 2)
         )
-        return before[None], (before & ~earlier)[None]
+        return Heard(before, before & ~earlier)
 
 
 def _state_of(sweep: _Sweep) -> dict[str, NDArray[Any]]:

@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.sim.protocol import State
 from cadenza.tasks import reward
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ONSETS = 0.5  # what all note onsets together are worth, where F1 is worth 1
-_UNSTABLE = 1000.0
 _DEPTH = 0.06  # of a key's travel that lacks to the stop, or is too much, squared
 _NO_HARM = 0.3  # of its travel that a key may be down
 _ASTRAY = 0.02  # of what fingertips astray cost in the search
 _FURTHEST = 0.03  # [m] further away does not count more
+
+
+class Heard(NamedTuple):
+    """Keys after a step, (K,)."""
+
+    sounding: Mask
+    begins: Mask
+    """Those of them that did not sound before it."""
+
+    def of(self, keys: slice) -> Heard:
+        """Some of them."""
+        return Heard(self.sounding[keys], self.begins[keys])
 
 
 class Losses:
@@ -45,42 +57,45 @@ class Losses:
         notes = int((keys & ~_late(keys, 1)).sum())
         self._onset = ONSETS * len(keys) / max(notes, 1)
 
-    def __call__(
-        self, state: State, row: int, before: Mask, begun: Mask
-    ) -> tuple[Array, Array, Mask, Mask]:
-        """What states (N, ...) after step `row` lose.
+    def after(
+        self,
+        row: int,
+        key_qpos: Array,
+        fingertips: Array,
+        heard: Heard,
+        keys: slice = slice(None),
+    ) -> tuple[float, float, Heard]:
+        """What is lost by the state after step `row`.
 
         Args:
-            state: of the hand.
             row: of the song.
-            before: (N, K) keys that sounded a step before.
-            begun: (N, K) those of them that had just begun to.
+            key_qpos: (K,) [rad].
+            fingertips: (F, 3) of the hand [m].
+            heard: after the step before.
+            keys: which they are; all by default.
 
         Returns:
-            (N,) the loss; (N,) the cost, which is the
-            loss and a little for what is nearly lost; (N, K) the keys that sound, and those of them
-            that have just begun to.
+            The loss; the cost, which is the loss and a little for what is nearly lost; what is
+            heard now.
         """
-        sounding = reward.key_activation(state.key_qpos, self._keyboard.sounds_from)
-        begins = sounding & ~before
-        missing = (self._part.mine[row] & ~sounding).sum(axis=1)
-        wrong = (sounding & ~self._keys[row]).sum(axis=1)
-        loss = (missing + wrong) / np.maximum(2 * self._wanted[row] - missing + wrong, 1)
-        late = (self._now[row] & ~begins) | (self._now_or_before[row] & ~(begins | begun))
-        extra = begins & ~self._welcome[row]
-        loss = loss + self._onset * (late.sum(axis=1) + 0.5 * extra.sum(axis=1))
-        loss = np.where(state.unstable, _UNSTABLE, loss)
-        return loss, loss + self._nearly(state, row), sounding, begins
-
-    def _nearly(self, state: State, row: int) -> Array:
-        """(N,) what is nearly lost: how far keys and fingertips are from where they should be."""
-        part = self._part
-        depth = reward.key_state(state.key_qpos, self._keyboard.travel)
-        lacking = part.mine[row] * (1.0 - depth)
-        too_far = ~self._keys[row] * np.maximum(depth - _NO_HARM, 0.0)
-        offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[row + 1]
-        astray = np.minimum((offset**2).sum(axis=2), _FURTHEST**2) @ part.weight[row + 1]
-        return np.asarray(_DEPTH * (lacking**2 + too_far**2).sum(axis=1) + _ASTRAY * astray)
+        part, keyboard, wanted = self._part, self._keyboard, self._keys[row, keys]
+        mine, travel = part.mine[row, keys], keyboard.travel[keys]
+        sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
+        begins = sounding & ~heard.sounding
+        missing = np.count_nonzero(mine & ~sounding)
+        wrong = np.count_nonzero(sounding & ~wanted)
+        loss = (missing + wrong) / max(2 * self._wanted[row] - missing + wrong, 1)
+        in_time = begins | heard.begins
+        late = (self._now[row, keys] & ~begins) | (self._now_or_before[row, keys] & ~in_time)
+        extra = begins & ~self._welcome[row, keys]
+        loss += self._onset * (np.count_nonzero(late) + 0.5 * np.count_nonzero(extra))
+        depth = reward.key_state(key_qpos, travel)
+        lacking = mine * (1.0 - depth)
+        too_far = ~wanted * np.maximum(depth - _NO_HARM, 0.0)
+        offset = fingertips - part.fingertips[row + 1]
+        astray = np.minimum((offset * offset).sum(axis=1), _FURTHEST**2) @ part.weight[row + 1]
+        nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray
+        return float(loss), float(loss + nearly), Heard(sounding, begins)
 
 
 def _late(keys: Mask, steps: int) -> Mask:

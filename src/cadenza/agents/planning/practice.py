@@ -90,9 +90,8 @@ class Practice:
         self._num_threads, seed = num_threads, int(rng.integers(2**63))
         self._about = repr((seed, config)).encode()
         sides = self.plan.scene.sides
-        share = max(num_threads // len(sides), 1)
         self.hands = {
-            side: HandPractice(self.plan, self._start, side, config, share, seed) for side in sides
+            side: HandPractice(self.plan, self._start, side, config, seed) for side in sides
         }
         self._locks = {side: Lock() for side in sides}  # held while a hand does a unit
         self.best: Rehearsal | None = None
@@ -176,13 +175,15 @@ class Practice:
         simulation.reset(None, self._start[None])
         sounding = np.zeros_like(goals.keys)
         for row in range(goals.num_steps):
-            played.expected[row] = follower.posture(simulation.state)[0]
-            ctrl = follower.ctrl(np.array([row]), simulation.state)
+            state = simulation.state
+            played.expected[row] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
+            ctrl = follower.ctrl(np.array([row]), state)
             played.ctrl[row] = ctrl[0]
             simulation.step(ctrl)
             key_qpos = simulation.state.key_qpos[0]
             sounding[row] = reward.key_activation(key_qpos, scene.keyboard.sounds_from)
-        played.expected[-1] = follower.posture(simulation.state)[0]
+        state = simulation.state
+        played.expected[-1] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         metrics = playing_metrics(
             sounding, pedal, goals.keys, pedal, dt, track.on_the_clock, lowest

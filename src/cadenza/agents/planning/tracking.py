@@ -46,15 +46,15 @@ class Follower:
         self._tracking, self._low, self._high = tracking, servos.low, servos.high
         self._to_posture = np.linalg.pinv(servos.joints)
 
-    def posture(self, state: State) -> Array:
-        """(N, A, 2) position and speed of each servo."""
-        speeds = state.hand_qvel @ self._to_posture
-        return np.stack([state.hand_qpos @ self._to_posture, speeds], axis=2)
+    def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
+        """(..., A, 2) position and speed of each servo, of joints (..., J)."""
+        return np.stack([hand_qpos @ self._to_posture, hand_qvel @ self._to_posture], axis=-1)
 
     def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
         """(N, A) controls before `steps` (N,); where the hands are as expected, those tracked."""
         ctrl, gain, expected = (values[steps] for values in self._tracking)
-        feedback = (gain * (self.posture(state) - expected)).sum(axis=2)
+        here = self.posture(state.hand_qpos, state.hand_qvel)
+        feedback = (gain * (here - expected)).sum(axis=2)
         return np.clip(ctrl - feedback, self._low, self._high)
 
 

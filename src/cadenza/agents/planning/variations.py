@@ -44,7 +44,7 @@ class Variations:
     def draw(
         self, path: Array, first: int, last: int, count: int, rng: np.random.Generator
     ) -> Array:
-        """(L, N, A) for `count` candidates over the L steps from `first` to `last`.
+        """(N, L, A) for `count` candidates over the L steps from `first` to `last`.
 
         Half are noise that changes evenly from the first step to the last. The others are early or
         late, or go some of the way to the plan, or stay where they are.
@@ -58,7 +58,7 @@ class Variations:
         kinds = (self._noise, self._shifted, self._noise, self._drawn_back)
         after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
         drawn = [kinds[i % 4](path, after, rng) * self._servos(rng) for i in range(count)]
-        return np.stack(drawn, axis=1)
+        return np.stack(drawn)
 
     def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         ends = rng.standard_normal((2, len(self._sigma))) * self._sigma
