@@ -18,6 +18,7 @@ from cadenza.agents.planning import practice as practice_module
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.playback import Playback, load_plan, tracking_of
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
@@ -125,12 +126,22 @@ def folder_of(tmp_path: Path, *options: str) -> Path:
 def test_a_practised_plan_plays_again_bit_for_bit(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "--effort", "0.1")
     played = load_episode(folder / "episode.npz")
-    again = cadenza.play(
-        tmp_path / "hard.mid", "playback", plan=folder / "plan.npz", task=QUICK
-    ).episode
-    for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
-        np.testing.assert_array_equal(again[name], played[name])
+    with_feedback = cadenza.play(folder)  # song and task are those of the folder
+    task, actions = PianoTask([HARD], QUICK), load_plan(folder / "plan.npz")
+    for again in with_feedback.episode, play_episode(task, Playback(actions)).episode:
+        for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
+            np.testing.assert_array_equal(again[name], played[name])
     assert (folder / "report.html").exists()
+    # Whose hands start elsewhere comes nearer to the plan with feedback.
+    moved = TaskConfig(initial_buffer_time=0.4, random_hand_position=0.05)
+    off = [
+        np.abs(
+            play_episode(PianoTask([HARD], moved), player).episode["hand_qpos"]
+            - played["hand_qpos"]
+        )
+        for player in (Playback(actions, tracking_of(folder / "plan.npz")), Playback(actions))
+    ]
+    assert off[0].sum() < off[1].sum()
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

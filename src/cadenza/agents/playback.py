@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Array
+from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     FLAGS,
+    FLOATS,
     NUMBERS,
     TEXT,
     ArrayOf,
@@ -25,10 +27,14 @@ from cadenza.files import (
     write_atomically,
 )
 from cadenza.fingers import Fingers
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
-from cadenza.scene.config import Physics, SceneConfig
+from cadenza.scene.config import Physics, SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.view import TaskSpec, View
+
+T = TypeVar("T")
 
 _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "n_steps_lookahead",
@@ -45,14 +51,22 @@ _ABOUT = {
     "sleeping_keys": ArrayOf(FLAGS),
     "options": ArrayOf(TEXT),
 }
+_TRACKING = {
+    "gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
+    "expected": ArrayOf(FLOATS, ("*", "servos", 2), finite=True),
+}
 _MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
 
 
 class Playback(Agent):
-    """Plays `plan` (T, A), actions in actuator units, the pedal last."""
+    """Plays `plan` (T, A), actions in actuator units, the pedal last.
 
-    def __init__(self, plan: Array) -> None:
-        self._plan = plan
+    With what was expected of it, feedback leads hands back that are elsewhere; where all is as
+    expected, the same actions are played.
+    """
+
+    def __init__(self, plan: Array, tracking: Tracking | None = None) -> None:
+        self._plan, self._tracking = plan, tracking
 
     def act(self, view: View) -> Array:
         """Raises:
@@ -69,7 +83,12 @@ class Playback(Agent):
                 f"the plan has {steps} steps, but the song has {others[0]}: "
                 "was it made for another song, tempo or initial silence?"
             )
-        return self._plan[np.minimum(view.steps, steps - 1)]
+        rows = np.minimum(view.steps, steps - 1)
+        action = self._plan[rows]
+        if self._tracking is not None:
+            follower = Follower(view.task.scene, self._tracking)
+            action[:, :-1] = follower.ctrl(rows, view.state)
+        return action
 
 
 def _other_space(task: TaskSpec) -> str:
@@ -131,17 +150,24 @@ def save_plan(
     options: Mapping[str, Any],
     fingered: Score,
     hands: Fingers,
+    tracking: Tracking | None = None,
 ) -> None:
-    """Writes what `load_plan`, `physics_of` and `check_options` read, and what there is to know.
+    """Writes what `load_plan` and its like and `check_options` read, and what there is to know.
 
     action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
     fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none, by the
-    numbers that fingers of these `hands` have in the episode's arrays.
+    numbers that fingers of these `hands` have in the episode's arrays. Of a practised plan also
+    gain and expected, see `Tracking`, and the song and its score as JSON.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
+    practised: dict[str, Any] = {}
+    if tracking is not None:
+        song = json.dumps(asdict(WrittenScore.of(fingered)))
+        practised = {"gain": tracking.gain, "expected": tracking.expected, "score": np.str_(song)}
     with write_atomically(path) as file:
         np.savez_compressed(
             file,
+            **practised,
             allow_pickle=False,
             action=episode["action"],
             physics=episode["physics"],
@@ -152,6 +178,43 @@ def save_plan(
             options=np.str_(json.dumps(options)),
             fingering=np.array(notes, np.float64),
         )
+
+
+def tracking_of(path: Path) -> Tracking | None:
+    """What leads back to a plan, where the file holds it."""
+    arrays = read_arrays(path, _ACTION | _TRACKING, _MOST)
+    if not _TRACKING.keys() <= arrays.keys():
+        return None
+    return Tracking(arrays["action"][:, :-1], arrays["gain"], arrays["expected"])
+
+
+class PractisedSong(NamedTuple):
+    """A song and how it is to be set up, as a practised plan has them."""
+
+    score: Score
+    task: TaskConfig
+    scene: SceneConfig
+    arrangement: Arrangement
+
+
+def practised_song(path: Path) -> PractisedSong:
+    """The song that a practised plan plays.
+
+    Raises:
+        CadenzaError: the file is no such plan.
+    """
+    arrays = read_arrays(path, {"score": ArrayOf(TEXT, needed=True)} | _ABOUT, _MOST)
+    score = parsed_json(str(arrays["score"]), WrittenScore, f"{path}, score").score
+    options = parsed_json(str(arrays.get("options", "{}")), dict[str, Any], f"{path}, options")
+
+    def part(kind: type[T], more: Mapping[str, Any]) -> T:
+        named = {each.name for each in fields(cast(Any, kind))}
+        given = {name: value for name, value in options.items() if name in named}
+        return checked(given | dict(more), kind, f"{path}, options")
+
+    scene = part(SceneConfig, physics_of(path))
+    check_modules(scene, path)
+    return PractisedSong(score, part(TaskConfig, {}), scene, part(Arrangement, {}))
 
 
 def load_plan(path: Path) -> NDArray[np.float64]:

@@ -66,7 +66,8 @@ class Performing(Options):
     """A song is performed."""
 
     song: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SONG")] = field(kw_only=True)
-    """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or a policy's folder."""
+    """A song by its name (see "cadenza songs"), a MIDI or MusicXML file, or the folder of a policy
+    or of a practised song."""
     learner: Advanced[str | None] = None
     """Learner of a policy, if it was given as module:NAME."""
 

@@ -32,7 +32,8 @@ _BETWEEN = 20.0  # [s] at least between two times that practice is kept
 class PracticeCommand(Performing):
     """Practise a song: play it, go back to what fails, and keep what is better.
 
-    Ctrl-C ends practice with the best so far. The same command goes on where it was left.
+    Ctrl-C ends practice with the best so far. The same command goes on where it was left, and
+    "cadenza play FOLDER" plays what was practised.
 
     Example: cadenza practice FurEliseOpening -o elise --minutes 5
     """
@@ -55,7 +56,8 @@ class PracticeCommand(Performing):
 
 
 def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
-    from cadenza.performing.practising import PLAN, Practising
+    from cadenza.performing.practising import Practising
+    from cadenza.performing.setup import PRACTISED
 
     _check(command)
     selection = selected(command, PLANNER)
@@ -69,7 +71,7 @@ def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
             stopped = stop()
         practising.save()
         plan = practising.plan()
-    plan.save(folder / PLAN)
+    plan.save(folder / PRACTISED)
     keep(plan.performance, folder, command.video)
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)

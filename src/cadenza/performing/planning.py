@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.tracking import Tracking
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
@@ -35,6 +36,8 @@ class Plan:
     """What has to be the same for the plan to play the same."""
     hands: Fingers
     """How the fingers are numbered in arrays."""
+    tracking: Tracking | None = None
+    """What leads hands back to it that are elsewhere; of a practised plan."""
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -58,7 +61,13 @@ class Plan:
         """
         path = Path(path)
         save_plan(
-            path, self.performance.episode, self.metrics, self.options, self.score, self.hands
+            path,
+            self.performance.episode,
+            self.metrics,
+            self.options,
+            self.score,
+            self.hands,
+            self.tracking,
         )
         write_fingering(self.score, path.with_suffix(SUFFIX))
 

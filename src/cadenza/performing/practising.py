@@ -16,7 +16,7 @@ from cadenza.performing.planning import Plan, plan_of
 from cadenza.performing.setup import Setup
 from cadenza.tasks.view import View
 
-STATE, PLAN = "practice.npz", "plan.npz"
+STATE = "practice.npz"
 _MOST = 2**32  # bytes: hours of music
 
 
@@ -53,10 +53,10 @@ class Practising:
 
     def plan(self, progress: Progress = silent) -> Plan:
         """What is played best so far."""
-        practice = self.practice
-        player = PractisedPlanner(practice.plan, practice.best_so_far())
+        best = self.practice.best_so_far()
+        player = PractisedPlanner(self.practice.plan, best)
         setup = replace(self._setup, agent=_Practised(player))
-        return plan_of(setup, perform(setup, progress))
+        return replace(plan_of(setup, perform(setup, progress)), tracking=best.tracking)
 
 
 class _Practised(PlannerPerEnv[PractisedPlanner]):

@@ -14,7 +14,15 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.playback import Playback, check_options, load_plan, options_of, physics_of
+from cadenza.agents.playback import (
+    Playback,
+    check_options,
+    load_plan,
+    options_of,
+    physics_of,
+    practised_song,
+    tracking_of,
+)
 from cadenza.agents.registry import (
     AGENTS,
     PLANNER,
@@ -39,6 +47,7 @@ from cadenza.sim.threads import MOST_THREADS, default_threads
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
 
+PRACTISED = "plan.npz"  # what the folder of a song that was practised holds
 Song = str | Path | Score
 SomeAgent = str | Path | Agent
 
@@ -88,7 +97,7 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
 
     Args:
         song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
-            folder of a policy, which holds the song that it has learnt. A folder of the same name
+            folder of a policy or of a practised song, which hold theirs. A folder of the same name
             as a bundled song wants a path with a separator, such as ``./OdeToJoy``.
         arrangement: which notes of it; all by default.
 
@@ -102,7 +111,10 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
             raise CadenzaError(
                 f"{song}: plays its song as it was trained; leave out --tracks and --reduce"
             )
-        return load_policy(Path(song)).score
+        practised = practised_plan(song)
+        return (
+            load_policy(Path(song)).score if practised is None else practised_song(practised).score
+        )
     score = arrangement.score(str(song))
     for remark in score.remarks:
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
@@ -136,7 +148,8 @@ def select(
     Args:
         song: see `load_song`, or a score.
         agent: a name of `cadenza.agents.registry`, the folder of a policy, `module:Class`, or an
-            agent. Where there is none, the policy whose folder is the song plays, or the planner.
+            agent. Where there is none, the policy or the practised plan plays whose folder is the
+            song, or the planner.
         arrangement: which notes of a song that is not a score yet.
         configs: agent's name -> its options, see `make_agent`.
         plan: the file whose actions "playback" plays.
@@ -148,6 +161,10 @@ def select(
     score = song if isinstance(song, Score) else load_song(song, arrangement)
     title = score.title if isinstance(song, Score) else str(song)
     selection = partial(Selection, song=title, score=score, arrangement=arrangement)
+    if agent is None and (practised := practised_plan(title)) is not None:
+        agent, plan = PLAYBACK, practised
+        of = practised_song(practised)
+        selection = partial(selection, task=of.task, scene=of.scene, arrangement=of.arrangement)
     if agent is None:
         agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
     if not isinstance(agent, str | Path):
@@ -160,8 +177,11 @@ def select(
     if not isinstance(plan, str | Path | None):
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
-        plan, scene = Path(plan), replace(SceneConfig(), **physics_of(Path(plan)))
-        return selection(name=name, agent=Playback(load_plan(plan)), scene=scene, plan=plan)
+        plan = Path(plan)
+        if "scene" not in selection.keywords:
+            selection = partial(selection, scene=replace(SceneConfig(), **physics_of(plan)))
+        player = Playback(load_plan(plan), tracking_of(plan))
+        return selection(name=name, agent=player, plan=plan)
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     config, options = (configs or {}).get(name), agent_options(name)
@@ -174,6 +194,12 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(song))
     return load_policy(Path(agent)) if is_policy_folder(agent) else None
+
+
+def practised_plan(song: str | Path) -> Path | None:
+    """The plan in the folder of a song that was practised; None if `song` is no such folder."""
+    path = Path(song) / PRACTISED
+    return path if is_policy(song) and path.is_file() else None
 
 
 def is_policy_folder(agent: str) -> bool:

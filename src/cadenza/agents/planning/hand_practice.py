@@ -394,8 +394,8 @@ class HandPractice:
         state = simulation.state
         tips = state.fingertip_xpos[0, self._part.fingers]
         loss, cost, heard = self._losses.after(row, state.key_qpos[0], tips, heard)
-        unstable = _UNSTABLE * state.unstable
-        return (heard.sounding[None], loss + unstable, cost + unstable), heard
+        lost = np.array([[loss], [cost]]) + _UNSTABLE * state.unstable
+        return (heard.sounding[None], lost[0], lost[1]), heard
 
     def _posture(self, simulation: PlanningSimulation) -> Array:
         """(A, 2) position and speed of each servo."""
