@@ -30,9 +30,9 @@ def setup(seconds: int, agent: Agent | None = None) -> Setup:
 def test_a_long_song_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
     estimate.tell_how_long(setup(192))
     told = capsys.readouterr().err
-    assert told == "planning and playing 3:12 of music takes about 2 to 7 min\n"
-    estimate.tell_how_long(setup(30))
-    assert "0:30 of music takes about 20 to 60 s" in capsys.readouterr().err
+    assert told == "planning and playing 3:12 of music takes about 1 to 4 min\n"
+    estimate.tell_how_long(setup(60))
+    assert "1:00 of music takes about 20 to 70 s" in capsys.readouterr().err
 
 
 def test_short_work_is_not_announced(capsys: pytest.CaptureFixture[str]) -> None:

@@ -220,7 +220,7 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatc
     config = ScorePlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]
     full_search = 5 * 8 * 7  # for 0.35 s each
-    assert 0.4 < sum(simulated) / steps / full_search < 0.6
+    assert 0.15 < sum(simulated) / steps / full_search < 0.3
 
 
 def test_planning_tells_how_far_it_has_come() -> None:

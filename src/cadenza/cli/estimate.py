@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _WORTH_TELLING = 30.0  # [s]
 # On two cores the planner takes as long for a control step as for this many plain ones: so many,
 # and more for every note a second. By the times in docs/planners.md, from which pieces differ.
-_STEPS, _STEPS_PER_DENSITY = 15, 9
+_STEPS, _STEPS_PER_DENSITY = 8, 5
 _LEAST, _MOST = 0.6, 1.8
 
 

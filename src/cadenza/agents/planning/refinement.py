@@ -47,8 +47,8 @@ _COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
 _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
-# planning within three times the music on two cores where every step fails.
-_SUSTAINED = 0.55
+# planning within the time of the music on two cores where every step fails.
+_SUSTAINED = 0.3
 _EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
@@ -221,12 +221,13 @@ class HandRefinement:
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
 
-        Stops when a plan makes no mistakes.
+        Stops when a plan makes no mistakes. Another round must leave savings for the first rounds
+        of later steps, which gain the most.
         """
         assert self._update is not None
         around = Around(best, np.broadcast_to(self._sigma_at(rows), best.shape))
         for iteration in range(self._iterations):
-            if self._savings <= 0:
+            if self._savings <= iteration * self._candidates * self._horizon:
                 break
             candidates = self._draw(around)
             candidates[: len(self._lifts)] = self._clip(around.mean + self._lifts)
