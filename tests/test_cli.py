@@ -87,7 +87,7 @@ def help_of(
 
 
 COMMANDS = (
-    *("play", "plan", "compare", "bench", "train", "curves"),
+    *("play", "practice", "plan", "compare", "bench", "train", "curves"),
     *("songs", "libraries", "import", "info", "etude"),
 )
 
@@ -100,7 +100,7 @@ def test_help_fits_a_screen(
     assert said.startswith(f"usage: cadenza {command}")
     assert said.count("\n") <= 40
     assert "None" not in said
-    asks = command in ("play", "plan", "compare", "bench", "train")
+    asks = command in ("play", "practice", "plan", "compare", "bench", "train")
     for option in ("--stretch", "--transpose", "--hands"):
         assert (option in said) == asks
     assert ("--quiet" in said) == (asks or command == "import")
@@ -116,11 +116,11 @@ def test_help_all_has_every_option(
 ) -> None:
     said = help_of(capsys, monkeypatch, command, "--help-all")
     assert "None" not in said
-    performs = command in ("play", "plan", "compare", "bench")
+    performs = command in ("play", "practice", "plan", "compare", "bench")
     asks = performs or command == "train"
     assert ("--gravity-compensation" in said) == ("--wrong-press-termination" in said) == asks
     assert ("--planner.method" in said) == performs
-    assert ("--ilqg.horizon" in said) == (performs and command != "plan")
+    assert ("--ilqg.horizon" in said) == (performs and command not in ("plan", "practice"))
     assert ("--tau" in said) == ("--wandb" in said) == (command == "train")
     assert ("--forearm-dofs {tx,ty,tz,roll,pitch,yaw} ..." in said) == asks
 

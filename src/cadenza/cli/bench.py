@@ -59,7 +59,7 @@ class Bench(Options):
     """Carry out again what has failed before."""
     jobs: int | None = None
     """How many runs at once, as many as the cores allow by default."""
-    num_threads: int = 1
+    num_threads: Advanced[int] = 1
     """Threads of each run."""
     num_steps: int | None = None
     """Environment steps of training, for train:PRESET; what the preset says by default."""

@@ -47,7 +47,7 @@ class Options:
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
-    num_threads: int | None = None
+    num_threads: Advanced[int | None] = None
     """Threads of a planner, two by default: one for each hand."""
 
     of_ours: ClassVar[Sequence[str]] = [name for name, entry in AGENTS.own.items() if entry.config]
