@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import cadenza
 from cadenza.agents.planning import practice as practice_module
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.practice import Practice
+from cadenza.agents.planning.practice import Practice, PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import Playback, load_plan, tracking_of
 from cadenza.agents.rollout import play_episode
@@ -104,6 +104,23 @@ def test_the_planner_practises_before_it_plays() -> None:
     )
     assert "practising" in told
     assert result.metrics["f1"] > 0.5
+
+
+def test_hands_that_are_pushed_find_back(practised: Practice) -> None:
+    assert practised.best is not None
+    rng = np.random.default_rng(0)
+    player = PractisedPlanner(practised.plan, practised.best, NO_SEARCH, rng, 1)
+    expected = practised.best.tracking.ctrl
+    task = PianoTask([HARD], QUICK)
+    task.reset([rng], [0])
+    off = []
+    for step in range(len(expected)):
+        action = player.act(task.view())
+        off.append(float(np.abs(action[:-1] - expected[step]).max()))
+        task.step((action + (0.1 if step == 8 else 0.0))[None])
+    assert not any(off[:9])  # nothing had happened yet
+    assert off[9] > 0.05
+    assert off[-1] < off[9] / 2
 
 
 def folder_of(tmp_path: Path, *options: str) -> Path:

@@ -37,11 +37,11 @@ class Practising:
             CadenzaError: the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, ScorePlanner)
-        self._setup, self._path = setup, folder / STATE
-        task_rng, rng = np.random.default_rng(setup.seed).spawn(2)
+        self._setup, self._agent, self._path = setup, setup.agent, folder / STATE
+        task_rng, self._rng = np.random.default_rng(setup.seed).spawn(2)
         setup.task.reset([task_rng], [0])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
-        self.practice = Practice(setup.task.view(), rng, config, threads, progress)
+        self.practice = Practice(setup.task.view(), self._rng, config, threads, progress)
         if self._path.exists():
             arrays = read_arrays(self._path, self.practice.expected(), _MOST)
             self.practice.restore(arrays, self._path)
@@ -54,7 +54,8 @@ class Practising:
     def plan(self, progress: Progress = silent) -> Plan:
         """What is played best so far."""
         best = self.practice.best_so_far()
-        player = PractisedPlanner(self.practice.plan, best)
+        config, threads = self._agent.config, self._agent.threads
+        player = PractisedPlanner(self.practice.plan, best, config, self._rng, threads)
         setup = replace(self._setup, agent=_Practised(player))
         return replace(plan_of(setup, perform(setup, progress)), tracking=best.tracking)
 

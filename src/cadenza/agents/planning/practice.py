@@ -20,13 +20,16 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_practice import HandPractice
 from cadenza.agents.planning.losses import ONSETS
+from cadenza.agents.planning.refinement import HandPart, HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, TEXT, ArrayOf, Expected
 from cadenza.fingers import Side
 from cadenza.music.metrics import playing_metrics
+from cadenza.scene.scene import hand_alone
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.threads import Threads
 from cadenza.tasks import reward
 from cadenza.tasks.view import View
 
@@ -260,19 +263,50 @@ class Practice:
 class PractisedPlanner:
     """Plays one song as it was practised.
 
+    From the first step on before which the hands are not where they were in the rehearsal, it
+    searches as the planner does, around what was practised.
+
     Attributes:
         plan: before practice.
     """
 
-    def __init__(self, plan: SongPlan, rehearsal: Rehearsal) -> None:
+    def __init__(
+        self,
+        plan: SongPlan,
+        rehearsal: Rehearsal,
+        config: ScorePlannerConfig,
+        rng: np.random.Generator,
+        num_threads: int,
+    ) -> None:
         """Args:
         plan: before practice.
         rehearsal: what is played.
+        config: how to search.
+        rng: what is random in it.
+        num_threads: that share it.
         """
-        self.plan = plan
-        self._follower = Follower(plan.scene, rehearsal.tracking)
-        self._pedal = plan.goals.sustain
+        self.plan, self._tracking = plan, rehearsal.tracking
+        self._posture = Follower(plan.scene, rehearsal.tracking).posture
+        self._config, self._rng, self._threads = config, rng, Threads(num_threads)
+        self._hands: list[tuple[HandRefinement, slice, slice]] = []
 
     def act(self, view: View) -> Array:
         """(A,) the next action."""
-        return np.append(self._follower.ctrl(view.steps, view.state)[0], self._pedal[view.steps])
+        state, step = view.state, int(view.steps[0])
+        ctrl = self._tracking.ctrl[step].copy()
+        if not self._hands:
+            here = self._posture(state.hand_qpos[0], state.hand_qvel[0])
+            if not (here == self._tracking.expected[step]).all():
+                self._hands = [self._searching(side, step) for side in self.plan.scene.sides]
+        for hand, servos, joints in self._hands:
+            hand_qpos, hand_qvel = state.hand_qpos[0, joints], state.hand_qvel[0, joints]
+            ctrl[servos] = hand.act(hand_qpos, hand_qvel, state.key_qpos[0])
+        return np.append(ctrl, self.plan.goals.sustain[step])
+
+    def _searching(self, side: Side, step: int) -> tuple[HandRefinement, slice, slice]:
+        alone, servos, joints = hand_alone(self.plan.scene, side)
+        dt, (rng,) = self.plan.track.config.control_timestep, self._rng.spawn(1)
+        part, tracking = HandPart(self.plan, side), self._tracking.of(servos)
+        hand = HandRefinement(alone, part, tracking, self._config, dt, rng, self._threads)
+        hand.skip_to(step)
+        return hand, servos, joints

@@ -154,6 +154,10 @@ class HandRefinement:
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self._step = 0
 
+    def skip_to(self, step: int) -> None:
+        """Goes on with that step, from the state that it is told."""
+        self._step = step
+
     @property
     def here(self) -> Here:
         """Where it has got."""
