@@ -107,7 +107,7 @@ def _practise(practising: Practising, command: PracticeCommand, stop: Callable[[
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
             if minutes is None:
-                done, total = 100 * practice.simulated / practice.steps_of(effort), 100.0
+                done, total = 100 * practice.share_made(effort), 100.0
             else:
                 done, total = now - began, 60 * minutes
             advance(int(min(done, total)), int(total), _where(practice))

@@ -20,6 +20,7 @@ QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 _UNITS = {  # of stages that do not count steps
     "fingers": "notes",
     "postures": "iterations",
+    "practising": "%",
     "writing sound and page": "files",
     "drawing": "frames",
 }

@@ -100,14 +100,14 @@ class Practice:
         self.best: Rehearsal | None = None
         self.history: list[tuple[float, float, float]] = []
 
-    @property
-    def simulated(self) -> int:
-        """Control steps of hands, in all, after the first takes."""
-        return sum(hand.simulated for hand in self.hands.values())
-
-    def steps_of(self, effort: float) -> float:
-        """How many of them both hands simulate for it."""
-        return len(self.hands) * self._steps_of_a_hand(effort)
+    def share_made(self, effort: float) -> float:
+        """Of that effort, 0 to 1; hands that have nothing left to mend have made theirs."""
+        most = max(self._steps_of_a_hand(effort), 1.0)
+        shares = [
+            min(hand.simulated / most, 1.0) if hand.has_work(most) else 1.0
+            for hand in self.hands.values()
+        ]
+        return sum(shares) / len(shares)
 
     def _steps_of_a_hand(self, effort: float) -> float:
         return effort * EFFORT * self.plan.goals.num_steps

@@ -46,10 +46,9 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
     def _practised(self, view: View, rng: np.random.Generator) -> Practice:
         config, effort = replace(self.config, effort=0.0), self.config.effort
         practice = Practice(view, rng, config, self.threads, self.progress)
-        most = round(practice.steps_of(effort))
 
         def goes_on() -> bool:
-            self.progress("practising", min(practice.simulated, most), most)
+            self.progress("practising", int(100 * practice.share_made(effort)), 100)
             return True
 
         practice.run(effort, goes_on)
