@@ -65,3 +65,22 @@ def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
     kept = [whole.joint(name).dofadr[0] for name in joints]
     np.testing.assert_allclose(some.dof_damping, whole.dof_damping[kept], rtol=1e-12)
     assert some.ngeom < 0.5 * whole.ngeom
+
+
+def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again() -> None:
+    scene, _, _ = hand_alone(build_scene(), "right")
+    simulation = PlanningSimulation(scene)
+    trials = HandTrials(scene, simulation.control_timestep)
+    y = scene.keyboard.centre[:, 1]
+    actions = np.zeros((AHEAD, scene.model.nu))
+
+    def tried() -> list[np.ndarray]:
+        trials.begin_from(simulation, y[30], y[50])
+        return [fingertips.copy() for _, fingertips in trials.run(actions)]
+
+    before = tried()
+    for low in range(0, 84, 6):
+        for high in range(low + 6, 88, 24):
+            trials.begin_from(simulation, y[low], y[high])
+    assert len(trials._on_keys) <= 16
+    np.testing.assert_array_equal(tried(), before)

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 PLACES = 2
 """Trials that can be under way at once."""
 _BESIDE = 0.05  # [m] of keys to each side of where fingertips should go
+_MODELS = 16  # of about 2 MB that are kept: memory must not grow with the length of a song
 _GRID = 6  # keys; a song needs few models where they begin and end at every sixth
 _SOON_ASLEEP = -1  # of a tree that is awake and has been at rest for long enough
 
@@ -55,9 +56,10 @@ class HandTrials:
         """
         keys = self._keys_between(low - _BESIDE, high + _BESIDE)
         self.keys = slice(keys.start, keys.stop)
-        if keys not in self._on_keys:
-            self._on_keys[keys] = _HandOnKeys(self._scene, keys, self._parts)
-        self._hand = self._on_keys[keys]
+        hand = self._on_keys.pop(keys, None) or _HandOnKeys(self._scene, keys, self._parts)
+        self._hand = self._on_keys[keys] = hand
+        if len(self._on_keys) > _MODELS:
+            del self._on_keys[next(iter(self._on_keys))]  # the one not used for longest
         simulation.copy_to([self._whole], 0)
         self._hand.begin_from(self._whole)
 
