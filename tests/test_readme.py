@@ -26,7 +26,8 @@ def command_lines() -> list[str]:
 
 def shortened(arguments: list[str]) -> list[str]:
     """What to add, so that a command does not take long: the video has tests of its own."""
-    added = ["--no-video"] if arguments[0] in ("play", "train") else []
+    added = ["--no-video"] if arguments[0] in ("play", "practice", "train") else []
+    added += ["--minutes", "0.02"] if arguments[0] == "practice" else []
     learns = arguments[0] == "train" and "--resume" not in arguments
     return [*added, *(["--num-steps", "600", "--learning-starts", "300"] if learns else [])]
 
