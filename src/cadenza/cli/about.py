@@ -115,8 +115,7 @@ def usual_players() -> Players:
 
     scene = SceneConfig()
     hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
-    spacing = scene.hand_spacing
-    return seated(hand.reach, keyboard, SIDES, spacing, slides=True, jump_times=hand.jump_times)
+    return seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
 
 
 def _installation_facts() -> dict[str, Any]:

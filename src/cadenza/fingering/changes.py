@@ -11,21 +11,26 @@ from cadenza.fingering.chords import NEVER, States, shapes
 from cadenza.fingering.presses import Press
 from cadenza.hands.reach import Array, Reach
 
-# Control steps that are lost in playing, by `tools/fit_fingering.py`.
-_WAY = 0.7  # [1 / m]
-_SAME_FINGER = 0.05
-_CROSSING = 0.5  # three times that: scales of crossings failed more than other music tells
-_OTHER_FINGER = 0.1
-_SOON = 0.3  # [s] after a note in which the next ones suffer from how it was played
+_WAY = 8.0  # [1 / m]
+_SPEED = 3.0  # [s / m^2]: 1 for 0.3 m in 0.25 s
+_SAME_FINGER, _TIME_TO_MOVE = 2.0, 0.15  # [s] to lift, move and press
+_CROSSING, _TIME_TO_CROSS = 0.5, 0.3  # [s]
+_OTHER_FINGER = 1.0
 
 
-def transition(was: States, will: States, change: Array | None) -> Array:
-    """(S', S) what it costs a hand to go from one of S states to one of S'.
+def transition(was: States, will: States, change: Array | None, seconds: float) -> Array:
+    """(S', S) what it costs a hand to go from one of S states to one of S' in `seconds`.
 
     `change` is what `changes_of_fingers` says.
     """
-    cost = will.way_from(was, was.centre, will.centre)
-    cost *= _WAY
+    way = np.abs(will.centre[:, None] - was.centre)
+    way[will.playing :] -= will.free
+    way[: will.playing, was.playing :] -= will.free
+    np.maximum(way, 0.0, out=way)
+    cost = way**2
+    cost *= _SPEED / seconds
+    way *= _WAY
+    cost += way
     if change is not None:
         cost += change[will.shape[:, None], was.shape]
     return cost
@@ -44,7 +49,7 @@ def changes_of_fingers(
     """
     keys = {press.key for press in now}
     begins = [press.start >= time for press in now]
-    gaps = tuple([min(max(time - press.end, 0.0), _SOON) for press in earlier])
+    gaps = tuple([min(max(time - press.end, 0.0), _TIME_TO_CROSS) for press in earlier])
     changes = []
     for was, gap in zip(earlier, gaps, strict=True):
         if was.key in keys:
@@ -52,7 +57,7 @@ def changes_of_fingers(
                 _UNRELATED if will.key != was.key else _STRUCK_AGAIN if new else _HELD
                 for will, new in zip(now, begins, strict=True)
             ]
-        elif gap < _SOON:
+        elif gap < _TIME_TO_CROSS:
             changes += [
                 (_HIGHER if will.key > was.key else _LOWER) if new else _UNRELATED
                 for will, new in zip(now, begins, strict=True)
@@ -88,14 +93,15 @@ def _costs_of_changes(
     """
     change = np.array(changes).reshape(len(gaps), -1)
     gap = np.array(gaps)[:, None]
-    soon = 1 - np.minimum(gap / _SOON, 1.0)
+    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))
+    hurry = _SAME_FINGER * (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))
     weights = np.stack(
         [
             NEVER * (change == _HELD),
             _OTHER_FINGER * (change == _STRUCK_AGAIN),
-            _SAME_FINGER * soon * (change >= _HIGHER),
-            _CROSSING * soon * (change == _HIGHER),
-            _CROSSING * soon * (change == _LOWER),
+            hurry * (change >= _HIGHER),
+            cross * (change == _HIGHER),
+            cross * (change == _LOWER),
         ],
         axis=-1,
     )

@@ -19,10 +19,9 @@ NEVER = 1e9
 """What is out of the question costs this much."""
 
 _ELSEWHERE = (10.0,)  # [m] where a hand that is not there is
-_STRETCH = 0.03  # by `tools/fit_fingering.py`
+_STRETCH = 1.0
 _LEAST_ROOM = 0.001  # [m] of fingers that cannot spread
-_OFF = 0.1  # their places at rest, where the forearm cannot slide
-_CLOSE = 10.0  # [1 / m^2]
+_CLOSE = 100.0  # [1 / m^2]
 _ROOM = 0.031  # [m] from here on the forearms do not mind each other
 
 
@@ -38,7 +37,6 @@ class Shapes:
     count (S,)          notes played
     mean (S, m)         weights that give the mean of the notes played
     rest (S,)           the mean of their fingers' offsets from the forearm [m]
-    at_ease (S, m)      their offsets, 0 for none [m]
     outward (S, m)      how far beyond each note the forearm can be [m]
     leftward, rightward (S,)    how far all its fingers can be off their rest [m]
     least, ease, most (S, P)    of the distances between the notes of each pair [m]
@@ -51,7 +49,6 @@ class Shapes:
     count: NDArray[np.intp]
     mean: Array
     rest: Array
-    at_ease: Array
     outward: Array
     leftward: Array
     rightward: Array
@@ -80,7 +77,6 @@ def shapes(m: int, reach: Reach) -> Shapes:
     least = _with_no_finger(reach.least, -10.0)[pair]
     ease = _with_no_finger(reach.rest - reach.rest[:, None], 0.0)[pair]
     most = _with_no_finger(reach.most, 10.0)[pair]
-    at_ease = _with_no_finger(reach.rest, 0.0)[fingers]
     leftward = _with_no_finger(reach.rest + reach.outward, 10.0)[fingers]
     rightward = _with_no_finger(reach.inward - reach.rest, 10.0)[fingers]
     return Shapes(
@@ -88,8 +84,7 @@ def shapes(m: int, reach: Reach) -> Shapes:
         one_hot=np.eye(none + 1)[fingers].reshape(len(sets), (none + 1) * m),
         count=count,
         mean=weights,
-        rest=(weights * at_ease).sum(axis=1),
-        at_ease=at_ease,
+        rest=(weights * _with_no_finger(reach.rest, 0.0)[fingers]).sum(axis=1),
         outward=_with_no_finger(reach.outward, 10.0)[fingers],
         leftward=np.maximum(leftward.min(axis=1, initial=10.0), _LEAST_ROOM),
         rightward=np.maximum(rightward.min(axis=1, initial=10.0), _LEAST_ROOM),
@@ -123,20 +118,6 @@ class States:
     centre: Array  # (S,) where the forearm is when the fingers are as much at rest as can be [m]
     outmost: Array  # (S,) where it can be on the side of the little finger [m]
     cost: Array  # (S,)
-    struck: NDArray[np.intp]  # (S,) notes that it strikes; 1 where it stands
-    mean: Array  # (S,) where the forearm is at ease over what it strikes, or else holds [m]
-    place: Array  # (S, m) where it is at ease over each note [m]
-    strikes: NDArray[np.intp]  # (S, m) the finger on each note that it strikes, or F
-
-    def way_from(self, was: States, places: Array, here: Array) -> Array:
-        """(S, S') from `places` (S',) in the states before to `here` (S,) in these [m].
-
-        A hand that stands somewhere is as near as it can be without moving to where others do.
-        """
-        way = np.abs(here[:, None] - places)
-        way[self.playing :] -= self.free
-        way[: self.playing, was.playing :] -= self.free
-        return np.maximum(way, 0.0, out=way)
 
     def only(self, those: NDArray[np.bool_]) -> States:
         """Those of them."""
@@ -149,10 +130,6 @@ class States:
             centre=self.centre[those],
             outmost=self.outmost[those],
             cost=self.cost[those],
-            struck=self.struck[those],
-            mean=self.mean[those],
-            place=self.place[those],
-            strikes=self.strikes[those],
         )
 
     def that_play(self, notes: int) -> slice:
@@ -263,16 +240,10 @@ class _Hand:
         at_rest = can.mean @ y - can.rest
         centre = np.clip(at_rest, self._low, self._high)
         off = at_rest - centre
-        cost += _OFF * (off / np.where(off > 0, can.rightward, can.leftward)) ** 2
+        cost += _STRETCH * (off / np.where(off > 0, can.rightward, can.leftward)) ** 2
         able = is_within(distance, can.least, can.most).all(axis=1) & (cost < NEVER)
         able[-1] = False
         cost[-1] = 0.0
-        place = y - can.at_ease
-        plays = can.fingers != self._reach.num_fingers
-        strikes = plays & np.array([note.begins for note in asked], bool)
-        struck = strikes.sum(axis=1)
-        over = np.where(struck[:, None], strikes, plays)
-        mean = (over * place).sum(axis=1) / np.maximum(over.sum(axis=1), 1)
         outmost = (y + can.outward).min(axis=1, initial=self._high)
         nothing = np.full(len(stands), len(able) - 1)
         rows = np.concatenate([able.nonzero()[0], nothing])
@@ -285,10 +256,6 @@ class _Hand:
             centre=np.concatenate([centre[able], stands]),
             outmost=np.concatenate([outmost[able], stands]),
             cost=cost[rows],
-            struck=np.concatenate([struck[able], np.ones(len(stands), np.intp)]),
-            mean=np.concatenate([mean[able], stands]),
-            place=place[rows],
-            strikes=np.where(strikes, can.fingers, self._reach.num_fingers)[rows],
         )
 
     def _wanted(self, asked: Sequence[Asked]) -> Array:

@@ -7,14 +7,13 @@ were the right one, to the player's right: of the left one the keyboard is seen 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingers import SIDES, Finger, Side
-from cadenza.hands.jump import JumpTimes
 from cadenza.hands.reach import Array, Reach
 
 if TYPE_CHECKING:
@@ -53,13 +52,11 @@ class Players:
         reach: of the F fingers of either hand.
         keyboard: of K keys.
         forearms: the right hand's and the left hand's; None where there is no hand.
-        jump_times: of either hand.
     """
 
     reach: Reach
     keyboard: Keyboard
     forearms: tuple[Forearm | None, Forearm | None]
-    jump_times: JumpTimes = field(default_factory=JumpTimes)
 
     @property
     def whose(self) -> str:
@@ -133,12 +130,7 @@ def is_within(distance: Array, least: Array, most: Array) -> NDArray[np.bool_]:
 
 
 def seated(
-    reach: Reach,
-    keyboard: Keyboard,
-    sides: Collection[Side],
-    hand_spacing: float,
-    slides: bool,
-    jump_times: JumpTimes | None = None,
+    reach: Reach, keyboard: Keyboard, sides: Collection[Side], hand_spacing: float, slides: bool
 ) -> Players:
     """Hands on these `sides` of a keyboard.
 
@@ -148,7 +140,6 @@ def seated(
         sides: of the hands that are there.
         hand_spacing: between the mounts of their forearms [m].
         slides: whether the forearms slide along the whole keyboard.
-        jump_times: of either hand; those of a Shadow Hand by default.
     """
     end = round(float(np.abs(keyboard.grid_y).max()) + _BEYOND, 2)
 
@@ -159,4 +150,4 @@ def seated(
         return Forearm(home, -end, end) if slides else Forearm(home, home, home)
 
     right, left = map(forearm, SIDES)
-    return Players(reach, keyboard, (right, left), jump_times or JumpTimes())
+    return Players(reach, keyboard, (right, left))

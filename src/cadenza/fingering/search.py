@@ -6,23 +6,19 @@ Notes that sound together lie in the order of the fingers, so that what a hand d
 is the set of its fingers that are down: of m sounding notes the left hand takes the lowest, the
 right hand the highest. A hand without notes stands somewhere along the keyboard. From these states
 and their transitions the cheapest sequence is found, exactly. Time and memory grow in proportion
-to the number of moments: from 0.2 ms and 1 kB for each in two voices to 0.6 ms and 3 kB where many
+to the number of moments: from 0.1 ms and 1 kB for each in two voices to 0.3 ms and 3 kB where many
 notes sound.
 
-Costs are expected losses of F1, in control steps of 0.05 s, see `cadenza.fingering.losses`. First,
-what a hand takes from the notes that it leaves, because it has to be elsewhere in time or needs the
-finger: the planner will cut them short. Then what is lost in playing, as
-`tools/fit_fingering.py` has fitted it:
+Costs, about 1 for something worth avoiding once:
 
 - stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
-- moving the hand along the keyboard;
-- a finger that leaves one key and presses another soon after;
-- fingers that pass over or under one another from one moment to the next;
+- fingers off their places at rest, where the forearm cannot slide to where they would be there;
+- moving the hand along the keyboard: by the way, and by its square over the time there is;
+- a finger that has to leave one key and press another, the less time there is between the two;
+- fingers that would pass over or under one another from one moment to the next;
 - another finger, or hand, on a key that is struck again;
-- fingers that the hand's reach says to spare, on black keys or anywhere.
-
-And, set by hand, forearms close to each other, and fingers off their places at rest where the
-forearm cannot slide to where they would be there.
+- fingers that the hand's reach says to spare, on black keys or anywhere;
+- forearms close to each other.
 """
 
 from __future__ import annotations
@@ -37,13 +33,12 @@ from numpy.typing import NDArray
 
 from cadenza.fingering.changes import changes_of_fingers, transition
 from cadenza.fingering.chords import NEVER, Asked, Chord, Chords
-from cadenza.fingering.losses import Losses
-from cadenza.fingering.playable import Moment, playable
+from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players
 from cadenza.fingering.presses import Press
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
-from cadenza.music.score import Note, Score
+from cadenza.music.score import LETTING_GO, Note, Score
 
 
 class Dropped(NamedTuple):
@@ -122,12 +117,12 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    hands = _hands(players)
-    moment = _beginning(hands.chords)
+    chords = _chords(players)
+    moment = _beginning(chords)
     choices: list[_Choice] = []
     chosen = playable(score, players)
     for sounding in chosen.moments:
-        moment = _moment(moment, sounding, hands)
+        moment = _moment(moment, sounding.time, sounding.presses, chords)
         choices.append(moment.choice)
         if progress:
             progress(sounding.begun, len(score.notes))
@@ -160,13 +155,14 @@ class _Choice(NamedTuple):
 class _Moment:
     """All states at a moment, and what they cost at the least.
 
-    sounds              the m notes that sound
+    presses             the m notes that sound, in the order of their keys
     cost (R, L)         of the cheapest way to this state of the right and this of the left hand
     left_before (R', L) the left hand's state before, and
     right_before (R, L) the right hand's, on that way
     """
 
-    sounds: Moment
+    time: float
+    presses: tuple[Press, ...]
     chord: Chord
     cost: Array
     left_before: NDArray[np.unsignedinteger]
@@ -176,49 +172,38 @@ class _Moment:
     def choice(self) -> _Choice:
         right, left = self.chord.hands
         return _Choice(
-            self.sounds.presses, (right.fingers, left.fingers), self.left_before, self.right_before
+            self.presses, (right.fingers, left.fingers), self.left_before, self.right_before
         )
 
 
-class _Hands(NamedTuple):
-    """What is known of these hands, whatever they play."""
-
-    chords: Chords
-    losses: tuple[Losses, Losses]
-
-
-@lru_cache(maxsize=8)
-def _hands(players: Players) -> _Hands:
-    return _Hands(Chords(players), (Losses(players, 0), Losses(players, 1)))
+_chords = lru_cache(maxsize=8)(Chords)
 
 
 def _beginning(chords: Chords) -> _Moment:
     nothing = np.zeros((1, 1), np.uint8)
-    return _Moment(Moment(-1.0, (), 0), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
+    return _Moment(-1.0, (), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
 
 
-def _moment(before: _Moment, now: Moment, hands: _Hands) -> _Moment:
-    time, presses, then = now.time, now.presses, before.sounds
+def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Chords) -> _Moment:
     asked = tuple(
         Asked(p.key, begins, p.finger if begins else None)
         for p in presses
         for begins in (p.start >= time,)
     )
-    chord = hands.chords.of(asked)
+    chord = chords.of(asked)
     right, left = chord.hands
     right_was, left_was = before.chord.hands
     cost = np.full_like(chord.close, np.inf)
     through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
     left_before = np.empty(through.shape, np.min_scalar_type(len(left_was.cost)))
     right_before = np.zeros(cost.shape, np.min_scalar_type(len(right_was.cost)))
-    to_right, to_left = changes_of_fingers(then.presses, presses, time, hands.chords.reach)
-    change = transition(left_was, left, to_left)
-    change += hands.losses[1].between(then, now, left_was, left)
+    to_right, to_left = changes_of_fingers(before.presses, presses, time, chords.reach)
+    seconds = max(time - before.time, LETTING_GO)
+    change = transition(left_was, left, to_left, seconds)
     for was_right, was_left in before.chord.shared:
         ways = before.cost[was_right, None, was_left] + change[:, was_left]
         _least(ways, was_left.start, through[was_right], left_before[was_right])
-    change = transition(right_was, right, to_right)
-    change += hands.losses[0].between(then, now, right_was, right)
+    change = transition(right_was, right, to_right, seconds)
     for is_right, is_left in chord.shared:
         ways = through.T[is_left] + change[is_right, None]
         _least(ways, 0, cost[is_right, is_left], right_before[is_right, is_left])
@@ -226,7 +211,7 @@ def _moment(before: _Moment, now: Moment, hands: _Hands) -> _Moment:
     cost += left.cost
     cost += chord.close
     cost[cost >= NEVER] = np.inf
-    return _Moment(now, chord, cost, left_before, right_before)
+    return _Moment(time, presses, chord, cost, left_before, right_before)
 
 
 def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:

@@ -30,9 +30,9 @@ class Reach:
     forearm_width: float
     """Two forearms touch when they are nearer than this."""
     effort: Array | float = 0.0
-    """(F,) control steps that are lost, as F1 counts them, each time that a finger presses."""
+    """(F,) what it costs to press with a finger, 1 for something worth avoiding once."""
     effort_on_black: Array | float = 0.0
-    """(F,) and beyond that on black keys."""
+    """(F,) what it costs beyond that on black keys."""
 
     def spans(self, finger: ArrayLike, other: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
         """Whether two fingers can press two keys at once.

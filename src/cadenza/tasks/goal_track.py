@@ -102,5 +102,4 @@ def players_of(scene: Scene) -> Players:
     """The hands of a scene at its keyboard."""
     slides = len(scene.slide_joints) > 0
     spacing = scene.config.hand_spacing
-    hand = scene.hand
-    return seated(hand.reach, scene.keyboard, scene.sides, spacing, slides, hand.jump_times)
+    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides)

@@ -67,8 +67,8 @@ _REACH = Reach(
     outward=np.array([0.086, 0.101, 0.056, 0.012]),
     inward=np.array([0.029, 0.012, 0.056, 0.101]),
     forearm_width=forearm.WIDTH,
-    effort=np.array([0.0, 0.0, 0.0, 0.01]),
-    effort_on_black=np.array([0.2, 0.0, 0.0, 0.0]),
+    effort=np.array([0.0, 0.0, 0.0, 0.1]),
+    effort_on_black=np.array([0.5, 0.0, 0.0, 0.0]),
 )
 
 ALLEGRO = Hand(

@@ -69,8 +69,8 @@ _REACH = Reach(
     outward=np.array([0.092, 0.084, 0.060, 0.037, 0.018]),
     inward=np.array([0.030, 0.081, 0.108, 0.135, 0.150]),
     forearm_width=forearm.WIDTH,
-    effort=np.array([0.0, 0.0, 0.0, 0.01, 0.01]),
-    effort_on_black=np.array([0.20, 0.05, 0.01, 0.04, 0.09]),
+    effort=np.array([0.0, 0.0, 0.0, 0.1, 0.1]),
+    effort_on_black=np.array([0.5, 0.0, 0.0, 0.0, 0.2]),
 )
 
 SHADOW = Hand(
