@@ -31,6 +31,8 @@ ALLOWED = {
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
     ("agents/planning/config.py", 10): "candidates and step sizes",
+    ("agents/planning/variations.py", 10): "the base of the sizes of variations",
+    ("cli/estimate.py", 5): "plain control steps",
     ("fingering/difficulty.py", 10): "the hardest grade",
     ("fingering/changes.py", 5): "kinds of changes",
     ("music/etudes/etude.py", 10): "grades of difficulty; steps a second",
