@@ -20,7 +20,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.refinement import NO_HARM, HandPart
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
@@ -43,7 +43,6 @@ _DIFFERENCE = 0.2  # of that, for derivatives
 # Weights of half the squares in the cost of a step.
 _MISTAKE = 3.0  # not squared, and known to the line search only
 _ALMOST = 6.0  # of a key's travel that lacks, or that goes beyond what does no harm
-_NO_HARM = 0.3  # of its travel that a key may be down
 _PLAYING, _IDLE = 6000.0, 400.0  # [1 / m^2] of fingertips from where they should be
 _ALONG_KEY = 0.55  # distances along the key count less
 _CONTROL = 0.05  # of controls from the nominal ones
@@ -239,7 +238,7 @@ class PressOptimisation:
         """Weighted residuals (N, K), (N, F, 3) of the states after `step`."""
         part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
         lacking = np.where(part.mine[step], depth - 1.0, 0.0)
-        harm = np.where(part.wrong[step], np.maximum(depth - _NO_HARM, 0.0), 0.0)
+        harm = np.where(part.wrong[step], np.maximum(depth - NO_HARM, 0.0), 0.0)
         offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
         return np.sqrt(_ALMOST) * (lacking + harm), self._tip_weight(step) * offset
 

@@ -28,7 +28,6 @@ from cadenza.files import ArrayOf, Expected
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
-from cadenza.sim.hand_trials import HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
@@ -131,7 +130,7 @@ class HandPractice:
         self._slides = servos.along_keyboard
         self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
         self._one = PlanningSimulation(alone, 1, dt)
-        self._trials = HandTrials(alone, dt)
+        self._trials = self._planner.trials
         self._before, self._beyond = steps_in(_BEFORE, dt), steps_in(_BEYOND, dt)
         self._around, self._chunk = steps_in(_AROUND, dt), steps_in(_CHUNK, dt)
         self._between = between = steps_in(_KEPT_STATES, dt)

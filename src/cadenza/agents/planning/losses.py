@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.refinement import FURTHEST, NO_HARM, HandPart
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.tasks import reward
 
@@ -16,9 +16,7 @@ Mask = NDArray[np.bool_]
 
 ONSETS = 0.5  # what all note onsets together are worth, where F1 is worth 1
 _DEPTH = 0.06  # of a key's travel that lacks to the stop, or is too much, squared
-_NO_HARM = 0.3  # of its travel that a key may be down
 _ASTRAY = 0.02  # of what fingertips astray cost in the search
-_FURTHEST = 0.03  # [m] further away does not count more
 
 
 class Heard(NamedTuple):
@@ -91,9 +89,9 @@ class Losses:
         loss += self._onset * (np.count_nonzero(late) + 0.5 * np.count_nonzero(extra))
         depth = reward.key_state(key_qpos, travel)
         lacking = mine * (1.0 - depth)
-        too_far = ~wanted * np.maximum(depth - _NO_HARM, 0.0)
+        too_far = ~wanted * np.maximum(depth - NO_HARM, 0.0)
         offset = fingertips - part.fingertips[row + 1]
-        astray = np.minimum((offset * offset).sum(axis=1), _FURTHEST**2) @ part.weight[row + 1]
+        astray = np.minimum((offset * offset).sum(axis=1), FURTHEST**2) @ part.weight[row + 1]
         nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray
         return float(loss), float(loss + nearly), Heard(sounding, begins)
 

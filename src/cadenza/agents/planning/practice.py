@@ -20,14 +20,13 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_practice import HandPractice
 from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.refinement import HandPart, HandRefinement
+from cadenza.agents.planning.refinement import HandOfTwo
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, TEXT, ArrayOf, Expected
 from cadenza.fingers import Side
 from cadenza.music.metrics import playing_metrics
-from cadenza.scene.scene import hand_alone
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 from cadenza.tasks import reward
@@ -288,7 +287,7 @@ class PractisedPlanner:
         self.plan, self._tracking = plan, rehearsal.tracking
         self._posture = Follower(plan.scene, rehearsal.tracking).posture
         self._config, self._rng, self._threads = config, rng, Threads(num_threads)
-        self._hands: list[tuple[HandRefinement, slice, slice]] = []
+        self._hands: list[HandOfTwo] = []
 
     def act(self, view: View) -> Array:
         """(A,) the next action."""
@@ -298,15 +297,12 @@ class PractisedPlanner:
             here = self._posture(state.hand_qpos[0], state.hand_qvel[0])
             if not (here == self._tracking.expected[step]).all():
                 self._hands = [self._searching(side, step) for side in self.plan.scene.sides]
-        for hand, servos, joints in self._hands:
-            hand_qpos, hand_qvel = state.hand_qpos[0, joints], state.hand_qvel[0, joints]
-            ctrl[servos] = hand.act(hand_qpos, hand_qvel, state.key_qpos[0])
+        for hand in self._hands:
+            ctrl[hand.servos] = hand.act(state)
         return np.append(ctrl, self.plan.goals.sustain[step])
 
-    def _searching(self, side: Side, step: int) -> tuple[HandRefinement, slice, slice]:
-        alone, servos, joints = hand_alone(self.plan.scene, side)
-        dt, (rng,) = self.plan.track.config.control_timestep, self._rng.spawn(1)
-        part, tracking = HandPart(self.plan, side), self._tracking.of(servos)
-        hand = HandRefinement(alone, part, tracking, self._config, dt, rng, self._threads)
-        hand.skip_to(step)
-        return hand, servos, joints
+    def _searching(self, side: Side, step: int) -> HandOfTwo:
+        (rng,) = self._rng.spawn(1)
+        hand = HandOfTwo.of(self.plan, side, self._tracking, self._config, rng, self._threads)
+        hand.refinement.skip_to(step)
+        return hand

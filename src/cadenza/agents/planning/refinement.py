@@ -21,10 +21,11 @@ from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.fingers import SIDES, Side
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_trials import PLACES, HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
@@ -39,10 +40,10 @@ _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
 _ALMOST = (
     3.0  # of a key's travel that lacks to the stop, or passes what does not yet sound, squared
 )
-_NO_HARM = 0.3  # of its travel that a key may be down
+NO_HARM = 0.3  # of its travel that a key may be down
 _ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
 _IDLE_ASTRAY = 200.0
-_FURTHEST = 0.03  # [m] further away does not count more
+FURTHEST = 0.03  # [m] further away does not count more
 _COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
 _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
@@ -113,6 +114,7 @@ class HandRefinement:
 
     Attributes:
         twin: a simulation of it, after the steps that it has played.
+        trials: of what it may do next.
     """
 
     def __init__(
@@ -147,7 +149,7 @@ class HandRefinement:
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
         self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon, dt)
         self.twin = PlanningSimulation(scene, 1, dt)
-        self._trials = HandTrials(scene, dt)
+        self.trials = HandTrials(scene, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
@@ -279,9 +281,9 @@ class HandRefinement:
         here = self.twin.state.fingertip_xpos[0, self._part.fingers]
         there = self._part.fingertips[rows + 1]
         y = np.concatenate([here[:, 1], there[..., 1].ravel()])
-        self._trials.begin_from(self.twin, float(y.min()), float(y.max()))
+        self.trials.begin_from(self.twin, float(y.min()), float(y.max()))
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        self._ahead = _Ahead(self._part, inside, self._keyboard, self._trials.keys)
+        self._ahead = _Ahead(self._part, inside, self._keyboard, self.trials.keys)
         self._least = np.full(len(inside), np.inf)
 
     def _try_all(self, candidates: Array, most: float) -> tuple[Array, NDArray[np.intp]]:
@@ -310,13 +312,13 @@ class HandRefinement:
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
         cost, mistakes, steps = 0.0, 0, []
-        for k, state in enumerate(self._trials.run(ctrl[: len(self._least)], place)):
+        for k, state in enumerate(self.trials.run(ctrl[: len(self._least)], place)):
             more, wrong = self._ahead.cost(k, *state)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
             if rest is not None and cost + _EXPECTED * rest[k] >= most:
                 return _Trial(np.inf, mistakes, steps)
-        return _Trial(np.inf if self._trials.unstable(place) else cost, mistakes, steps)
+        return _Trial(np.inf if self.trials.unstable(place) else cost, mistakes, steps)
 
     def _note(self, trial: _Trial) -> None:
         """Reckons with a trial."""
@@ -354,7 +356,7 @@ class _Ahead:
         # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
         sign = wrong.astype(np.float64) - mine
         self._slope = sign / keyboard.travel[keys]
-        self._offset = np.where(mine, 1.0, np.where(wrong, -_NO_HARM, 0.0))
+        self._offset = np.where(mine, 1.0, np.where(wrong, -NO_HARM, 0.0))
         self._fingertips = part.fingertips[rows + 1]
         self._weight = part.weight[rows + 1]
         self._weight[-1] *= _AT_THE_END
@@ -373,9 +375,38 @@ class _Ahead:
         wrong = int(np.count_nonzero(amiss))
         lacking = np.maximum(self._slope[k] * key_qpos + self._offset[k], 0.0)
         offset = (fingertips - self._fingertips[k]) * _COUNTS
-        astray = np.minimum((offset * offset) @ _ONES, _FURTHEST**2) @ self._weight[k]
+        astray = np.minimum((offset * offset) @ _ONES, FURTHEST**2) @ self._weight[k]
         mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
         return float(_WRONG * wrong + _ALMOST * (lacking @ lacking) + astray), mistakes
+
+
+class HandOfTwo(NamedTuple):
+    """A hand that refines its part of a plan, and where it stands among both."""
+
+    refinement: HandRefinement
+    servos: slice
+    joints: slice
+
+    @classmethod
+    def of(
+        cls,
+        plan: SongPlan,
+        side: Side,
+        tracking: Tracking,
+        config: ScorePlannerConfig,
+        rng: np.random.Generator,
+        threads: Threads,
+    ) -> HandOfTwo:
+        """The hand of that side; `tracking` is of the servos of both."""
+        alone, servos, joints = hand_alone(plan.scene, side)
+        part, dt = HandPart(plan, side), plan.track.config.control_timestep
+        hand = HandRefinement(alone, part, tracking.of(servos), config, dt, rng, threads)
+        return cls(hand, servos, joints)
+
+    def act(self, state: State) -> Array:
+        """(A,) its controls, from the first of the states of both hands."""
+        hand_qpos, hand_qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
+        return self.refinement.act(hand_qpos, hand_qvel, state.key_qpos[0])
 
 
 def _lifts(lift: Array, horizon: int, dt: float) -> Array:

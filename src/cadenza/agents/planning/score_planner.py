@@ -9,10 +9,9 @@ import numpy as np
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import MOST_EFFORT, Practice, PractisedPlanner
-from cadenza.agents.planning.refinement import HandPart, HandRefinement
+from cadenza.agents.planning.refinement import HandOfTwo, HandPart
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
-from cadenza.scene.scene import hand_alone
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
@@ -91,12 +90,10 @@ class SongPlanner:
         self._pedal = self.plan.goals.sustain.astype(np.float64)
         self._threads = Threads(num_threads)
         self._hands = []
-        dt = task.config.control_timestep
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
-            alone, servos, joints = hand_alone(task.scene, side)
-            part, tracking = HandPart(self.plan, side), self.plan.nominal.tracking.of(servos)
-            hand = HandRefinement(alone, part, tracking, config, dt, hand_rng, self._threads)
-            self._hands.append((hand, servos, joints))
+            tracking = self.plan.nominal.tracking
+            hand = HandOfTwo.of(self.plan, side, tracking, config, hand_rng, self._threads)
+            self._hands.append(hand)
 
     def act(self, view: View) -> Array:
         state, step = view.state, int(view.steps[0])
@@ -105,22 +102,19 @@ class SongPlanner:
         action[-1] = self._pedal[step]
 
         def act(i: int) -> None:
-            hand, servos, joints = self._hands[i]
-            action[servos] = hand.act(
-                state.hand_qpos[0, joints], state.hand_qvel[0, joints], state.key_qpos[0]
-            )
+            action[self._hands[i].servos] = self._hands[i].act(state)
 
         self._threads.for_each(range(len(self._hands)), act)
         return action
 
     def _plan_ahead(self, step: int) -> None:
         """Plans another window before what a hand looks at from here ends."""
-        seen = step + max(hand.steps_seen for hand, _, _ in self._hands)
+        seen = step + max(hand.refinement.steps_seen for hand in self._hands)
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
-            for (hand, servos, _), side in zip(self._hands, self._sides, strict=True):
+            for hand, side in zip(self._hands, self._sides, strict=True):
                 part = HandPart(self.plan, side)
-                hand.follow(part, self.plan.nominal.tracking.of(servos))
+                hand.refinement.follow(part, self.plan.nominal.tracking.of(hand.servos))
 
 
 def _check(config: ScorePlannerConfig) -> None:
