@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 from cadenza.cli import main
+from cadenza.evaluation.at_work import progress_of
 from cadenza.evaluation.bench import State
 from cadenza.evaluation.job import Job, JobSpec
 from cadenza.evaluation.results import Results, read_results
-from cadenza.evaluation.run import progress_of
 from cadenza.learning.config import preset
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder

@@ -12,8 +12,8 @@ from threading import Thread
 import pytest
 
 from cadenza.cli import main
+from cadenza.evaluation.at_work import At, progress_of
 from cadenza.evaluation.results import read_results
-from cadenza.evaluation.run import At, progress_of
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 

@@ -281,7 +281,7 @@ class _Table:
         self._lines = 0
 
     def _rows(self, state: State, columns: int) -> Iterator[str]:
-        from cadenza.evaluation.run import progress_of
+        from cadenza.evaluation.at_work import progress_of
 
         now = time.monotonic()
         for name, job in state.running.items():

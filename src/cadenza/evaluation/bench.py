@@ -7,15 +7,20 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.at_work import locked, write_failure
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
-from cadenza.evaluation.run import is_complete, locked, write_failure
+from cadenza.evaluation.run import is_complete
 
 _BETWEEN_LOOKS = 0.5  # [s]
 _ATTEMPTS = 3  # at a run whose process dies
+
+
+CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
+"""Carries out a job, see `cadenza.evaluation.run.carry_out`."""
 
 
 class Ended(NamedTuple):
@@ -36,7 +41,7 @@ class Executor(Protocol):
         """How many runs at once."""
 
     def start(self, job: Job, folder: Path) -> None:
-        """Begins `cadenza.evaluation.run.carry_out`."""
+        """Begins what the executor was made for, such as `cadenza.evaluation.run.carry_out`."""
 
     def ended(self, seconds: float) -> list[Ended]:
         """Waits at most so long [s] for some to end."""
@@ -78,8 +83,9 @@ def bench(
     ended: Callable[[State, Job], None],
     goes_on: Callable[[State], bool],
     retry: bool = False,
+    is_complete: Callable[[Any, Path], bool] = is_complete,
 ) -> State:
-    """Carries out what is not finished yet, or has no page that is wanted.
+    """Carries out what is not complete yet.
 
     Args:
         jobs: all runs that there are to be.
@@ -89,6 +95,7 @@ def bench(
             to be taken up again.
         goes_on: is asked now and then; where it is false, all ends that is under way.
         retry: runs that have failed before are carried out again.
+        is_complete: whether nothing is left to do for a run in its folder.
     """
     state = State(folder / RUNS, len(jobs))
     for job in jobs:

@@ -11,7 +11,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
 
-from cadenza.evaluation.bench import Ended
+from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
 from cadenza.sim.threads import available_cores
@@ -22,16 +22,23 @@ _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
 class Local:
     """At most `capacity` processes at once, each with `num_threads` threads for its planner."""
 
-    def __init__(self, num_threads: int, num_jobs: int | None = None) -> None:
+    def __init__(
+        self,
+        num_threads: int,
+        num_jobs: int | None = None,
+        carry_out: CarryOut = carry_out,
+    ) -> None:
         """As many processes as there are cores for their threads, unless a number is given."""
         # Read when numpy is first imported, which is before a process knows what it is to do.
         os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
         self.capacity = num_jobs or max(available_cores() // num_threads, 1)
-        self._num_threads = num_threads
+        self._num_threads, self._carry_out = num_threads, carry_out
         self._running: list[tuple[Job, BaseProcess]] = []
 
     def start(self, job: Job, folder: Path) -> None:
-        process = _SPAWN.Process(target=_work, args=(job, folder, self._num_threads))
+        process = _SPAWN.Process(
+            target=_work, args=(self._carry_out, job, folder, self._num_threads)
+        )
         # Ctrl-C of a terminal goes to all of its processes, and only we are to act on it: what is
         # blocked here is blocked there. (The first start of a tracker would unblock it.)
         resource_tracker.ensure_running()
@@ -80,7 +87,7 @@ def _ended(job: Job, process: BaseProcess) -> Ended:
     return Ended(job)
 
 
-def _work(job: Job, folder: Path, num_threads: int) -> None:
+def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     stop = _asked_to_stop() if job.spec.training is not None else lambda: False
     carry_out(job, folder, num_threads, stop)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError, by_others
-from cadenza.evaluation.bench import Ended
+from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
 
@@ -18,7 +18,11 @@ class Ray:
     """As many runs at once as the cluster has cores for, also when it grows or shrinks."""
 
     def __init__(
-        self, num_threads: int, num_jobs: int | None = None, address: str | None = None
+        self,
+        num_threads: int,
+        num_jobs: int | None = None,
+        address: str | None = None,
+        carry_out: CarryOut = carry_out,
     ) -> None:
         """Joins the cluster at `address`, or starts one on this machine.
 
@@ -26,6 +30,7 @@ class Ray:
             num_threads: of a run, for each of which Ray reserves a core.
             num_jobs: how many runs at once, if not as many as there are cores for.
             address: as `ray.init` takes it, such as "auto" or "ray.example.org:6379".
+            carry_out: what is done for a job.
 
         Raises:
             CadenzaError: Ray is not installed, or there is no such cluster.
@@ -49,7 +54,8 @@ class Ray:
         self._running: dict[Any, Job] = {}
         # A process a run, as on one machine: it leaves no memory behind.
         # One that dies is for the bench to take up again, as on one machine.
-        self._carry_out = ray.remote(num_cpus=num_threads, max_calls=1, max_retries=0)(_work)
+        self._carry_out = carry_out
+        self._begin = ray.remote(num_cpus=num_threads, max_calls=1, max_retries=0)(_work)
 
     @property
     def capacity(self) -> int:
@@ -57,7 +63,8 @@ class Ray:
         return self._num_jobs or max(cores // self._num_threads, 1)
 
     def start(self, job: Job, folder: Path) -> None:
-        place = self._carry_out.remote(job, folder.resolve(), self._num_threads, os.getcwd())
+        there = folder.resolve(), self._num_threads, os.getcwd()
+        place = self._begin.remote(self._carry_out, job, *there)
         self._running[place] = job
 
     def ended(self, seconds: float) -> list[Ended]:
@@ -83,9 +90,9 @@ class Ray:
         self._ray.shutdown()
 
 
-def _work(job: Job, folder: Path, num_threads: int, started_in: str) -> None:
+def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int, started_in: str) -> None:
     if os.path.isdir(started_in):  # names of files are as they were given
         os.chdir(started_in)
     if started_in not in sys.path:
         sys.path.append(started_in)  # `module:Name` of an agent or a hand may lie there
-    carry_out(job, folder, num_threads)
+    carry_out(job, folder, num_threads, lambda: False)
