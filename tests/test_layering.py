@@ -24,7 +24,8 @@ STANDS_ON: dict[str, set[str]] = {
     "sim": {"scene"},
     "tasks": {"fingering", "sim"},
     "agents": {"tasks"},
-    "learning": {"agents"},
+    "demonstrations": {"agents"},
+    "learning": {"demonstrations"},
     "report": {"music"},
     "performing": {"learning", "report"},
     "evaluation": {"performing"},
@@ -39,6 +40,7 @@ LIBRARIES: dict[str, set[str]] = {
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
     "agents": {"numpy", "scipy", "threadpoolctl"},
+    "demonstrations": {"numpy"},
     "learning": {
         "numpy",
         "jax",

@@ -49,6 +49,7 @@ BOXES = (
     Box(1, 0, "score", "music/"),
     Box(2, 0, "fingers", "fingering/"),
     Box(3, 0, "goals", "tasks/"),
+    Box(4, 0, "episodes", "demonstrations/", "made"),
     Box(0, 1, "hand", "hands/", "given"),
     Box(0, 2, "keyboard", "keyboards/", "given"),
     Box(1, 1.5, "scene", "scene/"),
@@ -113,6 +114,9 @@ def arrows() -> list[Arrow]:
     found.append(Arrow(((x, y), (x, 330), (to[0], 330), to), "transitions", (x + 60, 324)))
     a, b = side("learner", "top", 16), side("agent", "bottom", 16)
     found.append(Arrow((a, b), "policy", (a[0] + 24, (a[1] + b[1]) / 2 + 4)))
+    found.append(Arrow((side("agent", "top"), side("episodes", "bottom"))))
+    (x, y), to = side("episodes", "right"), side("learner", "right")
+    found.append(Arrow(((x, y), (x + 11, y), (x + 11, to[1]), to)))
     (x, y), to = side("performance", "bottom"), side("results", "bottom")
     found.append(Arrow(((x, y), (x, 450), (to[0], 450), to), "many runs", (x - 191, 445)))
     return found

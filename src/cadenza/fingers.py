@@ -39,6 +39,11 @@ class Finger:
             )
 
     @property
+    def of_other_hand(self) -> Finger:
+        """The same finger of the other hand."""
+        return Finger(1 - self.hand, self.index)
+
+    @property
     def side(self) -> Side:
         """Of its hand."""
         return SIDES[self.hand]

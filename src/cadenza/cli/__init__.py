@@ -8,17 +8,18 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import partial
 from io import TextIOWrapper
 from itertools import pairwise
-from typing import NoReturn, TextIO, get_args
+from typing import Any, NoReturn, TextIO, get_args
 
 from cadenza.cli import (
     about,
     bench,
     compare,
+    dataset,
     etude,
     importing,
     plan,
@@ -28,7 +29,7 @@ from cadenza.cli import (
     songs,
     train,
 )
-from cadenza.cli.arguments import Shell, help_or_completion, parse, similar
+from cadenza.cli.arguments import Shell, about_in_a_line, help_or_completion, parse, similar
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
@@ -36,7 +37,8 @@ from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
-_COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
+_Command = tuple[type, Callable[..., None]]
+_COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
     "practice": (practice.PracticeCommand, practice.run),
@@ -50,7 +52,12 @@ _COMMANDS: dict[str, tuple[type, Callable[..., None]]] = {
     "import": (importing.Import, importing.run),
     "info": (about.Info, about.info),
     "etude": (etude.Etude, etude.etude),
+    "dataset": {
+        "collect": (dataset.Collect, dataset.collect),
+        "info": (dataset.DatasetInfo, dataset.info),
+    },
 }
+"""A command, or several under one name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -84,7 +91,13 @@ def _run(arguments: list[str]) -> None:
     if any(":" in word for word in rest) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
     _load_chosen(rest)
-    kind, run = _COMMANDS[name]
+    chosen = _COMMANDS[name]
+    if isinstance(chosen, dict):
+        if not rest or rest[0] not in chosen:
+            _run_without_one_of(name, chosen, rest)
+            return
+        name, chosen, rest = f"{name} {rest[0]}", chosen[rest[0]], rest[1:]
+    kind, run = chosen
     if issubclass(kind, Options):
         kind = with_options_of_agents(kind, rest)
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
@@ -150,18 +163,35 @@ def _run_without_command(arguments: list[str]) -> None:
             raise CadenzaError(f"there is no {what} {word}{meant}")
 
 
+def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[str]) -> None:
+    if words and words[0] in ("-h", "--help", "--help-all"):
+        for one, (kind, _) in commands.items():
+            print(f"cadenza {name} {one}: {about_in_a_line(kind)}")
+        return
+    said = f"{words[0]}: choose" if words else "choose"
+    raise CadenzaError(f"cadenza {name} {said} from {', '.join(commands)}")
+
+
 def _about_all(arguments: list[str]) -> None:
-    kinds = {
-        name: with_options_of_agents(kind, []) if issubclass(kind, Options) else kind
-        for name, (kind, _) in _COMMANDS.items()
-    }
     help_or_completion(
-        kinds,
+        _kinds(_COMMANDS),
         "cadenza",
         "Two simulated robot hands play the piano from any MIDI file.\n\n"
         'Run "cadenza COMMAND --help" for the options of a command.',
         arguments,
     )
+
+
+def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
+    """Name -> what it is read as, or several of them."""
+    return {
+        name: _kinds(command) if isinstance(command, dict) else _with_all_options(command[0])
+        for name, command in commands.items()
+    }
+
+
+def _with_all_options(kind: type) -> type:
+    return with_options_of_agents(kind, []) if issubclass(kind, Options) else kind
 
 
 @contextmanager

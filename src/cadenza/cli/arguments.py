@@ -34,6 +34,7 @@ from tyro.constructors import (
 )
 
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -68,6 +69,7 @@ COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "reduce"),
     TaskConfig: ("stretch", "transpose"),
     SceneConfig: ("hand", "hands"),
+    Variation: ("noise", "mirror", "excerpt"),
     TrainingConfig: ("num_steps", "residual", "seed"),
 }
 """The fields that --help shows of configurations whose options have no prefix."""
@@ -99,10 +101,13 @@ def parse(
 
 
 def help_or_completion(
-    commands: Mapping[str, type], prog: str, description: str, arguments: Sequence[str]
+    commands: Mapping[str, Any], prog: str, description: str, arguments: Sequence[str]
 ) -> None:
-    """Prints what there is, for --help, or what completes it, and exits."""
-    kinds: Any = Union[tuple(_subcommand(*command) for command in commands.items())]  # noqa: UP007
+    """Prints what there is, for --help, or what completes it, and exits.
+
+    `commands` has a type for each, or such a mapping for several under one name.
+    """
+    kinds: Any = _any_of(commands)
     overall = make_dataclass(
         "Overall",
         [
@@ -118,14 +123,36 @@ def help_or_completion(
         prog=prog,
         description=description,
         args=arguments,
-        registry=_registry([*commands.values()], short=False),
+        registry=_registry([*_all(commands)], short=False),
     )
 
 
-def _subcommand(name: str, kind: type) -> Any:
+def _any_of(commands: Mapping[str, Any]) -> Any:
+    return Union[tuple(_subcommand(*command) for command in commands.items())]  # noqa: UP007
+
+
+def _all(commands: Mapping[str, Any]) -> Iterator[type]:
+    for kind in commands.values():
+        if isinstance(kind, Mapping):
+            yield from _all(kind)
+        else:
+            yield kind
+
+
+def _subcommand(name: str, kind: Any) -> Any:
     """With the first line of what the help of the command says."""
-    about = (inspect.getdoc(kind) or "").split("\n")[0]
+    if isinstance(kind, Mapping):
+        several: Any = Annotated[_any_of(kind), tyro.conf.OmitSubcommandPrefixes]
+        about = f"One of: {', '.join(kind)}."
+        kind = make_dataclass(name.capitalize(), [("command", several)])
+    else:
+        about = about_in_a_line(kind)
     return Annotated[kind, tyro.conf.subcommand(name, description=about)]
+
+
+def about_in_a_line(kind: type) -> str:
+    """The first line of what the help of a command says."""
+    return (inspect.getdoc(kind) or "").split("\n")[0]
 
 
 def similar(word: str, known: Sequence[str]) -> str:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-import shutil
 import sys
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
@@ -20,8 +18,8 @@ from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
 from cadenza.cli.performing import TRAIN, Again, Options, agents_in
-from cadenza.cli.progress import QUIET
 from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.under_way import shown, tell_what_is_left
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.config import preset
@@ -93,17 +91,17 @@ def run(command: Bench, again: Again[Bench]) -> None:
     what_comes = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     with (
         closing(_executor(command)) as executor,
-        _shown() as shown,
+        shown(_result) as table,
         asked_to_stop(what_comes) as stop,
     ):
         stop()  # from now on
 
         def goes_on(state: State) -> bool:
-            shown.show(state)
+            table.show(state)
             return not stop()
 
-        state = bench(jobs, command.output, executor, shown.ended, goes_on, command.retry)
-    _tell_what_is_left(state, command.output)
+        state = bench(jobs, command.output, executor, table.ended, goes_on, command.retry)
+    tell_what_is_left(state, command.output, ["cadenza", "results", str(command.output)])
 
 
 def _agents(command: Bench) -> list[str]:
@@ -220,126 +218,10 @@ def _executor(command: Bench) -> Executor:
     return Local(command.num_threads, command.jobs)
 
 
-# What is shown
-
-
-class _Shown(Protocol):
-    def show(self, state: State) -> None:
-        """How far it is now."""
-
-    def ended(self, state: State, job: Job) -> None:
-        """A run has finished or failed, or its process has died."""
-
-
-@contextmanager
-def _shown() -> Iterator[_Shown]:
-    """A table of the runs under way on a terminal; a line for each that ends anywhere else."""
-    if QUIET.get() or not sys.stderr.isatty():
-        yield _Lines()
-        return
-    table = _Table()
-    try:
-        yield table
-    finally:
-        table.clear()
-
-
-class _Lines:
-    def show(self, state: State) -> None:
-        pass
-
-    def ended(self, state: State, job: Job) -> None:
-        if not QUIET.get():
-            done = state.finished + len(state.failed)
-            print(f"{done} of {state.total}: {_how_it_went(state, job)}", file=sys.stderr)
-
-
-class _Table:
-    """Drawn anew in its place twice a second; what has ended scrolls by above it."""
-
-    def __init__(self) -> None:
-        self._lines = 0
-        self._began: dict[str, float] = {}
-
-    def show(self, state: State) -> None:
-        columns, rows = shutil.get_terminal_size()
-        lines = [*self._rows(state, columns)][: rows - 2]
-        self.clear()
-        print(
-            *(line[: columns - 1] for line in [*lines, _in_all(state)]), sep="\n", file=sys.stderr
-        )
-        self._lines = len(lines) + 1
-
-    def ended(self, state: State, job: Job) -> None:
-        self.clear()
-        self._began.pop(job.spec.name, None)
-        print(_how_it_went(state, job), file=sys.stderr)
-
-    def clear(self) -> None:
-        if self._lines:
-            print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
-        self._lines = 0
-
-    def _rows(self, state: State, columns: int) -> Iterator[str]:
-        from cadenza.evaluation.at_work import progress_of
-
-        now = time.monotonic()
-        for name, job in state.running.items():
-            seconds = now - self._began.setdefault(name, now)
-            at = progress_of(state.folder / name)
-            how_far = "beginning" if at is None else at.stage
-            if at is not None and at.total:
-                how_far += f" {100 * at.done // at.total} %"
-            yield f"{_named_in(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
-
-
-def _named_in(job: Job, columns: int) -> str:
-    """Where there is not enough room, the beginning of the song's name is left out."""
-    name = _named(job)
-    return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
-
-
-def _named(job: Job) -> str:
-    return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
-
-
-def _how_it_went(state: State, job: Job) -> str:
+def _result(folder: Path, job: Job) -> str:
+    """How a run that has finished went."""
     from cadenza.evaluation.results import PAGE, read_result
 
-    if job.spec.name in state.failed:
-        return f"{_named(job)}: failed: {state.failed[job.spec.name]}"
-    if job in state.todo:
-        return f"{_named(job)}: {state.died[job.spec.name][-1]}; it will be taken up again"
-    try:
-        result = read_result(state.folder / job.spec.name)
-    except (CadenzaError, OSError) as error:
-        return f"{_named(job)}: {error}"
+    result = read_result(folder)
     no_page = "; no page, see log.txt" * (job.page and not (result.folder / PAGE).exists())
-    how = f"F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s"
-    return f"{_named(job)}: {how}{no_page}"
-
-
-def _in_all(state: State) -> str:
-    parts = [f"{state.finished} of {state.total} runs finished"]
-    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
-    parts += [f"{len(state.running)} under way"] * bool(state.running)
-    parts += [f"{len(state.elsewhere)} under way elsewhere"] * bool(state.elsewhere)
-    return ", ".join(parts)
-
-
-def _tell_what_is_left(state: State, folder: Path) -> None:
-    """Raises: KeyboardInterrupt or CadenzaError: not all runs are finished."""
-    parts = [f"{state.finished} of {state.total} runs finished"]
-    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
-    parts += [f"{state.left} left"] * bool(state.left)
-    print(f"{', '.join(parts)}, in {folder}")
-    for name, why in state.failed.items():
-        print(f"{name}: {why}", file=sys.stderr)
-    if state.left:
-        print("run the same command again to go on", file=sys.stderr)
-        raise KeyboardInterrupt
-    print(f"To sum them up: {shlex.join(['cadenza', 'results', str(folder)])}")
-    if state.failed:
-        raise CadenzaError(
-            f"{len(state.failed)} of {state.total} runs failed; add --retry to carry them out again"
-        )
+    return f"F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s{no_page}"

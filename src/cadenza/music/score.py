@@ -14,6 +14,7 @@ LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
 PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
 MIDI_PITCHES = range(128)
+MIRROR = 124  # a pitch and its mirror image in sum: twice D4
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
 TOGETHER = 0.03  # [s] notes that begin within this time begin together
 LETTING_GO = 0.05  # [s] a note with less left than this does not keep its finger from the next
@@ -127,6 +128,21 @@ class Score:
                 f"{MIDI_PITCHES[-1]}, not {outside[0]}"
             )
         notes = (replace(n, pitch=p) for n, p in zip(self.notes, pitches, strict=True))
+        return replace(self, notes=tuple(notes))
+
+    @property
+    def mirrored(self) -> Score:
+        """Low for high and one hand for the other: black keys stay black about D4.
+
+        Raises:
+            CadenzaError: a note would have a pitch that MIDI does not have.
+        """
+        if (highest := max((note.pitch for note in self.notes), default=0)) > MIRROR:
+            raise CadenzaError(f"cannot mirror pitch {highest}: choose pitches up to {MIRROR}")
+        notes = (
+            replace(n, pitch=MIRROR - n.pitch, finger=n.finger and n.finger.of_other_hand)
+            for n in self.notes
+        )
         return replace(self, notes=tuple(notes))
 
     def with_silence_trimmed(self) -> Score:

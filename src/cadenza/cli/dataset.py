@@ -1,0 +1,159 @@
+"""`cadenza dataset`: collects demonstrations to learn from, and says what there is."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
+from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.output import check_writable
+from cadenza.cli.performing import Again, Options
+from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.under_way import shown, tell_what_is_left
+from cadenza.configs import check_ranges, whole_number
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.collecting.variation import Variation, varied
+from cadenza.sim.threads import MOST_THREADS
+from cadenza.tasks.config import TaskConfig
+
+if TYPE_CHECKING:
+    from cadenza.evaluation.bench import Executor, State
+    from cadenza.evaluation.collecting.episode import Demonstrator
+    from cadenza.evaluation.job import Job
+
+_MOST_EPISODES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Collect(Options):
+    """Have an agent play songs in many ways, and keep what it did to learn from. Ctrl-C stops it;
+    the same command goes on.
+
+    Example: cadenza dataset collect --songs bundled --episodes 4 -o demonstrations
+    """
+
+    songs: str = "bundled"
+    """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
+    agent: str = "planner"
+    """Who plays: the planner, or any other that "cadenza play" takes but playback and policies."""
+    episodes: int = 1
+    """How many of each song. With more, the folder is extended."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demonstrations")
+    """Folder of the episodes. One that holds some already is extended."""
+    least_f1: float = 0.8
+    """Least F1 of an episode that is kept; others are counted."""
+    variation: tyro.conf.OmitArgPrefixes[Variation] = field(default_factory=Variation)
+    task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=varied)
+    retry: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Carry out again what has failed before."""
+    jobs: int | None = None
+    """How many episodes at once, as many as the cores allow by default."""
+    num_threads: Advanced[int] = 1
+    """Threads of each episode."""
+    executor: Literal["local", "ray"] = "local"
+    """Where they are played: on this machine, or on a Ray cluster."""
+    address: Advanced[str | None] = None
+    """Of a Ray cluster, such as auto. By default one is started on this machine."""
+    quiet: Quiet = False
+
+
+def collect(command: Collect, _again: Again[Collect]) -> None:
+    from cadenza.evaluation.bench import bench
+    from cadenza.evaluation.collecting.episode import episodes, is_complete
+    from cadenza.evaluation.matrix import write_plan
+    from cadenza.music.libraries.library import open_library
+
+    _check(command)
+    library = open_library(command.songs)
+    jobs = episodes(library, _who(command), range(command.episodes), command.least_f1)
+    if not jobs:
+        raise CadenzaError("there is nothing to play: choose other songs")
+    check_writable(command.output)
+    write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
+    with (
+        closing(_executor(command)) as executor,
+        shown(_how_it_went) as table,
+        asked_to_stop("ending the episodes under way") as stop,
+    ):
+        stop()  # from now on
+
+        def goes_on(state: State) -> bool:
+            table.show(state)
+            return not stop()
+
+        state = bench(
+            jobs, command.output, executor, table.ended, goes_on, command.retry, is_complete
+        )
+    tell_what_is_left(state, command.output, ["cadenza", "dataset", "info", str(command.output)])
+
+
+def _check(command: Collect) -> None:
+    """Raises: CadenzaError: an option makes no sense."""
+    for name in "num_threads", "jobs":
+        if (number := getattr(command, name)) is not None:
+            whole_number(number, name, 1, MOST_THREADS)
+    whole_number(command.episodes, "episodes", 1, _MOST_EPISODES)
+    check_ranges(command, {"least_f1": (0, 1)})
+    check_ranges(command.variation, {"noise": (0, 10)})
+    if command.variation.excerpt is not None:
+        check_ranges(command.variation, {"excerpt": (1, 3600)})
+    if command.executor == "local" and command.address is not None:
+        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
+
+
+def _who(command: Collect) -> Demonstrator:
+    from cadenza.agents.registry import make_agent
+    from cadenza.evaluation.collecting.episode import Demonstrator
+
+    agent = current_name(command.agent)
+    if agent in (PLAYBACK, PRETRAINED) or Path(agent).is_dir():
+        raise CadenzaError(f"--agent {agent}: plays no song but its own; choose the planner")
+    config = command.configs.get(agent)
+    make_agent(agent, config)  # who is not there is told before anyone plays
+    return Demonstrator(
+        agent, config, command.task, command.scene, command.arrangement, command.variation
+    )
+
+
+def _executor(command: Collect) -> Executor:
+    from cadenza.evaluation.collecting.episode import record
+
+    if command.executor == "ray":
+        from cadenza.evaluation.executors.ray import Ray
+
+        return Ray(command.num_threads, command.jobs, command.address, record)
+    from cadenza.evaluation.executors.local import Local
+
+    return Local(command.num_threads, command.jobs, record)
+
+
+def _how_it_went(folder: Path, _job: Job) -> str:
+    from cadenza.demonstrations.recorded import about
+
+    made = about(folder)
+    left_out = "" if made.kept else ", not kept"
+    return f"F1 {made.f1:.3f}, {made.num_steps} steps{left_out}"
+
+
+@dataclass(frozen=True)
+class DatasetInfo:
+    """Say what a folder of demonstrations holds: songs, episodes, steps, F1, size, versions.
+
+    Example: cadenza dataset info demonstrations
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """Of the demonstrations."""
+
+
+def info(command: DatasetInfo) -> None:
+    from cadenza.demonstrations.overview import overview
+
+    print(*overview(command.folder), sep="\n")

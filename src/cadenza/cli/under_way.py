@@ -1,0 +1,151 @@
+"""How far many runs are: a table on a terminal, a line for each that ends, what is left."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from cadenza.cli.progress import QUIET
+from cadenza.errors import CadenzaError
+
+if TYPE_CHECKING:
+    from cadenza.evaluation.bench import State
+    from cadenza.evaluation.job import Job
+
+HowItWent = Callable[[Path, "Job"], str]
+"""Says in a line how a run in its folder went that has finished."""
+
+
+class _Shown(Protocol):
+    def show(self, state: State) -> None:
+        """How far it is now."""
+
+    def ended(self, state: State, job: Job) -> None:
+        """A run has finished or failed, or its process has died."""
+
+
+@contextmanager
+def shown(how_it_went: HowItWent) -> Iterator[_Shown]:
+    """A table of the runs under way on a terminal; a line for each that ends anywhere else."""
+    if QUIET.get() or not sys.stderr.isatty():
+        yield _Lines(how_it_went)
+        return
+    table = _Table(how_it_went)
+    try:
+        yield table
+    finally:
+        table.clear()
+
+
+class _Lines:
+    def __init__(self, how_it_went: HowItWent) -> None:
+        self._how_it_went = how_it_went
+
+    def show(self, state: State) -> None:
+        pass
+
+    def ended(self, state: State, job: Job) -> None:
+        if not QUIET.get():
+            done = state.finished + len(state.failed)
+            print(
+                f"{done} of {state.total}: {_what_became_of(state, job, self._how_it_went)}",
+                file=sys.stderr,
+            )
+
+
+class _Table:
+    """Drawn anew in its place twice a second; what has ended scrolls by above it."""
+
+    def __init__(self, how_it_went: HowItWent) -> None:
+        self._how_it_went = how_it_went
+        self._lines = 0
+        self._began: dict[str, float] = {}
+
+    def show(self, state: State) -> None:
+        columns, rows = shutil.get_terminal_size()
+        lines = [*self._rows(state, columns)][: rows - 2]
+        self.clear()
+        print(
+            *(line[: columns - 1] for line in [*lines, _in_all(state)]), sep="\n", file=sys.stderr
+        )
+        self._lines = len(lines) + 1
+
+    def ended(self, state: State, job: Job) -> None:
+        self.clear()
+        self._began.pop(job.spec.name, None)
+        print(_what_became_of(state, job, self._how_it_went), file=sys.stderr)
+
+    def clear(self) -> None:
+        if self._lines:
+            print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
+        self._lines = 0
+
+    def _rows(self, state: State, columns: int) -> Iterator[str]:
+        from cadenza.evaluation.at_work import progress_of
+
+        now = time.monotonic()
+        for name, job in state.running.items():
+            seconds = now - self._began.setdefault(name, now)
+            at = progress_of(state.folder / name)
+            how_far = "beginning" if at is None else at.stage
+            if at is not None and at.total:
+                how_far += f" {100 * at.done // at.total} %"
+            yield f"{_named_in(job, columns - 31)} {how_far:<20} {seconds:5.0f} s"
+
+
+def _named_in(job: Job, columns: int) -> str:
+    """Where there is not enough room, the beginning of the song's name is left out."""
+    name = _named(job)
+    return f"…{name[1 - columns :]}" if len(name) > columns else name.ljust(columns)
+
+
+def _named(job: Job) -> str:
+    return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
+
+
+def _what_became_of(state: State, job: Job, how_it_went: HowItWent) -> str:
+    if job.spec.name in state.failed:
+        how = f"failed: {state.failed[job.spec.name]}"
+    elif job in state.todo:
+        how = f"{state.died[job.spec.name][-1]}; it will be taken up again"
+    else:
+        try:
+            how = how_it_went(state.folder / job.spec.name, job)
+        except (CadenzaError, OSError) as error:
+            how = str(error)
+    return f"{_named(job)}: {how}"
+
+
+def _in_all(state: State) -> str:
+    parts = [f"{state.finished} of {state.total} runs finished"]
+    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
+    parts += [f"{len(state.running)} under way"] * bool(state.running)
+    parts += [f"{len(state.elsewhere)} under way elsewhere"] * bool(state.elsewhere)
+    return ", ".join(parts)
+
+
+def tell_what_is_left(state: State, folder: Path, to_sum_up: Sequence[str]) -> None:
+    """And the command that sums them up.
+
+    Raises: KeyboardInterrupt or CadenzaError: not all runs are finished.
+    """
+    parts = [f"{state.finished} of {state.total} runs finished"]
+    parts += [f"{len(state.failed)} failed"] * bool(state.failed)
+    parts += [f"{state.left} left"] * bool(state.left)
+    print(f"{', '.join(parts)}, in {folder}")
+    for name, why in state.failed.items():
+        print(f"{name}: {why}", file=sys.stderr)
+    if state.left:
+        print("run the same command again to go on", file=sys.stderr)
+        raise KeyboardInterrupt
+    print(f"To sum them up: {shlex.join(to_sum_up)}")
+    if state.failed:
+        raise CadenzaError(
+            f"{len(state.failed)} of {state.total} runs failed; add --retry to carry them out again"
+        )

@@ -1,0 +1,277 @@
+"""Reads recorded demonstrations: batches of steps with their goals, from mapped files.
+
+from cadenza.demonstrations.dataset import open_dataset
+
+dataset = open_dataset("demonstrations")
+batch = dataset.batch(dataset.sample(np.random.default_rng(0), 256), lookahead=10)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.demonstrations.recorded import (
+    PLAN,
+    RESULT,
+    STEPS,
+    About,
+    Recorded,
+    about,
+    plan_type,
+    steps_type,
+)
+from cadenza.errors import CadenzaError
+from cadenza.fingers import NO_FINGER
+from cadenza.music.goals import Goals
+from cadenza.scene.scene import build_scene
+
+Array = NDArray[Any]
+Floats = NDArray[np.float32]
+Ids = NDArray[np.intp]
+
+EPISODES = "runs"  # the folder of the episodes' folders
+
+
+class Batch(NamedTuple):
+    """Steps of episodes; arrays (B, ...), of a scene with J joints, A servos, K keys, F fingers."""
+
+    hand_qpos: Floats
+    """(B, J) before the step [m, rad]."""
+    hand_qvel: Floats
+    """(B, J) [m/s, rad/s]"""
+    fingertip_xpos: Floats
+    """(B, F, 3) [m]"""
+    key_qpos: Floats
+    """(B, K) [rad]"""
+    sounding: NDArray[np.bool_]
+    """(B, K) which keys sound."""
+    previous_action: Floats
+    """(B, A + 1) what was played in the step before, in actuator units, the pedal last; at first
+    0."""
+    previous_reward: Floats
+    """(B,) that it got."""
+    action: Floats
+    """(B, A + 1) what the demonstrator would play."""
+    tracked: Floats
+    """(B, A) what the plan and its feedback alone would play."""
+    goal: NDArray[np.bool_]
+    """(B, L + 1, K + 1) keys and pedal that should sound after the step and after the L next."""
+    fingers: NDArray[np.int8]
+    """(B, L + 1, F) the key that each finger should press in these steps, -1 for none."""
+    reference: Floats
+    """(B, S, A, 2) position and speed of each servo in the plan, so many steps ahead."""
+    reference_fingertips: Floats
+    """(B, S, F, 3) and of the fingertips [m]."""
+
+    @property
+    def fingering(self) -> NDArray[np.bool_]:
+        """(B, L + 1, F) which fingers have a key to press."""
+        return self.fingers != NO_FINGER
+
+
+class _Goals(NamedTuple):
+    """Of R rows: each episode's steps, and one after the last that asks for nothing."""
+
+    bits: NDArray[np.uint8]
+    """(R, ...) keys and pedal."""
+    fingers: NDArray[np.int8]
+    """(R, F)"""
+    made: NDArray[np.bool_]
+    """(E,) of which episodes."""
+
+
+class Dataset:
+    """Episodes that were kept, all of one scene, as one long list of steps.
+
+    Attributes:
+        episodes: them.
+        first: (E,) the number of the first step of each.
+        num_steps: in all episodes together.
+        scene: the hands and the keys.
+        control_timestep: between two steps [s].
+    """
+
+    def __init__(self, episodes: Sequence[Recorded]) -> None:
+        """Raises: CadenzaError: there is none, or they do not go together."""
+        if not episodes:
+            raise CadenzaError("no demonstrations: none was kept, or none was asked for")
+        self.episodes = tuple(episodes)
+        self.scene = build_scene(_common(episodes, "scene", [e.about.scene for e in episodes]))
+        dt = [e.about.task.control_timestep for e in episodes]
+        self.control_timestep = _common(episodes, "control_timestep", dt)
+        lengths = np.array([episode.about.num_steps for episode in episodes], np.intp)
+        ends = np.cumsum(lengths)
+        self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])
+        self._first_row = self.first + np.arange(len(lengths))  # each has a row more
+        self._steps = [_Rows(e, STEPS, steps_type(self.scene)) for e in episodes]
+        self._plans = [_Rows(e, PLAN, plan_type(self.scene)) for e in episodes]
+
+    def sample(self, rng: np.random.Generator, count: int) -> Ids:
+        """(count,) numbers of steps, drawn uniformly with replacement."""
+        return rng.integers(self.num_steps, size=count)
+
+    def place(self, steps: Ids) -> tuple[Ids, Ids]:
+        """(B,) and (B,) the episodes of these steps (B,), and which steps of those they are."""
+        episode = np.searchsorted(self.first, steps, side="right") - 1
+        return episode, steps - self.first[episode]
+
+    def batch(self, steps: Ids, lookahead: int = 10, ahead: Sequence[int] = ()) -> Batch:
+        """What there is to learn from `steps` (B,).
+
+        Args:
+            steps: their numbers, 0 to `num_steps`.
+            lookahead: L, for how many steps after the next there are goals.
+            ahead: of which states there are references: 0 for the one before the step, 1 for the
+                one after it, and so on; past the end of the song, its last.
+
+        Raises:
+            CadenzaError: a file is not there, or is damaged.
+        """
+        episode, step = self.place(steps)
+        rows = _gathered(self._steps, episode, step[:, None])[:, 0]
+        plan = _gathered(self._plans, episode, self._within(episode, step, ahead))
+        keys = self.scene.keyboard.num_keys
+        goal, fingers = self._goal(episode, step, lookahead)
+        return Batch(
+            hand_qpos=rows["hand_qpos"],
+            hand_qvel=rows["hand_qvel"],
+            fingertip_xpos=rows["fingertip_xpos"],
+            key_qpos=rows["key_qpos"].astype(np.float32),
+            sounding=np.unpackbits(rows["sounding"], axis=-1, count=keys).view(bool),
+            previous_action=rows["previous_action"],
+            previous_reward=rows["previous_reward"],
+            action=rows["action"],
+            tracked=rows["tracked"],
+            goal=goal,
+            fingers=fingers,
+            reference=plan["reference"],
+            reference_fingertips=plan["fingertips"],
+        )
+
+    def actions(self, steps: Ids, count: int) -> Floats:
+        """(B, count, A + 1) what the demonstrator would play in these `steps` (B,) and after them.
+
+        Past the end of an episode its last action is repeated. Later actions follow from the states
+        in which the episode really was.
+        """
+        episode, step = self.place(steps)
+        within = np.minimum(step[:, None] + np.arange(count), self._lengths[episode, None] - 1)
+        rows: Floats = _gathered(self._steps, episode, within)["action"]
+        return rows
+
+    def goals(self, episode: int) -> Goals:
+        """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
+        return self.episodes[episode].goals(self.scene)
+
+    def _within(self, episode: Ids, step: Ids, ahead: Sequence[int]) -> Ids:
+        """(B, S) rows of the episodes."""
+        return np.minimum(step[:, None] + np.array(ahead, np.intp), self._lengths[episode, None])
+
+    def _goal(
+        self, episode: Ids, step: Ids, lookahead: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+        table = self._table
+        for missing in np.unique(episode[~table.made[episode]]).tolist():
+            self._rebuild(missing)
+        within = self._within(episode, step, range(lookahead + 1))
+        rows = self._first_row[episode, None] + within
+        count = self.scene.keyboard.num_keys + 1
+        goal = np.unpackbits(table.bits[rows], axis=-1, count=count).view(bool)
+        return goal, table.fingers[rows]
+
+    @cached_property
+    def _table(self) -> _Goals:
+        rows = self.num_steps + len(self.episodes)
+        keys, fingers = self.scene.keyboard.num_keys, self.scene.fingers.count
+        return _Goals(
+            bits=np.zeros((rows, -(-(keys + 1) // 8)), np.uint8),
+            fingers=np.full((rows, fingers), NO_FINGER, np.int8),
+            made=np.zeros(len(self.episodes), bool),
+        )
+
+    def _rebuild(self, episode: int) -> None:
+        goals, first = self.goals(episode), int(self._first_row[episode])
+        count = int(self._lengths[episode])  # fewer than there are if it has ended early
+        asked = np.column_stack([goals.keys, goals.sustain])[:count]
+        self._table.bits[first : first + count] = np.packbits(asked, axis=1)
+        step, key = (goals.fingers[:count] >= 0).nonzero()
+        self._table.fingers[first + step, goals.fingers[step, key]] = key
+        self._table.made[episode] = True
+
+
+class _Rows:
+    """The rows of an episode's array as bytes, which are copied faster than what they hold."""
+
+    def __init__(self, episode: Recorded, name: str, kind: np.dtype[np.void]) -> None:
+        self._episode, self._name, self.kind = episode, name, kind
+
+    @cached_property
+    def bytes(self) -> NDArray[np.uint8]:
+        """(T + 1, size of a row)
+
+        Raises:
+            CadenzaError: the array is not as it should be.
+        """
+        episode = self._episode
+        array = episode.steps if self._name == STEPS else episode.plan
+        check_rows(episode, self._name, array, self.kind)
+        return array.view(np.uint8).reshape(len(array), self.kind.itemsize)
+
+
+def check_rows(episode: Recorded, name: str, array: Array, kind: np.dtype[np.void]) -> None:
+    """Raises: CadenzaError: an array has other rows, or not as many as the episode."""
+    if array.dtype != kind or array.shape != (episode.about.num_steps + 1,):
+        raise CadenzaError(
+            f"{episode.folder / name}: not the {episode.about.num_steps + 1} rows of this episode; "
+            "delete its folder and collect again"
+        )
+
+
+def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
+    """(B, S) rows of these episodes (B,)."""
+    kind = rows[0].kind
+    result = np.empty((*within.shape, kind.itemsize), np.uint8)
+    if within.size:
+        for i, (of, at) in enumerate(zip(episode.tolist(), within, strict=True)):
+            result[i] = rows[of].bytes[at]
+    return result.view(kind)[..., 0]
+
+
+def _common(episodes: Sequence[Recorded], what: str, values: Sequence[Any]) -> Any:
+    for episode, value in zip(episodes, values, strict=True):
+        if value != values[0]:
+            raise CadenzaError(
+                f"{episode.folder}: has another {what} than {episodes[0].folder}; "
+                "choose episodes that go together"
+            )
+    return values[0]
+
+
+def finished(folder: str | Path) -> list[tuple[Path, About]]:
+    """The episodes of a folder that are finished, kept or not, by name.
+
+    Raises:
+        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    """
+    runs = Path(folder) / EPISODES
+    if not runs.is_dir():
+        raise CadenzaError(
+            f"{folder}: holds no demonstrations; make some with: cadenza dataset collect"
+        )
+    return [(path.parent, about(path.parent)) for path in sorted(runs.glob(f"*/{RESULT}"))]
+
+
+def open_dataset(folder: str | Path, wanted: Callable[[About], bool] = lambda _: True) -> Dataset:
+    """The episodes of a folder that were kept and are `wanted`.
+
+    Raises:
+        CadenzaError: there is none, they do not go together, or a result.json is damaged.
+    """
+    found = finished(folder)
+    return Dataset([Recorded(at, about) for at, about in found if about.kept and wanted(about)])

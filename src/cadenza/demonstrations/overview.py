@@ -1,0 +1,56 @@
+"""What a folder of demonstrations holds, in lines."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from cadenza.demonstrations.dataset import EPISODES, finished
+from cadenza.demonstrations.recorded import About
+
+_MIB = 2**20
+
+
+def overview(folder: Path) -> Iterator[str]:
+    """Songs, episodes, steps, F1, size on disk, and which versions made it.
+
+    Raises:
+        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    """
+    found = finished(folder)
+    kept = [about for _, about in found if about.kept]
+    names = {at.name for at, _ in found}
+    unfinished = sum(path.name not in names for path in (folder / EPISODES).iterdir())
+    yield f"{len(kept)} episodes of {len({about.song for about in kept})} songs kept"
+    yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
+    yield _steps(kept)
+    if kept:
+        yield _f1(kept)
+        yield f"{sum(about.drawn['mirrored'] for about in kept)} episodes are mirrored"
+    size = sum(file.stat().st_size for file in (folder / EPISODES).rglob("*") if file.is_file())
+    steps = sum(about.num_steps for about in kept)
+    yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
+    hours = sum(about.cpu_seconds for _, about in found) / 3600
+    yield f"{hours:.2f} hours of one core to make"
+    yield from _versions(about for _, about in found)
+
+
+def _steps(kept: list[About]) -> str:
+    seconds = sum(about.num_steps * about.task.control_timestep for about in kept)
+    return f"{sum(about.num_steps for about in kept):,} steps, {seconds / 60:.1f} min of music"
+
+
+def _f1(kept: list[About]) -> str:
+    f1 = np.array([about.f1 for about in kept])
+    return f"F1 {f1.mean():.3f} on average, {f1.min():.3f} to {f1.max():.3f}"
+
+
+def _versions(found: Iterable[About]) -> Iterator[str]:
+    counts = Counter(
+        f"{name} {version}" for about in found for name, version in about.versions.items()
+    )
+    for what, count in sorted(counts.items()):
+        yield f"made with {what}: {count} episodes"

@@ -1,0 +1,216 @@
+"""What is kept of an episode that somebody has played, to learn from.
+
+FOLDER/steps.npy      states and actions, see `steps_type`
+FOLDER/plan.npy       where a plan has the hands, see `plan_type`
+FOLDER/score.json     what was to be played, with its fingers; goals are rebuilt from it
+FOLDER/result.json    all else that there is to know; written last
+
+Both arrays have a row for each of T control steps and one for the state after the last. Of an
+episode that was not good enough to be kept, there is only result.json.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.files import opened, plain, read_json, write_atomically, write_json
+from cadenza.music.formats.written_score import WrittenScore
+from cadenza.music.goals import Goals
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
+
+Array = NDArray[Any]
+
+FORMAT: Literal[1] = 1
+RESULT = "result.json"
+STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
+
+
+def steps_type(scene: Scene) -> np.dtype[np.void]:
+    """A row of steps.npy, of a scene with J joints, A servos, K keys and F fingers.
+
+    The state before a step, and what came before it:
+
+    - `hand_qpos`, `hand_qvel` (J,) [m, rad] and [m/s, rad/s]
+    - `fingertip_xpos` (F, 3) [m]
+    - `key_qpos` (K,) [rad]
+    - `previous_action` (A + 1,) what was played in the step before, in actuator units, the pedal
+      last: with the noise; 0 before the first
+    - `previous_reward` () that it got, 0 before the first
+    - `sounding` the keys that sound, as bits
+
+    And what follows, 0 in the last row, where nothing does:
+
+    - `action` (A + 1,) what the demonstrator would play, without noise
+    - `tracked` (A,) what the plan and its feedback alone would play
+    """
+    joints, servos = len(scene.hand_joint_names), len(scene.actuator_names)
+    keys = scene.keyboard.num_keys
+    return np.dtype(
+        [
+            ("hand_qpos", np.float32, (joints,)),
+            ("hand_qvel", np.float32, (joints,)),
+            ("fingertip_xpos", np.float32, (scene.fingers.count, 3)),
+            ("previous_action", np.float32, (servos + 1,)),
+            ("previous_reward", np.float32),
+            ("action", np.float32, (servos + 1,)),
+            ("tracked", np.float32, (servos,)),
+            ("key_qpos", np.float16, (keys,)),
+            ("sounding", np.uint8, (-(-keys // 8),)),
+        ],
+        align=True,
+    )
+
+
+def plan_type(scene: Scene) -> np.dtype[np.void]:
+    """A row of plan.npy: where the plan without search has the hands before a step.
+
+    - `reference` (A, 2) position and speed of each servo [m, rad] and [m/s, rad/s]
+    - `fingertips` (F, 3) [m]
+    """
+    servos, fingers = len(scene.actuator_names), scene.fingers.count
+    return np.dtype(
+        [("reference", np.float32, (servos, 2)), ("fingertips", np.float32, (fingers, 3))],
+        align=True,
+    )
+
+
+@dataclass(frozen=True)
+class About:
+    """What result.json says of an episode."""
+
+    format: Literal[1]
+    job: dict[str, Any]
+    """What was asked for."""
+    song: str
+    kept: bool
+    """Whether it was good enough; else there is nothing but this."""
+    metrics: dict[str, int | float | bool | None]
+    """See `cadenza.agents.rollout.EpisodeResult`."""
+    drawn: dict[str, int | float | bool]
+    """How it differs from others of the same song."""
+    task: TaskConfig
+    """With which it is played again: nothing is drawn any more, and nothing done to the score."""
+    scene: SceneConfig
+    start: tuple[float, ...]
+    """(J,) joint positions of the hands at its beginning [m, rad]."""
+    cpu_seconds: float
+    """That it took to make."""
+    versions: dict[str, str]
+    files: dict[str, str]
+    """Name -> SHA-256 of what lies beside this."""
+
+    @property
+    def num_steps(self) -> int:
+        """T"""
+        return int(self.metrics["steps"] or 0)
+
+    @property
+    def f1(self) -> float:
+        return float(self.metrics["f1"] or 0.0)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """An episode that was kept. Its arrays are mapped when they are first asked for."""
+
+    folder: Path
+    about: About
+
+    @cached_property
+    def steps(self) -> Array:
+        """(T + 1,) see `steps_type`."""
+        return mapped(self.folder / STEPS)
+
+    @cached_property
+    def plan(self) -> Array:
+        """(T + 1,) see `plan_type`."""
+        return mapped(self.folder / PLAN)
+
+    @cached_property
+    def score(self) -> Score:
+        """What was to be played, without the silence before it."""
+        return read_json(self.folder / SCORE, WrittenScore).score
+
+    def goals(self, scene: Scene) -> Goals:
+        """Keys, fingers and pedal per control step, rebuilt from the score."""
+        return GoalTrack(self.score, (), self.about.task, scene).goals
+
+
+def played_actions(steps: Array) -> NDArray[np.float64]:
+    """(T, A + 1) what was played in each step, of the rows of steps.npy."""
+    return steps["previous_action"][1:].astype(np.float64)
+
+
+def mapped(path: Path) -> Array:
+    """The array of an .npy file, of which only what is read comes into memory.
+
+    Raises:
+        CadenzaError: the file is not there, or is no such file.
+    """
+    try:
+        # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    except FileNotFoundError as error:
+        raise CadenzaError(f"{path}: there is no such file; {MAKE_AGAIN}") from error
+    except Exception as error:  # damage shows in many ways
+        raise CadenzaError(f"{path}: not a readable .npy file; {MAKE_AGAIN}") from error
+
+
+MAKE_AGAIN = "delete its folder and collect again"
+
+
+def about(folder: Path) -> About:
+    """What is known of an episode.
+
+    Raises:
+        CadenzaError: it is not finished, or the file is damaged.
+    """
+    return read_json(folder / RESULT, About)
+
+
+def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array]) -> None:
+    """Writes an episode that is kept.
+
+    Args:
+        folder: of the episode.
+        about: without its files.
+        score: what was to be played.
+        arrays: of STEPS and PLAN.
+    """
+    for name, array in arrays.items():
+        with write_atomically(folder / name) as file:
+            np.save(file, array, allow_pickle=False)
+    written = json.dumps(plain(asdict(WrittenScore.of(score))), allow_nan=False)
+    with write_atomically(folder / SCORE) as file:
+        file.write(written.encode())
+    files = {name: digest(folder / name) for name in (*arrays, SCORE)}
+    write_about(folder, replace(about, files=files))
+
+
+def write_about(folder: Path, about: About) -> None:
+    """Writes that an episode is finished; alone, that it was not good enough."""
+    write_json(folder / RESULT, asdict(about))
+
+
+def digest(path: Path) -> str:
+    """The SHA-256 of a file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with opened(path) as file:
+        return hashlib.sha256(file.read()).hexdigest()

@@ -1,0 +1,1 @@
+"""Collecting demonstrations: many varied episodes of many songs."""

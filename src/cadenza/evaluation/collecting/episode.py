@@ -1,0 +1,241 @@
+"""Carries out one job of collecting: plays an episode, and keeps it if it is good enough."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Progress
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.demonstrations.recorded import (
+    FORMAT,
+    PLAN,
+    RESULT,
+    STEPS,
+    About,
+    about,
+    plan_type,
+    steps_type,
+    write,
+    write_about,
+)
+from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
+from cadenza.evaluation.collecting.disturbed import Disturbed
+from cadenza.evaluation.collecting.variation import Variation
+from cadenza.evaluation.job import Job, JobSpec
+from cadenza.evaluation.songs import digest_of, facts_of
+from cadenza.files import write_json
+from cadenza.keyboards.named import keyboard_named
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.libraries.songs import Library
+from cadenza.music.score import MIRROR, Score
+from cadenza.performing.setup import Setup, select, set_up
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class EpisodeSpec(JobSpec):
+    """All that an episode depends on; its `seed` is the number of the episode of its song."""
+
+    variation: Variation = field(default_factory=Variation)
+
+
+@dataclass(frozen=True)
+class EpisodeJob(Job):
+    """An episode to be played, and recorded if it is good enough."""
+
+    spec: EpisodeSpec
+    page: bool = False
+    least_f1: float = 0.0
+    """Of an episode that is kept."""
+
+
+class Demonstrator(NamedTuple):
+    """Who plays the episodes, in which task and scene, and how they vary."""
+
+    agent: str
+    config: Any
+    task: TaskConfig
+    scene: SceneConfig
+    arrangement: Arrangement
+    variation: Variation
+
+
+def episodes(
+    library: Library, who: Demonstrator, numbers: Sequence[int], least_f1: float
+) -> list[EpisodeJob]:
+    """All episodes that there are to be: the first of every song, then the second and so on.
+
+    Raises:
+        CadenzaError: a song cannot be read.
+    """
+    songs = [(facts_of(song, library), digest_of(song)) for song in library.songs]
+    return [
+        EpisodeJob(
+            EpisodeSpec(
+                song=song.name,
+                song_digest=digest,
+                agent=who.agent,
+                seed=number,
+                task=who.task,
+                scene=who.scene,
+                arrangement=who.arrangement,
+                config=who.config,
+                variation=who.variation,
+            ),
+            song,
+            least_f1=least_f1,
+        )
+        for number in numbers
+        for song, digest in songs
+    ]
+
+
+def is_complete(job: EpisodeJob, folder: Path) -> bool:
+    """Whether it is recorded, or was not good enough."""
+    if not (folder / RESULT).exists():
+        return False
+    made = about(folder)
+    return made.kept or not _good(made.metrics, job)
+
+
+def record(
+    job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
+) -> None:
+    """Leaves the episode in `folder`, see `cadenza.evaluation.run.carry_out`; or nothing of it."""
+    with taken_up(folder, lambda: is_complete(job, folder)) as ours:
+        if ours:
+            write_json(folder / "job.json", job.spec.as_json())
+            with failures_told(folder):
+                _record(job, folder, num_threads, telling(folder))
+
+
+def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> None:
+    spec, began = job.spec, time.process_time()
+    check_song(spec)
+    seed, rng = _randomness(spec)
+    configs = {spec.agent: spec.config}
+    selection = select(spec.song, spec.agent, arrangement=spec.arrangement, configs=configs)
+    pitches = keyboard_named(spec.scene.keyboard).pitches
+    score, drawn = _drawn(selection.score, spec.variation, pitches, rng)
+    selection = replace(selection, score=score)
+    with set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup:
+        disturbed = Disturbed(setup.agent, setup.task.scene, drawn["noise"])
+        result = play_episode(setup.task, disturbed, seed, tell)
+        kept = _good(result.metrics, job)
+        plan = _plan(setup, disturbed) if kept else None
+    made = About(
+        format=FORMAT,
+        job=spec.as_json(),
+        song=spec.song,
+        kept=kept,
+        metrics=result.metrics,
+        drawn=drawn,
+        task=_nothing_drawn(spec.task),
+        scene=spec.scene,
+        start=tuple(result.episode["hand_qpos0"].tolist()),
+        cpu_seconds=time.process_time() - began,
+        versions=versions(),
+        files={},
+    )
+    if plan is None:
+        write_about(folder, made)
+    else:
+        write(folder, made, plan.track.score, _arrays(result, disturbed, plan))
+
+
+def _good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
+    return (metrics["f1"] or 0.0) >= job.least_f1 and not metrics["unstable"]
+
+
+def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
+    """The seed of the episode and what else is drawn: others for each song and number."""
+    content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
+    seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
+    return seed, np.random.default_rng(other)
+
+
+def _drawn(
+    score: Score, variation: Variation, pitches: range, rng: np.random.Generator
+) -> tuple[Score, dict[str, Any]]:
+    """What of a song is played, and how, by name."""
+    begin, mirror, noise = rng.random(3).tolist()
+    since = 0.0
+    if variation.excerpt is not None:
+        score, since = _excerpt(score, variation.excerpt, begin)
+    there = all(MIRROR - note.pitch in pitches for note in score.notes)
+    mirrored = variation.mirror and mirror < 0.5 and there
+    if mirrored:
+        score = score.mirrored
+    drawn = {"since": since, "mirrored": mirrored, "noise": noise * variation.noise}
+    return score, drawn
+
+
+def _excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
+    """So many seconds from a note on, and when that begins; `where` is 0 to 1."""
+    starts = sorted({note.start for note in score.notes})
+    possible = [start for start in starts if start <= score.total_time - seconds] or starts[:1]
+    since = possible[int(where * len(possible))]
+    notes = tuple(note for note in score.notes if note.start >= since)
+    return replace(score, notes=notes).beginning(seconds), since
+
+
+def _plan(setup: Setup, disturbed: Disturbed) -> SongPlan:
+    """That of the agent, or one for the same song and start where it has none."""
+    plan = getattr(getattr(setup.agent, "planners", {}).get(0), "plan", None)
+    if isinstance(plan, SongPlan) and plan.complete:
+        return plan
+    assert disturbed.start is not None
+    (track,) = setup.task.sheets.tracks
+    return plan_song(track, disturbed.start.hand_qpos[0])
+
+
+def _nothing_drawn(task: TaskConfig) -> TaskConfig:
+    """For a score that has been trimmed, stretched and transposed."""
+    return replace(
+        task,
+        trim_silence=False,
+        stretch=1.0,
+        transpose=0,
+        random_hand_position=0.0,
+        random_stretch=0.0,
+        random_pitch_shift=0,
+        random_octave_shift=0,
+    )
+
+
+def _arrays(result: EpisodeResult, disturbed: Disturbed, plan: SongPlan) -> dict[str, Array]:
+    """What is recorded of an episode, see `cadenza.demonstrations.recorded`."""
+    episode, start, scene = result.episode, disturbed.start, plan.scene
+    assert start is not None
+    count = episode.num_steps
+    steps = np.zeros(count + 1, steps_type(scene))
+    for name in ("hand_qpos", "hand_qvel", "key_qpos", "fingertip_xpos"):
+        steps[name][0], steps[name][1:] = getattr(start, name)[0], episode[name]
+    steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
+    steps["previous_action"][1:] = episode["action"]
+    steps["previous_reward"][1:] = episode["reward_total"]
+    steps["action"][:-1] = disturbed.chosen
+    states = State.zeros(scene, 0)._replace(
+        hand_qpos=steps["hand_qpos"][:-1], hand_qvel=steps["hand_qvel"][:-1]
+    )
+    tracking = plan.nominal.tracking
+    steps["tracked"][:-1] = Follower(scene, tracking).ctrl(np.arange(count), states)
+    rows = np.zeros(count + 1, plan_type(scene))
+    rows["reference"] = tracking.expected[: count + 1]
+    there = scene.fingers_there
+    rows["fingertips"][:, there] = plan.nominal.fingertips[: count + 1]
+    return {STEPS: steps, PLAN: rows}

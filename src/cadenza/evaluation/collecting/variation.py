@@ -1,0 +1,30 @@
+"""How episodes of a song differ. Imports nothing heavy: the command line shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cadenza.tasks.config import TaskConfig
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What is drawn for each episode beside tempo, transposition and the place of the hands."""
+
+    noise: float = 0.2
+    """Most noise on what is played, of the planner's own. How much of it is drawn per episode; the
+    recorded action has none, and corrects what the noise before it did."""
+    mirror: bool = True
+    """Mirror half of the episodes about D4: each hand plays what the other would."""
+    excerpt: float | None = None
+    """Play so many seconds from somewhere in the song, instead of all of it."""
+
+
+def varied() -> TaskConfig:
+    """What is collected unless something else is chosen."""
+    return TaskConfig(
+        initial_buffer_time=0.5,
+        random_stretch=0.2,
+        random_pitch_shift=3,
+        random_hand_position=0.05,
+    )
