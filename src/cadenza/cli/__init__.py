@@ -55,6 +55,8 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "dataset": {
         "collect": (dataset.Collect, dataset.collect),
         "info": (dataset.DatasetInfo, dataset.info),
+        "check": (dataset.DatasetCheck, dataset.check),
+        "play": (dataset.DatasetPlay, dataset.play),
     },
 }
 """A command, or several under one name."""

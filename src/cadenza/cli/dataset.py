@@ -15,6 +15,7 @@ from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
 from cadenza.cli.performing import Again, Options
+from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.under_way import shown, tell_what_is_left
 from cadenza.configs import check_ranges, whole_number
@@ -157,3 +158,66 @@ def info(command: DatasetInfo) -> None:
     from cadenza.demonstrations.overview import overview
 
     print(*overview(command.folder), sep="\n")
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """Look for damage in a folder of demonstrations, and play some episodes again.
+
+    Example: cadenza dataset check demonstrations
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """Of the demonstrations."""
+    replays: int = 3
+    """How many episodes are played again and compared with what was recorded."""
+    quiet: Quiet = False
+
+
+def check(command: DatasetCheck) -> None:
+    """Raises: CadenzaError: something is wrong."""
+    from cadenza.demonstrations.checking import problems
+
+    whole_number(command.replays, "replays", 0, _MOST_EPISODES)
+    with progress("checking", "episodes") as advance:
+        found = list(problems(command.folder, command.replays, advance))
+    for problem in found:
+        print(problem, file=sys.stderr)
+    if found:
+        raise CadenzaError(f"{command.folder}: {len(found)} problems")
+    print(f"{command.folder}: nothing is wrong")
+
+
+@dataclass(frozen=True)
+class DatasetPlay:
+    """Play a recorded episode again, and write a report page with sound, scores and MIDI.
+
+    Example: cadenza dataset play demonstrations 0
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """Of the demonstrations."""
+    number: Annotated[tyro.conf.Positional[int], tyro.conf.arg(metavar="N")]
+    """Which of the episodes that were kept, from 0 on, in the order of their folders' names."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for the results; played/FOLDER/N by default."""
+    video: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write video.mp4, if this machine can render."""
+    quiet: Quiet = False
+
+
+def play(command: DatasetPlay) -> None:
+    from cadenza.cli.play import keep
+    from cadenza.demonstrations.dataset import kept
+    from cadenza.performing.replaying import play_again
+
+    episodes = kept(command.folder)
+    number = whole_number(command.number, "episode", 0, max(len(episodes) - 1, 0))
+    if not episodes:
+        raise CadenzaError(f"{command.folder}: no episode was kept")
+    folder = command.output or Path("played") / command.folder.resolve().name / str(number)
+    check_writable(folder)
+    with stages("playing") as told:
+        performance = play_again(episodes[number], told)
+    print(f"{episodes[number].about.song}, {episodes[number].folder.name}")
+    keep(performance, folder, command.video)

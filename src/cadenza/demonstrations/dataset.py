@@ -273,5 +273,13 @@ def open_dataset(folder: str | Path, wanted: Callable[[About], bool] = lambda _:
     Raises:
         CadenzaError: there is none, they do not go together, or a result.json is damaged.
     """
-    found = finished(folder)
-    return Dataset([Recorded(at, about) for at, about in found if about.kept and wanted(about)])
+    return Dataset([episode for episode in kept(folder) if wanted(episode.about)])
+
+
+def kept(folder: str | Path) -> list[Recorded]:
+    """The episodes of a folder that were kept, by name; none of their arrays is read.
+
+    Raises:
+        CadenzaError: it holds no demonstrations, or a result.json is damaged.
+    """
+    return [Recorded(at, about) for at, about in finished(folder) if about.kept]

@@ -1,0 +1,118 @@
+"""Looks for damage in a folder of demonstrations; every problem is a line that says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from cadenza.demonstrations.dataset import EPISODES, check_rows
+from cadenza.demonstrations.recorded import (
+    MAKE_AGAIN,
+    PLAN,
+    RESULT,
+    SCORE,
+    STEPS,
+    Array,
+    Recorded,
+    about,
+    digest,
+    plan_type,
+    steps_type,
+)
+from cadenza.demonstrations.replay import differences
+from cadenza.errors import CadenzaError
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
+
+_ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
+
+
+class _Scenes:
+    """Builds each scene once."""
+
+    def __init__(self) -> None:
+        self._built = dict[SceneConfig, Scene]()
+
+    def __call__(self, config: SceneConfig) -> Scene:
+        if config not in self._built:
+            self._built[config] = build_scene(config)
+        return self._built[config]
+
+
+def problems(
+    folder: Path, replays: int, progress: Callable[[int, int], None] = lambda *_: None
+) -> Iterator[str]:
+    """Everything that is wrong with the finished episodes, a line each.
+
+    Args:
+        folder: of the demonstrations.
+        replays: how many episodes are played again and compared, spread evenly over all.
+        progress: is told how many of how many episodes have been looked at.
+
+    Raises:
+        CadenzaError: it holds no demonstrations.
+    """
+    if not (folder / EPISODES).is_dir():
+        raise CadenzaError(f"{folder}: holds no demonstrations")
+    paths = sorted((folder / EPISODES).glob(f"*/{RESULT}"))
+    scenes, sound = _Scenes(), list[tuple[Recorded, Scene]]()
+    for done, path in enumerate(paths, start=1):
+        try:
+            recorded = Recorded(path.parent, about(path.parent))
+            if recorded.about.kept:
+                scene = scenes(recorded.about.scene)
+                found = list(_of_files(recorded)) or list(_of_content(recorded, scene))
+                yield from found
+                if not found:
+                    sound.append((recorded, scene))
+        except (CadenzaError, OSError) as error:
+            yield str(error) if RESULT in str(error) else f"{path.parent}: {error}; {MAKE_AGAIN}"
+        progress(done, len(paths))
+    chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
+    for i in chosen.tolist():
+        yield from _of_replay(*sound[i])
+
+
+def _of_files(recorded: Recorded) -> Iterator[str]:
+    """Whether each file is there and is as it was written."""
+    for name in (STEPS, PLAN, SCORE):
+        path = recorded.folder / name
+        if name not in recorded.about.files:
+            yield f"{path}: result.json does not name it; {MAKE_AGAIN}"
+        elif not path.is_file():
+            yield f"{path}: missing; {MAKE_AGAIN}"
+        elif digest(path) != recorded.about.files[name]:
+            yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
+
+
+def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
+    """Whether the arrays have their shapes and sensible values, and the score its steps."""
+    steps, plan = recorded.steps, recorded.plan
+    check_rows(recorded, STEPS, steps, steps_type(scene))
+    check_rows(recorded, PLAN, plan, plan_type(scene))
+    for name, array in ((STEPS, steps), (PLAN, plan)):
+        for field in array.dtype.names or ():
+            if not np.isfinite(array[field]).all():
+                yield f"{recorded.folder / name}: {field} is not finite; {MAKE_AGAIN}"
+    for field in "action", "previous_action":
+        if _outside(steps[field][1:] if field == "previous_action" else steps[field][:-1], scene):
+            yield f"{recorded.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
+    if recorded.goals(scene).num_steps < recorded.about.num_steps:
+        yield f"{recorded.folder / SCORE}: shorter than the episode; {MAKE_AGAIN}"
+
+
+def _outside(actions: Array, scene: Scene) -> bool:
+    low, high = scene.action_low - _ROUNDING, scene.action_high + _ROUNDING
+    return bool(((actions < low) | (actions > high)).any())
+
+
+def _of_replay(recorded: Recorded, scene: Scene) -> Iterator[str]:
+    found = differences(recorded, scene)
+    if found:
+        what = ", ".join(f"{name} by {most:.1g}" for name, most in found.items())
+        yield (
+            f"{recorded.folder / STEPS}: played again it differs: {what}; "
+            f"where versions are the same as then, {MAKE_AGAIN}"
+        )

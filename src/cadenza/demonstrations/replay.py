@@ -1,0 +1,64 @@
+"""Plays a recorded episode again, from its start and with the actions that were played."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.demonstrations.recorded import Recorded, played_actions
+from cadenza.scene.scene import Scene
+from cadenza.tasks.piano_task import PianoTask
+
+_COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_qpos")
+
+
+@contextmanager
+def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
+    """The task of an episode in its `scene`, with the hands where they began."""
+    begun = replace(scene, hand_start=np.array(recorded.about.start))
+    # Fingers are those of the score; looking for others would take longer than playing.
+    config = replace(recorded.about.task, fingering="off")
+    with closing(PianoTask([recorded.score], config, begun)) as task:
+        yield task
+
+
+def replayed(recorded: Recorded, scene: Scene) -> EpisodeResult:
+    """All that happens when the recorded actions are played."""
+    with task_of(recorded, scene) as task:
+        player = Playback(actions_of(recorded, task))
+        return play_episode(task, player, stop=lambda: is_over(recorded, task))
+
+
+def actions_of(recorded: Recorded, task: PianoTask) -> NDArray[np.float64]:
+    """(T, A + 1) what was played; after an early end, the last of it."""
+    actions = played_actions(recorded.steps)
+    missing = task.tracks[0].goals.num_steps - len(actions)
+    return np.pad(actions, ((0, missing), (0, 0)), mode="edge")
+
+
+def is_over(recorded: Recorded, task: PianoTask) -> bool:
+    """Whether as much has been played again as was recorded."""
+    return int(task.sheets.steps_done[0]) >= recorded.about.num_steps
+
+
+def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
+    """Name of what differs from the recording when it is played again -> by how much at most.
+
+    What is recorded is compared bit for bit, in its own precision.
+    """
+    result, found = replayed(recorded, scene), dict[str, float]()
+    again = result.episode
+    for name in _COMPARED:
+        was = recorded.steps[name][1:]
+        now = again[name].astype(was.dtype)
+        if not np.array_equal(was, now):
+            found[name] = float(np.abs(was.astype(np.float64) - now).max())
+    if result.metrics["f1"] != recorded.about.metrics["f1"]:
+        found["f1"] = abs((result.metrics["f1"] or 0.0) - recorded.about.f1)
+    return found

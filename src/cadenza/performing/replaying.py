@@ -1,0 +1,32 @@
+"""Has hands play again what was recorded in a folder of demonstrations."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.playback import Playback
+from cadenza.demonstrations.recorded import Recorded
+from cadenza.demonstrations.replay import actions_of, is_over, task_of
+from cadenza.performing.performance import Performance, perform
+from cadenza.performing.setup import Setup
+from cadenza.scene.scene import build_scene
+
+
+def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
+    """The performance of a recorded episode, with the noise that it was played with."""
+    about = recorded.about
+    with task_of(recorded, build_scene(about.scene)) as task:
+        settings = {
+            "song": about.song,
+            "agent": about.job["agent"],
+            "seed": about.job["seed"],
+            "plan": None,
+            "arrangement": about.job["arrangement"],
+            "task": asdict(about.task),
+            "scene": asdict(about.scene),
+            "drawn": about.drawn,
+        }
+        player = Playback(actions_of(recorded, task))
+        setup = Setup(recorded.score, player, task, 0, settings, {})
+        return perform(setup, progress, lambda: is_over(recorded, task))

@@ -1,0 +1,62 @@
+"""The mirror image of hands: what one hand does, in the coordinates of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
+from cadenza.scene.scene import Ids, Scene
+from cadenza.scene.servos import Servos
+
+
+@dataclass(frozen=True, eq=False)
+class Swap:
+    """Values of one hand become those of the other: value[..., source] * sign + offset."""
+
+    source: Ids
+    sign: NDArray[np.float32]
+    offset: NDArray[np.float32]
+
+    def __call__(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(..., n) positions."""
+        return values[..., self.source] * self.sign + self.offset
+
+    def speed(self, values: NDArray[Any]) -> NDArray[Any]:
+        """(..., n) of speeds."""
+        return values[..., self.source] * self.sign
+
+
+def swapped_joints(scene: Scene, middle: float) -> Swap:
+    """Of the J joints, about the plane y = `middle` [m].
+
+    Raises:
+        CadenzaError: the scene has not two hands that are mirror images and slide.
+    """
+    if len(scene.sides) != 2 or len(scene.slide_joints) != 2:
+        raise CadenzaError("only two hands that slide along the keyboard can be mirrored")
+    model, count = scene.model, len(scene.hand_joint_names)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ids = [model.joint(name).id for name in scene.hand_joint_names]
+    source, axes = np.roll(np.arange(count), count // 2), data.xaxis[ids]
+    slides = model.jnt_type[ids] == mujoco.mjtJoint.mjJNT_SLIDE
+    # A slide's axis is mirrored as a point is; a hinge's, being a sense of turning, otherwise.
+    image = np.where(slides[:, None], [1.0, -1.0, 1.0], [-1.0, 1.0, -1.0])
+    along = (axes * (axes[source] * image)).sum(axis=1)
+    if np.abs(np.abs(along) - 1).max() > 1e-6:
+        raise CadenzaError("the hands of this scene are no mirror images of each other")
+    offset = np.zeros(count)
+    offset[scene.slide_joints] = 2 * middle * axes[scene.slide_joints, 1]
+    return Swap(source, np.sign(along).astype(np.float32), offset.astype(np.float32))
+
+
+def swapped_servos(servos: Servos, joints: Swap) -> Swap:
+    """Of the A servos, with the joints that each moves."""
+    count, moved = len(servos.names), np.abs(servos.joints).argmax(axis=1)
+    source = np.roll(np.arange(count), count // 2)
+    return Swap(source, joints.sign[moved], joints.offset[moved])

@@ -1,0 +1,25 @@
+"""Demonstrations of a few notes, made once."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from cadenza.evaluation.collecting.variation import Variation
+from demonstrations.made import collected
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of two episodes, one with noise; nobody changes it."""
+    folder = tmp_path_factory.mktemp("demonstrations")
+    collected(folder, Variation(noise=0.2, mirror=False), episodes=2)
+    return folder
+
+
+@pytest.fixture
+def copied(made: Path, tmp_path: Path) -> Path:
+    """The same, to be damaged."""
+    return Path(shutil.copytree(made, tmp_path / "copied"))

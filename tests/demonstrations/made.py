@@ -1,0 +1,49 @@
+"""Makes demonstrations in this process, without search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.evaluation.collecting.episode import Demonstrator, EpisodeJob, episodes, record
+from cadenza.evaluation.collecting.variation import Variation, varied
+from cadenza.evaluation.results import RUNS
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.library import open_library
+from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.config import SceneConfig
+
+NOTES = ((0.0, 0.4, 60), (0.2, 0.6, 52), (0.6, 1.0, 64), (0.6, 1.0, 55))
+SCORE = Score(tuple(Note(*note) for note in NOTES), (PedalEvent(0.3, 127),))
+
+
+def jobs(
+    folder: Path, variation: Variation, count: int, least_f1: float = 0.0, **task: Any
+) -> list[EpisodeJob]:
+    """Episodes of a song that lies beside the folder."""
+    songs = folder.parent / f"{folder.name}-songs"
+    if not songs.exists():
+        write_midi(SCORE, songs / "song.mid")
+    who = Demonstrator(
+        agent="planner",
+        config=ScorePlannerConfig(method="none"),
+        task=replace(varied(), **task),
+        scene=SceneConfig(),
+        arrangement=Arrangement(),
+        variation=variation,
+    )
+    return episodes(open_library(songs), who, range(count), least_f1)
+
+
+def collected(
+    folder: Path, variation: Variation, episodes: int = 1, least_f1: float = 0.0, **task: Any
+) -> list[Path]:
+    """The folders of the episodes."""
+    found = []
+    for job in jobs(folder, variation, episodes, least_f1, **task):
+        found.append(folder / RUNS / job.spec.name)
+        record(job, found[-1], num_threads=1)
+    return found

@@ -1,0 +1,115 @@
+"""What is recorded of an episode, and which are kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cadenza.demonstrations.dataset import kept
+from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest
+from cadenza.demonstrations.replay import differences
+from cadenza.evaluation.at_work import locked
+from cadenza.evaluation.collecting.episode import _drawn, is_complete, record
+from cadenza.evaluation.collecting.variation import Variation
+from cadenza.evaluation.results import FAILED, RUNS
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.score import Note, Score
+from cadenza.scene.scene import build_scene
+from demonstrations.made import SCORE, collected, jobs
+
+
+def test_what_was_played_is_played_again_bit_for_bit(made: Path) -> None:
+    scene = build_scene()
+    for episode in kept(made):
+        assert differences(episode, scene) == {}
+
+
+def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
+    """Without search, the planner's answer to where noise has led is its plan with feedback."""
+    for episode in kept(made):
+        steps = episode.steps
+        chosen, played = steps["action"][:-1, :-1], steps["previous_action"][1:, :-1]
+        assert np.abs(chosen - steps["tracked"][:-1]).max() < 1e-5
+        noise = episode.about.drawn["noise"]
+        assert 0 < noise < 0.2
+        assert 0.1 * noise < np.abs(played - chosen).max() / 0.12 < 5 * noise
+
+
+def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path) -> None:
+    first, second = kept(made)
+    assert first.score != second.score  # tempo and transposition
+    assert first.about.start != second.about.start
+    again, _ = collected(tmp_path / made.name, Variation(noise=0.2, mirror=False), 2)
+    (same,) = [e for e in (first, second) if e.about.job["seed"] == about(again).job["seed"]]
+    assert digest(again / STEPS) == digest(same.folder / STEPS)
+
+
+def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path: Path) -> None:
+    plain = Variation(noise=0.0, mirror=False)
+    (folder,) = collected(tmp_path / "a", plain, least_f1=1.0)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "job.json",
+        "lock",
+        "log.txt",
+        RESULT,
+    ]
+    was = about(folder)
+    assert not was.kept
+    (job,) = jobs(tmp_path / "a", plain, 1, least_f1=1.0)
+    assert is_complete(job, folder)
+    assert not is_complete(replace(job, least_f1=was.f1), folder)
+    collected(tmp_path / "a", plain, least_f1=was.f1)
+    assert about(folder).kept
+    before = (folder / RESULT).stat().st_mtime_ns
+    collected(tmp_path / "a", plain, least_f1=1.0)
+    assert (folder / RESULT).stat().st_mtime_ns == before
+
+
+def test_another_process_is_not_disturbed(tmp_path: Path) -> None:
+    (job,) = jobs(tmp_path / "a", Variation(), 1)
+    folder = tmp_path / "a" / RUNS / job.spec.name
+    with locked(folder):
+        record(job, folder, num_threads=1)
+    assert [path.name for path in folder.iterdir()] == ["lock"]
+
+
+def test_why_there_is_no_episode(tmp_path: Path) -> None:
+    (job,) = jobs(tmp_path / "a", Variation(), 1)
+    (tmp_path / "a-songs" / "song.mid").write_bytes(b"")
+    record(job, tmp_path / "run", num_threads=1)
+    assert "song.mid" in (tmp_path / "run" / FAILED).read_text()
+    assert not is_complete(job, tmp_path / "run")
+
+
+@pytest.mark.parametrize("highest", [103, 104])
+def test_songs_are_mirrored_where_there_are_keys(highest: int) -> None:
+    score = replace(SCORE, notes=(*SCORE.notes, Note(1.0, 1.2, highest)))
+    rng = np.random.default_rng(0)
+    drawn = [_drawn(score, Variation(), PIANO.pitches, rng) for _ in range(20)]
+    mirrored = sum(how["mirrored"] for _, how in drawn)
+    assert 3 < mirrored < 17 if highest == 103 else not mirrored
+    for played, how in drawn:
+        assert played == (score.mirrored if how["mirrored"] else score)
+    assert score.mirrored.mirrored == score
+
+
+def test_black_keys_stay_black() -> None:
+    for pitch in PIANO.pitches:
+        image = 124 - pitch
+        if image in PIANO.pitches:
+            black = [PIANO.is_black[p - PIANO.lowest_pitch] for p in (pitch, image)]
+            assert black[0] == black[1]
+
+
+def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
+    score = Score(tuple(Note(float(i), i + 0.5, 60 + i) for i in range(20)))
+    rng = np.random.default_rng(0)
+    begin = set()
+    for _ in range(50):
+        played, how = _drawn(score, Variation(mirror=False, excerpt=4.0), PIANO.pitches, rng)
+        assert [note.start for note in played.notes] == [how["since"] + i for i in range(4)]
+        begin.add(how["since"])
+    assert {0.0, 15.0} <= begin <= set(map(float, range(16)))
