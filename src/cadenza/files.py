@@ -80,6 +80,29 @@ def opened_in_place(path: Path) -> Iterator[IO[bytes]]:
         yield file
 
 
+@contextmanager
+def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
+    """Whether this process has the folder, which is made if need be, to itself for the block.
+
+    Args:
+        folder: others that lock it keep out of it.
+        patience: how long to wait for them [s].
+    """
+    from filelock import FileLock, Timeout  # which takes a while to import
+
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / "lock")
+    try:
+        lock.acquire(timeout=patience)
+    except Timeout:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.release()
+
+
 # Reading
 
 

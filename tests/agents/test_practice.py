@@ -14,7 +14,6 @@ import pytest
 from numpy.typing import NDArray
 
 import cadenza
-from cadenza.agents.planning import practice as practice_module
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice, PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
@@ -23,7 +22,8 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays
+from cadenza.files import locked, read_arrays
+from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
@@ -35,12 +35,25 @@ BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without sear
 NO_SEARCH = ScorePlannerConfig(method="none")
 HARD = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
 
+# Both thumbs on neighbouring keys, closely enough for hands to meet.
+CLOSE = Score(
+    tuple(
+        Note(0.3 * i, 0.3 * i + 0.3, pitch, 80, finger=Finger(hand, 0))
+        for i in range(4)
+        for pitch, hand in enumerate((1, 0), start=(60, 62)[i % 2])
+    )
+)
 
-def practice(num_threads: int = 1, seed: int = 0) -> Practice:
-    task = PianoTask([HARD], QUICK)
+
+def practice(
+    num_threads: int = 1,
+    seed: int = 0,
+    score: Score = HARD,
+    config: ScorePlannerConfig = NO_SEARCH,
+) -> Practice:
+    task = PianoTask([score], QUICK)
     task.reset([np.random.default_rng(0)], [0])
-    rng = np.random.default_rng(seed)
-    return Practice(task.view(), rng, NO_SEARCH, num_threads)
+    return Practice(task.view(), np.random.default_rng(seed), config, num_threads)
 
 
 def as_read(practised: Practice) -> dict[str, NDArray[Any]]:
@@ -50,8 +63,14 @@ def as_read(practised: Practice) -> dict[str, NDArray[Any]]:
     return read_arrays(file.getvalue(), practised.expected())
 
 
-def simulated(practised: Practice) -> int:
-    return sum(hand.simulated for hand in practised.hands.values())
+def worth(practised: Practice) -> float:
+    return practised.best().worth
+
+
+def on_and_off(units: int) -> Callable[[], bool]:
+    """Lets so many units be done."""
+    left = iter(range(units))
+    return lambda: next(left, None) is not None
 
 
 def assert_same(one: Practice, other: Practice) -> None:
@@ -70,8 +89,44 @@ def practised() -> Practice:
 
 def test_it_plays_better_than_at_first_sight(practised: Practice) -> None:
     (_, f1, onsets), *_, (effort, later_f1, later_onsets) = practised.history
-    assert effort == EFFORT
+    assert effort >= EFFORT
     assert later_f1 + later_onsets / 2 > f1 + onsets / 2
+
+
+def test_the_first_take_is_what_the_planner_plays() -> None:
+    planner = ScorePlanner()
+    planner.num_threads = 1
+    played = play_episode(PianoTask([HARD], QUICK), planner, 0).episode["action"]
+    task_rng, rng = np.random.default_rng(0).spawn(2)
+    del task_rng
+    task = PianoTask([HARD], QUICK)
+    task.reset([np.random.default_rng(0)], [0])
+    take = Practice(task.view(), rng, ScorePlannerConfig(), 1)
+    take.run(0.0)
+    np.testing.assert_array_equal(take.best().tracking.ctrl, played[:, :-1])
+
+
+def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
+    one = practice(score=CLOSE, config=replace(NO_SEARCH, fingering="score"))
+    before = 0.0
+    for effort in 0.0, 0.5, 1.0:
+        one.run(effort)
+        assert worth(one) >= before
+        before = worth(one)
+        assert_plays_as_it_says(one, CLOSE)
+    one.run(np.inf, on_and_off(3))  # in the middle of a sweep
+    assert worth(one) >= before
+    assert_plays_as_it_says(one, CLOSE)
+    scores = [f1 + onsets / 2 for _, f1, onsets in one.history]
+    assert scores == sorted(scores)
+    assert scores[-1] > scores[0]
+
+
+def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
+    best = practised.best()
+    actions = np.append(best.tracking.ctrl, practised.plan.goals.sustain[:, None], axis=1)
+    metrics = play_episode(PianoTask([score], QUICK), Playback(actions)).metrics
+    assert (metrics["f1"], metrics["note_onset_f1"]) == (best.f1, best.note_onset_f1)
 
 
 def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
@@ -81,16 +136,16 @@ def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
 
 
 def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
-    practised: Practice, monkeypatch: pytest.MonkeyPatch
+    practised: Practice,
 ) -> None:
-    monkeypatch.setattr(practice_module, "_LOOK", 0.001)
-    first = practice()
-    assert not first.run(EFFORT, lambda: simulated(first) < 300)
-    assert 300 <= simulated(first) < simulated(practised)
-    second = practice()
-    second.restore(as_read(first), "state")
-    assert second.run(EFFORT)
-    assert_same(second, practised)
+    left = practice()
+    for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
+        assert not left.run(EFFORT, on_and_off(units))
+        again = practice()
+        again.restore(as_read(left), "state")
+        left = again
+    assert left.run(EFFORT)
+    assert_same(left, practised)
 
 
 def test_practice_of_something_else_is_refused(practised: Practice) -> None:
@@ -111,10 +166,9 @@ def test_the_planner_practises_before_it_plays() -> None:
 
 
 def test_hands_that_are_pushed_find_back(practised: Practice) -> None:
-    assert practised.best is not None
-    rng = np.random.default_rng(0)
-    player = PractisedPlanner(practised.plan, practised.best, NO_SEARCH, rng, 1)
-    expected = practised.best.tracking.ctrl
+    rng, best = np.random.default_rng(0), practised.best()
+    player = PractisedPlanner(practised.plan, best, NO_SEARCH, rng, 1)
+    expected = best.tracking.ctrl
     task = PianoTask([HARD], QUICK)
     task.reset([rng], [0])
     off = []
@@ -163,6 +217,14 @@ def test_a_practised_plan_plays_again_bit_for_bit(tmp_path: Path) -> None:
         for player in (Playback(actions, tracking_of(folder / "plan.npz")), Playback(actions))
     ]
     assert off[0].sum() < off[1].sum()
+
+
+def test_one_practice_at_a_time_in_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with locked(tmp_path / "practised"), pytest.raises(SystemExit):
+        folder_of(tmp_path)
+    assert "somebody practises there" in capsys.readouterr().err
 
 
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from cadenza.evaluation.at_work import locked
 from cadenza.evaluation.bench import Ended, State, bench
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.matrix import Contender, matrix
 from cadenza.evaluation.results import read_results
 from cadenza.evaluation.run import carry_out
+from cadenza.files import locked
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.library import open_library

@@ -19,6 +19,7 @@ from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
+from cadenza.files import locked
 
 if TYPE_CHECKING:
     from cadenza.agents.planning.practice import Practice
@@ -62,8 +63,12 @@ def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
     _check(command)
     selection = selected(command, PLANNER)
     folder = command.output or default_folder(selection) / "practised"
-    with setting_up(selection, command, command.seed) as setup:
-        check_writable(folder)
+    check_writable(folder)
+    with locked(folder) as ours, setting_up(selection, command, command.seed) as setup:
+        if not ours:
+            raise CadenzaError(
+                f"{folder}: somebody practises there; choose another folder with --output"
+            )
         with stages("planning") as tell:
             practising = Practising(setup, folder, tell)
         with asked_to_stop("this passage") as stop:
@@ -71,8 +76,8 @@ def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
             stopped = stop()
         practising.save()
         plan = practising.plan()
-    plan.save(folder / PRACTISED)
-    keep(plan.performance, folder, command.video)
+        plan.save(folder / PRACTISED)
+        keep(plan.performance, folder, command.video)
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)
         raise KeyboardInterrupt
@@ -124,6 +129,6 @@ def _practise(practising: Practising, command: PracticeCommand, stop: Callable[[
 def _where(practice: Practice) -> str:
     """What is worked on, and what remains."""
     dt, passages = practice.plan.track.config.control_timestep, len(practice.passages())
-    at = ", ".join(f"{side} at {dt * hand.at:.1f} s" for side, hand in practice.hands.items())
-    best = f"F1 {practice.best.f1:.3f}, " if practice.best else ""
-    return f"{best}{at}, {passages} passage{'s'[: passages != 1]} left"
+    at = " and ".join(f"{dt * step:.1f} s" for step in practice.at)
+    best = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
+    return f"{best}at {at}, {passages} passage{'s'[: passages != 1]} left"

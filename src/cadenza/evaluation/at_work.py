@@ -19,14 +19,12 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.job import JobSpec
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.evaluation.songs import digest_of
-from cadenza.files import TEMPORARY, parsed_json, write_json
+from cadenza.files import TEMPORARY, locked, parsed_json, write_json
 from cadenza.music.libraries.library import find_song
 
 _PATIENCE = 2.0  # [s] for which a run waits for one that may just be ending
@@ -44,22 +42,6 @@ class At:
     total: int
     host: str
     pid: int
-
-
-@contextmanager
-def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Whether this process has the run to itself for the block."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock")
-    try:
-        lock.acquire(timeout=patience)
-    except Timeout:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        lock.release()
 
 
 @contextmanager

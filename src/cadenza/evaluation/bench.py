@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.at_work import locked, write_failure
+from cadenza.evaluation.at_work import write_failure
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import is_complete
+from cadenza.files import locked
 
 _BETWEEN_LOOKS = 0.5  # [s]
 _ATTEMPTS = 3  # at a run whose process dies

@@ -53,7 +53,7 @@ class Practising:
 
     def plan(self, progress: Progress = silent) -> Plan:
         """What is played best so far."""
-        best = self.practice.best_so_far()
+        best = self.practice.best()
         config, threads = self._agent.config, self._agent.threads
         player = PractisedPlanner(self.practice.plan, best, config, self._rng, threads)
         setup = replace(self._setup, agent=_Practised(player))

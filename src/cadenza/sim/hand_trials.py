@@ -35,28 +35,30 @@ class HandTrials:
 
     keys: slice
 
-    def __init__(self, scene: Scene, control_timestep: float) -> None:
+    def __init__(self, scene: Scene, control_timestep: float, whole: Scene | None = None) -> None:
         """Args:
         scene: with one hand.
         control_timestep: time that a step takes [s].
+        whole: what is simulated, where trials begin; `scene` by default.
         """
-        self._scene = scene
+        self._scene, self._simulated = scene, whole or scene
         self._substeps = round(control_timestep / scene.model.opt.timestep)
         self._parts = parts_that_touch(scene)
-        self._whole = mujoco.MjData(scene.model)
+        self._whole = mujoco.MjData(self._simulated.model)
         self._on_keys: dict[range, _HandOnKeys] = {}
 
     def begin_from(self, simulation: MujocoSimulation, low: float, high: float) -> None:
-        """Trials begin in the state that the first simulation of this scene is in now.
+        """Trials begin in the state that the first simulation is in now.
 
         Args:
-            simulation: of this scene.
+            simulation: of the whole scene.
             low: where fingertips go along the keyboard, at least [m].
             high: at most [m].
         """
         keys = self._keys_between(low - _BESIDE, high + _BESIDE)
         self.keys = slice(keys.start, keys.stop)
-        hand = self._on_keys.pop(keys, None) or _HandOnKeys(self._scene, keys, self._parts)
+        hand = self._on_keys.pop(keys, None)
+        hand = hand or _HandOnKeys(self._scene, keys, self._parts, self._simulated)
         self._hand = self._on_keys[keys] = hand
         if len(self._on_keys) > _MODELS:
             del self._on_keys[next(iter(self._on_keys))]  # the one not used for longest
@@ -109,11 +111,11 @@ class _HandOnKeys:
         fingertips: the sites of the fingertips.
     """
 
-    def __init__(self, scene: Scene, keys: range, parts: set[Part]) -> None:
+    def __init__(self, scene: Scene, keys: range, parts: set[Part], whole: Scene) -> None:
         self.model = hand_on_keys(scene, keys, parts)
         self.start = mujoco.MjData(self.model)
         self.data = [mujoco.MjData(self.model) for _ in range(PLACES)]
-        joints = [scene.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
+        joints = [whole.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])
         self.keys = slice(0, len(keys))
@@ -121,7 +123,7 @@ class _HandOnKeys:
         self.fingertips = [self.model.site(name).id for name in sites]
 
     def begin_from(self, whole: mujoco.MjData) -> None:
-        """The state of this hand is that of `whole`, with all keys."""
+        """The state of this hand is that of the `whole` scene."""
         start = self.start
         mujoco.mj_resetData(self.model, start)
         start.qpos, start.qvel = whole.qpos[self._qpos], whole.qvel[self._dofs]

@@ -32,7 +32,7 @@ class Heard(NamedTuple):
 
 
 class Losses:
-    """Judges states of a hand, all alone, after each step of a song.
+    """Judges what a hand does after each step of a song.
 
     A step loses 1 - F1 as if the other hand played all its keys. A note loses more if its key does
     not begin to sound on its first step or the next, as `cadenza.music.metrics` counts onsets, and
@@ -47,13 +47,12 @@ class Losses:
         keys = plan.goals.keys
         self._part, self._keyboard = part, plan.scene.keyboard
         self._keys, self._wanted = keys, keys.sum(axis=1)
-        first = part.mine & ~_late(part.mine, 1)
+        first, first_of_all = (each & ~_late(each, 1) for each in (part.mine, keys))
         # A key that is struck again is wanted a step after its note begins.
         again = first & _late(keys, 2)
         self._now, self._now_or_before = again, _late(first & ~again, 1)
-        self._welcome = first | _late(first, 1)
-        notes = int((keys & ~_late(keys, 1)).sum())
-        self._onset = ONSETS * len(keys) / max(notes, 1)
+        self._welcome = first_of_all | _late(first_of_all, 1)
+        self._onset = ONSETS * len(keys) / max(int(first_of_all.sum()), 1)
 
     def after(
         self,
@@ -62,6 +61,7 @@ class Losses:
         fingertips: Array,
         heard: Heard,
         keys: slice = slice(None),
+        near: Mask | bool = True,
     ) -> tuple[float, float, Heard]:
         """What is lost by the state after step `row`.
 
@@ -71,6 +71,7 @@ class Losses:
             fingertips: (F, 3) of the hand [m].
             heard: after the step before.
             keys: which they are; all by default.
+            near: (K,) those of which it is to blame for what sounds and should not.
 
         Returns:
             The loss; the cost, which is the loss and a little for what is nearly lost; what is
@@ -78,18 +79,19 @@ class Losses:
         """
         part, keyboard, wanted = self._part, self._keyboard, self._keys[row, keys]
         mine, travel = part.mine[row, keys], keyboard.travel[keys]
+        unwanted = ~wanted & near
         sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
         begins = sounding & ~heard.sounding
         missing = np.count_nonzero(mine & ~sounding)
-        wrong = np.count_nonzero(sounding & ~wanted)
+        wrong = np.count_nonzero(sounding & unwanted)
         loss = (missing + wrong) / max(2 * self._wanted[row] - missing + wrong, 1)
         in_time = begins | heard.begins
         late = (self._now[row, keys] & ~begins) | (self._now_or_before[row, keys] & ~in_time)
-        extra = begins & ~self._welcome[row, keys]
+        extra = begins & ~self._welcome[row, keys] & near
         loss += self._onset * (np.count_nonzero(late) + 0.5 * np.count_nonzero(extra))
         depth = reward.key_state(key_qpos, travel)
         lacking = mine * (1.0 - depth)
-        too_far = ~wanted * np.maximum(depth - NO_HARM, 0.0)
+        too_far = unwanted * np.maximum(depth - NO_HARM, 0.0)
         offset = fingertips - part.fingertips[row + 1]
         astray = np.minimum((offset * offset).sum(axis=1), FURTHEST**2) @ part.weight[row + 1]
         nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray

@@ -1,16 +1,24 @@
-"""Both hands practise a song, each by itself, and rehearse together what they have practised.
+"""Two hands practise a song: they play it, go back to what fails, and keep what is better.
+
+What they have played is a *take*: controls, and what came of them in the whole scene, step by
+step. The first is what the planner plays. Then practice goes over the song again and again. A
+*sweep* works on two seconds after two seconds, from the beginning to the end: each hand picks a
+step that loses something and looks for something better to do (`hand_practice`), and what they
+have found is put into the take if that and the next seconds are better for it in the whole scene.
+The smallest change is felt for seconds, however feedback leads back to the take; therefore what
+follows is always played anew from where the hands have really come to, and a sweep that comes to
+a worse end is undone.
 
 Effort is counted in simulated control steps, so that the same effort comes to the same on every
-machine, by however many threads it is made. Now and then both hands rehearse: what they have
-practised is played in the whole scene, and kept if it is better than before.
+machine, by however many threads it is made.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor, wait
-from threading import Event, Lock
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,25 +26,31 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.hand_practice import HandPractice
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
 from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.refinement import HandOfTwo
+from cadenza.agents.planning.refinement import HandOfTwo, HandPart, Memory
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.takes import Moments, Stage, Take
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, TEXT, ArrayOf, Expected
+from cadenza.files import FLOATS, ArrayOf, Expected
 from cadenza.fingers import Side
 from cadenza.music.metrics import playing_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
-from cadenza.tasks import reward
 from cadenza.tasks.view import View
 
-EFFORT = 100  # control steps that a hand simulates for each one of the song: effort 1
+EFFORT = 100  # control steps that each hand simulates for each one of the song: effort 1
 MOST_EFFORT = 1e6
-_MOST_AT_ONCE = 2.0  # effort between two rehearsals
-_LOOK = 0.2  # [s] between looks at what the hands do
+_SWEEP = 0.5  # effort of a sweep
 _APART = 0.5  # [s] between passages
+_BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
+_CHUNK = 2.0  # [s] of the first take in a unit
+_WINDOW = 4  # times _BETWEEN are worked on at a time
+_ADVANCE = 3  # times it later begins the next window
+_AFTER = 2  # times it after a window must not suffer
+_AROUND = 0.15  # [s] before and after a step that share its failures
 
 
 class Rehearsal(NamedTuple):
@@ -53,8 +67,15 @@ class Rehearsal(NamedTuple):
         return self.f1 + ONSETS * self.note_onset_f1
 
 
-def _better(new: Rehearsal, old: Rehearsal | None) -> Rehearsal:
-    return new if old is None or new.worth > old.worth else old
+class _Sweep(NamedTuple):
+    """How far practice has gone over the song."""
+
+    first: int
+    """Step at which the window begins that is worked on."""
+    until: Array
+    """(T,) simulated control steps after which a window is left that ends with each step."""
+    before: Take
+    """The take when it began."""
 
 
 class Practice:
@@ -62,9 +83,12 @@ class Practice:
 
     Attributes:
         plan: of the whole song, before practice.
-        hands: their practice.
-        best: rehearsal; before the first one None.
-        history: effort, F1 and F1 of note onsets of all rehearsals.
+        hands: that practise.
+        take: what they play; of steps that they have not played yet, what the plan expects.
+        played: how many steps the first take has so far.
+        at: the steps that were worked on last.
+        simulated: control steps of a hand, in all, after the first take.
+        history: effort, F1 and F1 of note onsets of the first take and after each sweep.
     """
 
     def __init__(
@@ -88,145 +112,269 @@ class Practice:
         (track,), self._start = view.tracks, view.state.hand_qpos[0]
         if config.fingering == "found":
             track = track.with_found_fingers()
-        self.plan = plan_song(track, self._start, progress)
-        self._num_threads, seed = num_threads, int(rng.integers(2**63))
-        self._about = repr((seed, config)).encode()
-        sides = self.plan.scene.sides
-        self.hands = {
-            side: HandPractice(self.plan, self._start, side, config, seed) for side in sides
-        }
-        self._locks = {side: Lock() for side in sides}  # held while a hand does a unit
-        self.best: Rehearsal | None = None
+        plan = self.plan = plan_song(track, self._start, progress)
+        sides, nominal, dt = plan.scene.sides, plan.nominal.tracking, track.config.control_timestep
+        self._threads = Threads(num_threads)
+        self._at_sight = [  # as `SongPlanner` has them
+            HandOfTwo.of(plan, side, nominal, config, hand_rng, self._threads)
+            for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
+        ]
+        self._seed = int(rng.integers(2**63))
+        self._about = repr((self._seed, config)).encode()
+        parts = [HandPart(plan, side) for side in sides]
+        self.hands = [
+            HandPractice(plan, side, part, config, self._threads)
+            for side, part in zip(sides, parts, strict=True)
+        ]
+        self._stage = Stage(plan, self._start, parts)
+        self._chunk, self._around, between = (
+            steps_in(seconds, dt) for seconds in (_CHUNK, _AROUND, _BETWEEN)
+        )
+        self._between, self._window, self._advance = between, _WINDOW * between, _ADVANCE * between
+        self._ahead = self._window + _AFTER * between
+        self.num_steps = len(nominal.ctrl)
+        self.take = Take.to_come(nominal, plan.scene.keyboard.num_keys, len(sides))
+        self._tries = np.zeros((self.num_steps, len(sides)))
+        self._units = self.simulated = self.played = 0
+        self.at: list[int] = []
         self.history: list[tuple[float, float, float]] = []
+        self._moments: Moments = {0: self._stage.beginning()}
+        self._sweep: _Sweep | None = None
+
+    @property
+    def effort(self) -> float:
+        """That has been made."""
+        return self.simulated / self._steps_of(1.0)
 
     def share_made(self, effort: float) -> float:
-        """Of that effort, 0 to 1; hands that have nothing left to mend have made theirs."""
-        most = max(self._steps_of_a_hand(effort), 1.0)
-        shares = [
-            min(hand.simulated / most, 1.0) if hand.has_work(most) else 1.0
-            for hand in self.hands.values()
-        ]
-        return sum(shares) / len(shares)
+        """Of that effort, 0 to 1; with nothing left to mend it is made."""
+        if self.history and not self._has_work(effort):
+            return 1.0
+        return min(self.simulated / max(self._steps_of(effort), 1.0), 1.0)
 
-    def _steps_of_a_hand(self, effort: float) -> float:
-        return effort * EFFORT * self.plan.goals.num_steps
+    def _steps_of(self, effort: float) -> float:
+        return effort * EFFORT * self.num_steps * len(self.hands)
+
+    def _has_work(self, effort: float) -> bool:
+        if not self.history or self._sweep:
+            return True
+        return self.effort < effort and bool(self.take.loss.any())
 
     def passages(self) -> list[float]:
         """When passages begin that lose something [s]."""
-        loss = np.sum([hand.take.loss for hand in self.hands.values()], axis=0)
-        times = np.flatnonzero(loss) * self.plan.track.config.control_timestep
+        losing = np.flatnonzero(self.take.loss.any(axis=1))
+        times = losing * self.plan.track.config.control_timestep
         return list(times[np.diff(times, prepend=-np.inf) > _APART])
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
         """Practises until `effort` has been made, as long as `goes_on`, which is often asked.
 
+        A sweep that has begun is finished first.
+
         Whether there is nothing more to do.
         """
-        most, left = self.history[-1][0] if self.history else 0.0, True
-        while not self.history or (most < effort and left):
-            if self.history:
-                most = min(most + min(max(most, 1.0), _MOST_AT_ONCE), effort)
-            if not self._practise(self._steps_of_a_hand(most), goes_on):
+        while self._has_work(effort):
+            if not goes_on():
                 return False
-            rehearsal = self.rehearse()
-            self.history.append((most, rehearsal.f1, rehearsal.note_onset_f1))
-            self.best = _better(rehearsal, self.best)
-            left = any(hand.take.loss.any() for hand in self.hands.values())
+            self._practise()
         return True
 
-    def _practise(self, most: float, goes_on: Callable[[], bool]) -> bool:
-        """Whether each hand has simulated so many control steps, without being stopped."""
-        stopped = Event()
+    def _practise(self) -> None:
+        """Does one unit, a second of a core or so."""
+        self._units += 1
+        if not self.history:
+            self._play_on()
+        elif self._sweep is None:
+            self._begin_sweep()
+        else:
+            self._go_on(self._sweep)
 
-        def work(*sides: Side) -> None:
-            """One unit of each hand in turn, until nothing is left to do."""
-            left = list(sides)
-            while left and not stopped.is_set():
-                for side in left:
-                    with self._locks[side]:
-                        self.hands[side].practise(most)
-                left = [side for side in left if self.hands[side].has_work(most)]
+    # At first sight
 
-        busy = [side for side, hand in self.hands.items() if hand.has_work(most)]
-        parts = [[side] for side in busy] if self._num_threads > 1 else [busy]
-        with ThreadPoolExecutor(len(self.hands)) as pool:
-            working = {pool.submit(work, *part) for part in parts}
-            try:
-                while working:
-                    done, working = wait(working, _LOOK)
-                    for each in done:
-                        each.result()
-                    if not goes_on():
-                        stopped.set()
-            finally:
-                stopped.set()
-        return not any(hand.has_work(most) for hand in self.hands.values())
+    def _play_on(self) -> None:
+        """Adds a chunk to the first take."""
+        first, last = self.played, min(self.played + self._chunk, self.num_steps)
+        (simulation,) = self._moments.values()
+        heard, self.at = self.take.heard(first), [first]
+        ctrl = np.zeros(self.take.ctrl.shape[1])
+        for row in range(first, last):
+            state, here = simulation.state, self._stage.posture(simulation)
 
-    # Together
+            def act(i: int) -> None:
+                ctrl[self._at_sight[i].servos] = self._at_sight[i].act(state)  # noqa: B023
 
-    def rehearse(self) -> Rehearsal:
-        """Plays what both hands have practised, with feedback, in the whole scene."""
-        scene, goals, track = self.plan.scene, self.plan.goals, self.plan.track
-        dt, whole = track.config.control_timestep, self.plan.nominal.tracking
-        practised = Tracking(*map(np.copy, whole))
-        for hand in self.hands.values():
-            practised.ctrl[:, hand.servos] = hand.take.ctrl
-            practised.expected[:-1, hand.servos] = hand.take.expected
-        follower, played = Follower(scene, practised), Tracking(*map(np.copy, practised))
-        simulation = PlanningSimulation(scene, 1, dt)
-        simulation.reset(None, self._start[None])
-        sounding = np.zeros_like(goals.keys)
-        for row in range(goals.num_steps):
-            state = simulation.state
-            played.expected[row] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
-            ctrl = follower.ctrl(np.array([row]), state)
-            played.ctrl[row] = ctrl[0]
-            simulation.step(ctrl)
-            key_qpos = simulation.state.key_qpos[0]
-            sounding[row] = reward.key_activation(key_qpos, scene.keyboard.sounds_from)
-        state = simulation.state
-        played.expected[-1] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
-        pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
-        metrics = playing_metrics(
-            sounding, pedal, goals.keys, pedal, dt, track.on_the_clock, lowest
-        )
-        return Rehearsal(played, metrics["f1"], metrics["note_onset_f1"])
+            self._threads.for_each(range(len(self.hands)), act)
+            simulation.step(ctrl[None])
+            step, heard = self._stage.judged(simulation, row, heard)
+            self.take.put(row, Take(ctrl[None], here[None], *step))
+        self.played, self._moments = last, {last: simulation}
+        if last == self.num_steps:
+            self._note()
 
-    def best_so_far(self) -> Rehearsal:
-        """The best rehearsal, or one that is held now."""
-        return _better(self.rehearse(), self.best)
+    def _note(self) -> None:
+        rehearsal = self._rehearsal(self.take)
+        self.history.append((self.effort, rehearsal.f1, rehearsal.note_onset_f1))
+
+    # Sweeps
+
+    def _begin_sweep(self) -> None:
+        weight = np.cumsum((self.take.loss / (1.0 + self._tries)).sum(axis=1))
+        until = self.simulated + self._steps_of(_SWEEP) * weight / weight[-1]
+        self._sweep = _Sweep(0, until, self.take.part(0, self.num_steps))
+        self._moments = {0: self._stage.beginning()}
+        self._extend(0, self._ahead)
+
+    def _go_on(self, sweep: _Sweep) -> None:
+        """Works on the window, or goes on to the next; after the last, the sweep is over."""
+        last = min(sweep.first + self._window, self.num_steps)
+        lost = self.take.loss[sweep.first : last].any()
+        if lost and self.simulated < sweep.until[last - 1]:
+            self._mend(sweep.first, last)
+        elif last < self.num_steps:
+            first, known = sweep.first + self._advance, sweep.first + self._ahead
+            self._extend(known, known + self._advance)
+            self._moments = {step: m for step, m in self._moments.items() if step >= first}
+            self._sweep = sweep._replace(first=first)
+        else:
+            self._end(sweep)
+
+    def _end(self, sweep: _Sweep) -> None:
+        """Of a sweep, which is undone if the song is played worse than before."""
+        before, now = (self._rehearsal(take).worth for take in (sweep.before, self.take))
+        cheaper = self.take.cost.sum() < sweep.before.cost.sum()
+        if now < before or (now == before and not cheaper):
+            self.take = sweep.before
+        self._sweep = None
+        self._note()
+
+    def _extend(self, first: int, last: int) -> None:
+        """Plays the take anew from one step to another, from where the hands have come to."""
+        if first < self.num_steps:
+            self._put(first, *self._played(self.take, first, last))
+
+    def _mend(self, first: int, last: int) -> None:
+        """Has each hand that loses something from `first` to `last` try to lose less."""
+        weight = self.take.loss[first:last] / (1.0 + self._tries[first:last])
+        ahead = min(first + self._ahead, self.num_steps)
+        losing = np.flatnonzero(weight.any(axis=0)).tolist()
+        attempts: dict[int, Attempt] = {}
+
+        def attempt(i: int) -> None:
+            rng = np.random.default_rng((self._seed, self._units, i))
+            attempts[i] = self.hands[i].attempt(
+                self.take, first, weight[:, i], ahead, self._before_step, rng
+            )
+
+        self._threads.for_each(losing, attempt)
+        self.at = [attempts[i].step for i in losing]
+        self.simulated += sum(attempts[i].simulated for i in losing)
+        found = {i: change for i in losing if (change := attempts[i].change)}
+        lost = {i: self.take.loss[attempts[i].first : ahead, i].sum() for i in losing}
+        # Together, or else one of them.
+        for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
+            if changes and self._keep(changes, ahead):
+                break
+        for i, (step, begin, *_) in attempts.items():
+            if self.take.loss[begin:ahead, i].sum() >= lost[i]:
+                self._tries[max(step - self._around, 0) : step + self._around + 1, i] += 1
+
+    def _keep(self, changes: Mapping[int, Change], last: int) -> bool:
+        """Puts changes by hands in, if all from there to `last` is cheaper then."""
+        first = min(change.first for change in changes.values())
+        first -= first % self._between
+        take = self.take.part(0, last)
+        for i, (begin, ctrl, expected) in changes.items():
+            rows, servos = slice(begin, begin + len(ctrl)), self.hands[i].servos
+            take.ctrl[rows, servos], take.expected[rows, servos] = ctrl, expected
+        played, moments = self._played(take, first, last)
+        if not played.cost.sum() < self.take.cost[first:last].sum():
+            return False
+        self._put(first, played, moments)
+        return True
+
+    def _played(self, take: Take, first: int, last: int) -> tuple[Take, Moments]:
+        """What comes of some steps of a take, from the moment before the first on."""
+        simulation, part = self._before_step(first), take.part(first, last)
+        self.simulated += len(part.ctrl) * len(self.hands)
+        return self._stage.play(simulation, first, part, self.take.heard(first), self._between)
+
+    def _put(self, first: int, played: Take, moments: Moments) -> None:
+        self.take.put(first, played)
+        self._moments |= moments
+
+    def _before_step(self, step: int) -> PlanningSimulation:
+        """The scene before a step of the take."""
+        begin = max(moment for moment in self._moments if moment <= step)
+        simulation = copy(self._moments[begin])
+        for ctrl in self.take.ctrl[begin:step]:
+            simulation.step(ctrl[None])
+        return simulation
+
+    # What has come of it
+
+    def _rehearsal(self, take: Take) -> Rehearsal:
+        goals, track, nominal = self.plan.goals, self.plan.track, self.plan.nominal.tracking
+        pedal, lowest = goals.sustain, self.plan.scene.keyboard.lowest_pitch
+        dt, score = track.config.control_timestep, track.on_the_clock
+        scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
+        expected = np.append(take.expected, nominal.expected[-1:], axis=0)
+        tracking = Tracking(take.ctrl, nominal.gain, expected)
+        return Rehearsal(tracking, scores["f1"], scores["note_onset_f1"])
+
+    def best(self) -> Rehearsal:
+        """The best so far; within the first take, and within a sweep, with what is left to play."""
+        if not self.history:
+            return self._rehearsal(self._to_the_end(self.played))
+        if not self._sweep:
+            return self._rehearsal(self.take)
+        known = min(self._sweep.first + self._ahead, self.num_steps)
+        takes = self._sweep.before, self._to_the_end(known)
+        return max(map(self._rehearsal, takes), key=lambda each: each.worth)
+
+    def _to_the_end(self, first: int) -> Take:
+        """The take, played anew from a step on, which leaves practice where it is."""
+        take, simulation = self.take.part(0, self.num_steps), self._before_step(first)
+        rest = take.part(first, self.num_steps)
+        played, _ = self._stage.play(simulation, first, rest, take.heard(first), self.num_steps + 1)
+        take.put(first, played)
+        return take
 
     # To go on later
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that decides how it goes on, as arrays by name; see `restore`."""
-        arrays: dict[str, NDArray[Any]] = {
-            "of": np.array(self._digest()),
-            "history": np.array(self.history).reshape(-1, 3),
+        return self._arrays(not self.history, self._sweep)
+
+    def _arrays(self, at_sight: bool, sweep: _Sweep | None) -> dict[str, NDArray[Any]]:
+        parts: dict[str, dict[str, Any]] = {
+            "practice": {
+                "of": self._digest(),
+                "history": np.reshape(self.history, (-1, 3)),
+                "numbers": [self.played, self._units, self.simulated],
+                "tries": self._tries,
+            },
+            "take": self.take._asdict(),
         }
-        if self.best is not None:
-            ctrl, _, expected = self.best.tracking
-            scores = np.array([self.best.f1, self.best.note_onset_f1])
-            arrays |= {"best/ctrl": ctrl, "best/expected": expected, "best/scores": scores}
-        for side, hand in self.hands.items():
-            with self._locks[side]:
-                arrays |= {f"{side}/{name}": values for name, values in hand.state.items()}
-        return arrays
+        if at_sight:
+            for side, hand in zip(self.plan.scene.sides, self._at_sight, strict=True):
+                parts[side] = hand.refinement.memory._asdict()
+        if sweep:
+            facts = {"first": sweep.first, "until": sweep.until}
+            parts |= {"sweep": facts, "before": sweep.before._asdict()}
+        return {
+            f"{part}/{name}": np.array(value)
+            for part, values in parts.items()
+            for name, value in values.items()
+        }
 
     def expected(self) -> Expected:
         """What `state` holds, for whoever reads it from a file."""
-        best = self.plan.nominal.tracking
+        always = self._arrays(False, None)
+        at_times = self._arrays(True, _Sweep(0, np.zeros(self.num_steps), self.take))
         return {
-            "of": ArrayOf(TEXT, needed=True),
-            "history": ArrayOf(FLOATS, ("rehearsals", 3), needed=True, finite=True),
-            "best/ctrl": ArrayOf(FLOATS, best.ctrl.shape, finite=True),
-            "best/expected": ArrayOf(FLOATS, best.expected.shape, finite=True),
-            "best/scores": ArrayOf(FLOATS, (2,), finite=True),
-        } | {
-            f"{side}/{name}": form
-            for side, hand in self.hands.items()
-            for name, form in hand.expected.items()
-        }
+            name: ArrayOf(kind := values.dtype.kind, values.shape, name in always, kind in FLOATS)
+            for name, values in at_times.items()
+        } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
     def restore(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
         """Goes on from the `state` of the same practice, as `expected`.
@@ -234,21 +382,41 @@ class Practice:
         Raises:
             CadenzaError: it is of another song, or was planned in another way; `where` is named.
         """
-        if str(arrays["of"]) != self._digest():
+        parts: dict[str, dict[str, Any]] = defaultdict(dict)
+        for path, values in arrays.items():
+            part, _, name = path.partition("/")
+            parts[part][name] = values.copy()
+        practice = parts["practice"]
+        if str(practice["of"]) != self._digest():
             raise CadenzaError(
                 f"{where}: is the practice of another song, or with other options or another "
                 "version of Cadenza; choose another folder with --output"
             )
-        self.history = [tuple(row) for row in arrays["history"].tolist()]
-        if self.history:
-            ctrl, expected, scores = (
-                arrays[f"best/{name}"] for name in ("ctrl", "expected", "scores")
+        self.history = [tuple(row) for row in practice["history"].tolist()]
+        self.played, self._units, self.simulated = practice["numbers"].tolist()
+        self._tries, self.take, self._sweep = practice["tries"], Take(**parts["take"]), None
+        self._moments = {0: self._stage.beginning()}
+        if not self.history:
+            self._go_back([Memory(**parts[side]) for side in self.plan.scene.sides])
+        elif sweep := parts["sweep"]:
+            first, before = int(sweep["first"]), Take(**parts["before"])
+            self._sweep = _Sweep(first, sweep["until"], before)
+            known = min(first + self._ahead, self.num_steps)
+            _, moments = self._stage.play(
+                self._moments[0], 0, self.take.part(0, known), self.take.heard(0), self._between
             )
-            gain = self.plan.nominal.tracking.gain
-            self.best = Rehearsal(Tracking(ctrl, gain, expected), *scores.tolist())
-        for side, hand in self.hands.items():
-            of_hand = {name.partition("/"): values for name, values in arrays.items()}
-            hand.restore({name: v for (part, _, name), v in of_hand.items() if part == side})
+            self._moments = {step: m for step, m in moments.items() if step >= first}
+
+    def _go_back(self, memories: Sequence[Memory]) -> None:
+        """To where the first take was left."""
+        (simulation,) = self._moments.values()
+        for ctrl in self.take.ctrl[: self.played]:
+            for hand in self._at_sight:
+                hand.again(simulation.state, ctrl[hand.servos])
+            simulation.step(ctrl[None])
+        for hand, memory in zip(self._at_sight, memories, strict=True):
+            hand.refinement.remember(memory)
+        self._moments = {self.played: simulation}
 
     def _digest(self) -> str:
         """Of all that practice begins with."""

@@ -8,7 +8,7 @@ in about a third of the time that both take. Sampling is only done where the nom
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,24 +97,22 @@ class HandPart:
         self.weight = np.where(self.playing, _ASTRAY, _IDLE_ASTRAY)
 
 
-class Here(NamedTuple):
-    """A place in a song, and what decides how a hand goes on from it."""
+class Memory(NamedTuple):
+    """What a hand remembers of the steps that it has played, beside where they led."""
 
-    step: int
-    state: Array
-    """(S,) of the simulation, see `MujocoSimulation.physics_state`."""
     correction: Array
     """(H, A) to the plan, of the steps that are looked ahead."""
-    savings: float
-    """Control steps that it may simulate."""
+    savings: Array
+    """() control steps that it may simulate."""
+    rng: NDArray[np.uint64]
+    """(6,) where its generator of random numbers is."""
 
 
 class HandRefinement:
     """Controls of one hand, step by step.
 
     Attributes:
-        twin: a simulation of it, after the steps that it has played.
-        trials: of what it may do next.
+        simulated: control steps on trial, so far.
     """
 
     def __init__(
@@ -148,29 +146,42 @@ class HandRefinement:
         self._sigma = np.array([use.noise for use in uses])
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
         self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon, dt)
-        self.twin = PlanningSimulation(scene, 1, dt)
-        self.trials = HandTrials(scene, dt)
+        self._twin = PlanningSimulation(scene, 1, dt)
+        self._trials = HandTrials(scene, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
-        self._step = 0
+        self._step = self.simulated = 0
 
     def skip_to(self, step: int) -> None:
         """Goes on with that step, from the state that it is told."""
         self._step = step
 
     @property
-    def here(self) -> Here:
-        """Where it has got."""
-        return Here(self._step, self.twin.physics_state(0), self._correction.copy(), self._savings)
+    def memory(self) -> Memory:
+        """What decides how it goes on, if `again` leads its twin to the same place."""
+        return Memory(self._correction.copy(), np.array(self._savings), words_of(self._rng))
 
-    def go_to(self, here: Here, rng: np.random.Generator) -> None:
-        """Plays on from there, with other random numbers."""
-        self._step, state, correction, self._savings = here
-        self.twin.set_physics_state(state)
-        self._correction = correction.copy()
-        self._rng = rng
+    def remember(self, memory: Memory) -> None:
+        """Goes on as what had that memory would have."""
+        self._correction, self._savings = memory.correction.copy(), float(memory.savings)
+        self._rng = generator_of(memory.rng)
+
+    def begin_at(
+        self, step: int, state: tuple[Array, Array, Array], savings: float, rng: np.random.Generator
+    ) -> None:
+        """Begins anew before a step, in a state as `act` is told it."""
+        self._twin.place(*state)
+        self._correction[:] = 0.0
+        self._step, self._savings, self._rng = step, savings, rng
+
+    @property
+    def posture(self) -> Array:
+        """(A, 2) position and speed of each servo."""
+        state = self._twin.state
+        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
+        return self._to_posture.T @ here
 
     @property
     def steps_seen(self) -> int:
@@ -189,17 +200,28 @@ class HandRefinement:
             hand_qvel: (J,)
             key_qpos: (K,) [rad]
         """
-        if np.abs(self.twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
-            self.twin.place(hand_qpos, hand_qvel, key_qpos)
+        self._be_at(hand_qpos, hand_qvel, key_qpos)
         return self.play_on()
 
     def play_on(self) -> Array:
         """(A,) the next controls, if the hand has moved as it should."""
         self._savings += self._earned
         ctrl = self._plan()
-        self.twin.step(ctrl[None])
-        self._step += 1
+        self._go_on(ctrl)
         return ctrl
+
+    def again(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, ctrl: Array) -> None:
+        """Takes a step with the controls (A,) that `act` returned in that state before."""
+        self._be_at(hand_qpos, hand_qvel, key_qpos)
+        self._go_on(ctrl)
+
+    def _be_at(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
+        if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
+            self._twin.place(hand_qpos, hand_qvel, key_qpos)
+
+    def _go_on(self, ctrl: Array) -> None:
+        self._twin.step(ctrl[None])
+        self._step += 1
 
     def _plan(self) -> Array:
         steps = len(self._tracking.ctrl)
@@ -220,9 +242,7 @@ class HandRefinement:
 
     def _feedback(self) -> Array:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
-        state = self.twin.state
-        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
-        return self._tracking.feedback(self._step, self._to_posture.T @ here)
+        return self._tracking.feedback(self._step, self.posture)
 
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
@@ -278,12 +298,12 @@ class HandRefinement:
 
     def _begin_trials(self, rows: NDArray[np.intp]) -> None:
         """From where the hand is, over all keys on its way through the steps `rows`."""
-        here = self.twin.state.fingertip_xpos[0, self._part.fingers]
+        here = self._twin.state.fingertip_xpos[0, self._part.fingers]
         there = self._part.fingertips[rows + 1]
         y = np.concatenate([here[:, 1], there[..., 1].ravel()])
-        self.trials.begin_from(self.twin, float(y.min()), float(y.max()))
+        self._trials.begin_from(self._twin, float(y.min()), float(y.max()))
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        self._ahead = _Ahead(self._part, inside, self._keyboard, self.trials.keys)
+        self._ahead = _Ahead(self._part, inside, self._keyboard, self._trials.keys)
         self._least = np.full(len(inside), np.inf)
 
     def _try_all(self, candidates: Array, most: float) -> tuple[Array, NDArray[np.intp]]:
@@ -312,18 +332,19 @@ class HandRefinement:
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
         cost, mistakes, steps = 0.0, 0, []
-        for k, state in enumerate(self.trials.run(ctrl[: len(self._least)], place)):
+        for k, state in enumerate(self._trials.run(ctrl[: len(self._least)], place)):
             more, wrong = self._ahead.cost(k, *state)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
             if rest is not None and cost + _EXPECTED * rest[k] >= most:
                 return _Trial(np.inf, mistakes, steps)
-        return _Trial(np.inf if self.trials.unstable(place) else cost, mistakes, steps)
+        return _Trial(np.inf if self._trials.unstable(place) else cost, mistakes, steps)
 
     def _note(self, trial: _Trial) -> None:
         """Reckons with a trial."""
         taken = len(trial.steps)
         self._savings -= taken
+        self.simulated += taken
         self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
 
 
@@ -405,8 +426,33 @@ class HandOfTwo(NamedTuple):
 
     def act(self, state: State) -> Array:
         """(A,) its controls, from the first of the states of both hands."""
-        hand_qpos, hand_qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
-        return self.refinement.act(hand_qpos, hand_qvel, state.key_qpos[0])
+        return self.refinement.act(*self._here(state))
+
+    def again(self, state: State, ctrl: Array) -> None:
+        """Takes a step with its controls (A,) that `act` returned in that state before."""
+        self.refinement.again(*self._here(state), ctrl)
+
+    def _here(self, state: State) -> tuple[Array, Array, Array]:
+        qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
+        return qpos, qvel, state.key_qpos[0]
+
+
+def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """(6,) the state of a default generator, in words of 64 bits."""
+    state: Any = rng.bit_generator.state
+    numbers = [state["state"]["state"], state["state"]["inc"]]
+    halves = [half for number in numbers for half in divmod(number, 2**64)]
+    return np.array([*halves, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
+    """The generator whose state that is."""
+    state, more, inc, less, has, left = words.tolist()
+    rng = np.random.default_rng(0)
+    numbers = {"state": state * 2**64 + more, "inc": inc * 2**64 + less}
+    known: Any = rng.bit_generator.state
+    rng.bit_generator.state = known | {"state": numbers, "has_uint32": has, "uinteger": left}
+    return rng
 
 
 def _lifts(lift: Array, horizon: int, dt: float) -> Array:

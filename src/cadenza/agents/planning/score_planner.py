@@ -38,8 +38,7 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         """
         if self.config.effort:
             practice = self._practised(view, rng)
-            assert practice.best is not None
-            return PractisedPlanner(practice.plan, practice.best, self.config, rng, self.threads)
+            return PractisedPlanner(practice.plan, practice.best(), self.config, rng, self.threads)
         return SongPlanner(view, rng, self.config, self.threads, self.progress)
 
     def _practised(self, view: View, rng: np.random.Generator) -> Practice:

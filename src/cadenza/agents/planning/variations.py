@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
-_LENGTHS = (0.1, 0.7)  # [s]
+_LENGTHS = (0.1, 0.8)  # [s]
 _SHIFTS = 0.15  # [s] by which servos may be early or late
 _SIZES = (-0.7, 0.5)  # noise of a tenth to the power of these times a servo's own
 _SHARES = (0.2, 1.2)  # of the way to another posture
@@ -33,6 +33,7 @@ class Variations:
         uses = [scene.hand.servo(name) for name in servos_of(scene).names]
         self._sigma = np.array([use.noise for use in uses])
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
+        self._lift = np.array([use.lift for use in uses])
         self._planned = planned
         self._lengths = [steps_in(seconds, dt) for seconds in _LENGTHS]
         self._shift = steps_in(_SHIFTS, dt)
@@ -46,8 +47,9 @@ class Variations:
     ) -> Array:
         """(N, L, A) for `count` candidates over the L steps from `first` to `last`.
 
-        Half are noise that changes evenly from the first step to the last. The others are early or
-        late, or go some of the way to the plan, or stay where they are.
+        Half are noise that changes evenly from the first step to the last, or stays the same. The
+        others are early or late, go some of the way to the plan, stay where they are, or lift
+        themselves and come down again.
 
         Args:
             path: (T, A) positions before each step.
@@ -55,15 +57,30 @@ class Variations:
             count: N.
             rng: what is random.
         """
-        kinds = (self._noise, self._shifted, self._noise, self._drawn_back)
+        kinds = (
+            self._noise,
+            self._shifted,
+            self._noise,
+            self._drawn_back,
+            self._even,
+            self._lifted,
+        )
         after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
-        drawn = [kinds[i % 4](path, after, rng) * self._servos(rng) for i in range(count)]
+        drawn = [kinds[i % len(kinds)](path, after, rng) * self._servos(rng) for i in range(count)]
         return np.stack(drawn)
 
     def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         ends = rng.standard_normal((2, len(self._sigma))) * self._sigma
         late = np.linspace(0.0, 1.0, len(after))[:, None]
         return 10 ** rng.uniform(*_SIZES) * ((1 - late) * ends[0] + late * ends[1])
+
+    def _even(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        noise = rng.standard_normal(len(self._sigma)) * self._sigma
+        return 10 ** rng.uniform(*_SIZES) * np.tile(noise, (len(after), 1))
+
+    def _lifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        lifted = np.arange(len(after)) < rng.integers(1, len(after) + 1)
+        return rng.uniform(*_SHARES) * lifted[:, None] * self._lift
 
     def _shifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         shift = int(rng.integers(1, self._shift + 1)) * (1 if rng.random() < 0.5 else -1)

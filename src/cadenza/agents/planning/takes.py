@@ -1,0 +1,146 @@
+"""Takes: how hands have played a song in the whole scene, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.losses import Heard, Losses
+from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.scene.servos import servos_of
+from cadenza.sim.planning_simulation import PlanningSimulation
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_UNSTABLE = 1000.0  # what a step costs after which the simulation is of no more use
+
+
+class Take(NamedTuple):
+    """What H hands with A servos have played over T steps."""
+
+    ctrl: Array
+    """(T, A)"""
+    expected: Array
+    """(T, A, 2) position and speed of each servo before the step."""
+    sounding: Mask
+    """(T, K) after it, as all that follows."""
+    loss: Array
+    """(T, H) of each hand, see `Losses`."""
+    cost: Array
+    """(T,)"""
+
+    @classmethod
+    def to_come(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Take:
+        """Of which nothing has been played yet; what is to be is expected."""
+        steps = len(tracking.ctrl)
+        return cls(
+            tracking.ctrl.copy(),
+            tracking.expected[:-1].copy(),
+            np.zeros((steps, num_keys), bool),
+            np.zeros((steps, num_hands)),
+            np.zeros(steps),
+        )
+
+    def part(self, first: int, last: int) -> Take:
+        """A copy of the steps from `first` up to, not including, `last`."""
+        return Take._make(values[first:last].copy() for values in self)
+
+    def put(self, first: int, part: Take) -> None:
+        """Replaces the steps from `first` on."""
+        for values, new in zip(self, part, strict=True):
+            values[first : first + len(new)] = new
+
+    def heard(self, step: int) -> Heard:
+        """Keys before a step."""
+        before, earlier = (
+            self.sounding[row] if row >= 0 else np.zeros_like(self.sounding[0])
+            for row in (step - 1, step - 2)
+        )
+        return Heard(before, before & ~earlier)
+
+
+Moments = dict[int, PlanningSimulation]
+"""The whole scene before some steps of a take, to the bit."""
+
+
+class Stage:
+    """The whole scene, in which takes are played and judged.
+
+    Attributes:
+        gain: (T, A, 2) of the feedback that leads back to a take.
+    """
+
+    def __init__(self, plan: SongPlan, start: Array, parts: Sequence[HandPart]) -> None:
+        """Args:
+        plan: of the whole song.
+        start: (J,) joint positions of the hands where the song begins [m, rad].
+        parts: of the hands.
+        """
+        scene, tracking = plan.scene, plan.nominal.tracking
+        servos = servos_of(scene)
+        self.gain, self._low, self._high = tracking.gain, servos.low, servos.high
+        self._to_posture = Follower(scene, tracking).posture
+        self._fingers = [part.fingers for part in parts]
+        self._losses = [Losses(plan, part) for part in parts]
+        self._keys = scene.keyboard.centre[:, 1]
+        self._beginning = PlanningSimulation(scene, 1, plan.track.config.control_timestep)
+        self._beginning.reset(None, start[None])
+
+    def beginning(self) -> PlanningSimulation:
+        """The scene where the song begins."""
+        return copy(self._beginning)
+
+    def posture(self, simulation: PlanningSimulation) -> Array:
+        """(A, 2) position and speed of each servo."""
+        return self._to_posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
+
+    def play(
+        self, simulation: PlanningSimulation, first: int, take: Take, heard: Heard, every: int
+    ) -> tuple[Take, Moments]:
+        """What comes of a part of a take if it is played from a simulation on, with feedback.
+
+        Args:
+            simulation: before the step `first`; it is played in.
+            first: where the part begins.
+            take: the part.
+            heard: before it.
+            every: so many steps there is a moment to keep, also at the end.
+        """
+        played, moments, last = take.part(0, len(take.ctrl)), {}, first + len(take.ctrl)
+        for k, row in enumerate(range(first, last)):
+            if row % every == 0:
+                moments[row] = copy(simulation)
+            here = self.posture(simulation)
+            back = (self.gain[row] * (here - take.expected[k])).sum(axis=1)
+            ctrl = np.clip(take.ctrl[k] - back, self._low, self._high)
+            simulation.step(ctrl[None])
+            step, heard = self.judged(simulation, row, heard)
+            played.put(k, Take(ctrl[None], here[None], *step))
+        if last % every == 0:
+            moments[last] = simulation
+        return played, moments
+
+    def judged(
+        self, simulation: PlanningSimulation, row: int, heard: Heard
+    ) -> tuple[tuple[Mask, Array, Array], Heard]:
+        """What sounds, is lost and costs after a step, as a row of a take, and what is heard.
+
+        The hand that is nearer to a key is to blame if that sounds and should not.
+        """
+        state = simulation.state
+        tips = [state.fingertip_xpos[0, fingers] for fingers in self._fingers]
+        away = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
+        nearest, loss, cost = np.argmin(away, axis=0), [], _UNSTABLE * bool(state.unstable[0])
+        now = heard
+        for i, (losses, hand) in enumerate(zip(self._losses, tips, strict=True)):
+            judged = losses.after(row, state.key_qpos[0], hand, heard, near=nearest == i)
+            loss.append(judged[0])
+            cost, now = cost + judged[1], judged[2]
+        return (now.sounding[None], np.array([loss]), np.array([cost])), now
