@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
 
-.PHONY: play test test-ray check docs bench sb3 lock clean
+.PHONY: play studio test test-ray check docs bench sb3 lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
 help:
 	@echo "make play    two robot hands play SONG=$(SONG), and leave a page to open"
+	@echo "make studio  a page to drop songs on, which the hands play while you watch"
 	@echo "make test    run the tests"
 	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
@@ -27,6 +28,10 @@ $(VENV)/installed: pyproject.toml requirements.lock
 
 play: $(VENV)/installed
 	$(BIN)/cadenza play $(SONG)
+
+# The server is an extra, but the lock file has it.
+studio: $(VENV)/installed
+	$(BIN)/cadenza studio
 
 test: $(VENV)/installed
 	$(BIN)/python -m pytest

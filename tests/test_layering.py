@@ -29,7 +29,8 @@ STANDS_ON: dict[str, set[str]] = {
     "report": {"music"},
     "performing": {"learning", "report"},
     "evaluation": {"performing"},
-    "cli": {"evaluation"},
+    "studio": {"performing"},
+    "cli": {"evaluation", "studio"},
 }
 LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "scipy", "mido", "partitura", "filelock", "platformdirs"},
@@ -53,6 +54,7 @@ LIBRARIES: dict[str, set[str]] = {
     },
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
     "evaluation": {"numpy", "scipy", "filelock", "ray"},
+    "studio": {"numpy", "starlette", "uvicorn"},
 }
 
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 from xml.sax.saxutils import escape
 
 PICTURE = Path(__file__).parents[1] / "docs" / "architecture.svg"
-WIDTH, HEIGHT = 940, 500
+WIDTH, HEIGHT = 940, 560
 BOX = (136, 66)  # [px] width and height
 COLUMNS = (20, 211, 402, 593, 784)
-ROWS = (24, 164, 244, 364)
+ROWS = (24, 164, 244, 364, 458)
 LEGEND = (("given", "yours to exchange"), ("box", "Cadenza"), ("made", "results"))
 STYLE = """
   text { font-family: system-ui, "Segoe UI", Helvetica, Arial, sans-serif; fill: #1b2530; }
@@ -61,6 +61,7 @@ BOXES = (
     Box(2, 3, "performance", "performing/", "made"),
     Box(3, 3, "episode", "episode.py", "made"),
     Box(4, 3, "learner", "learning/", "given"),
+    Box(3, 4, "live page", "studio/", "made"),
 )
 
 
@@ -119,6 +120,8 @@ def arrows() -> list[Arrow]:
     found.append(Arrow(((x, y), (x + 11, y), (x + 11, to[1]), to)))
     (x, y), to = side("performance", "bottom"), side("results", "bottom")
     found.append(Arrow(((x, y), (x, 450), (to[0], 450), to), "many runs", (x - 191, 445)))
+    (x, y), to = side("performance", "bottom", 44), side("live page", "left")
+    found.append(Arrow(((x, y), (x, to[1]), to), "steps", (x + 40, to[1] - 6)))
     return found
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from headless import Browser
 from made_up_episode import make_episode
 
 from cadenza.episode import Episode
+from headless import Browser
 
 
 @pytest.fixture

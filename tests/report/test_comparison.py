@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from headless import Browser, needs_chromium
 from made_up_episode import make_episode
 
+from cadenza.report.asset import asset
 from cadenza.report.comparison import COLUMNS, Run, in_text, means, write_comparison
-from cadenza.report.page import asset
+from headless import Browser, needs_chromium
 
 
 def run(agent: str, seed: int, f1: float, **figures: float) -> Run:

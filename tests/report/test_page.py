@@ -7,7 +7,8 @@ import pytest
 from made_up_episode import make_episode
 
 from cadenza.episode import Episode
-from cadenza.report.page import asset, write_report
+from cadenza.report.asset import asset
+from cadenza.report.page import write_report
 
 SILENCE = np.zeros((0, 2), np.int16)
 

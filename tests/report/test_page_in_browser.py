@@ -2,7 +2,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from headless import Browser, needs_chromium
 from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
@@ -12,6 +11,7 @@ from cadenza.report.sound import encode_mp3, synthesize
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene
+from headless import Browser, needs_chromium
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"

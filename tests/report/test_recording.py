@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from headless import needs_chromium
 from made_up_episode import DT, make_episode
 
-from cadenza.report.page import asset, write_report
+from cadenza.report.asset import asset
+from cadenza.report.page import write_report
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.scene.scene import build_scene
+from headless import needs_chromium
 
 pytestmark = needs_chromium
 DATA = Path(__file__).parents[1] / "data"

@@ -10,13 +10,13 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from headless import Browser, needs_chromium
 
 from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
 from cadenza.report.results_figure import write_figure
 from cadenza.report.results_page import write_results_pages
 from evaluation.made_up import AGENTS, result, write_bench, write_result
+from headless import Browser, needs_chromium
 
 BAD = "<i>\"&'/../x"
 SIZES = ((1440, 900), (1280, 720), (390, 844))

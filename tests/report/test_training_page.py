@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from headless import Browser, needs_chromium
 
 from cadenza.report.training import Curve, write_training
+from headless import Browser, needs_chromium
 
 STEPS, TIME = "F1 by control steps", "F1 by wall time"
 Row = dict[str, float | None]

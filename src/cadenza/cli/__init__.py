@@ -27,6 +27,7 @@ from cadenza.cli import (
     practice,
     results,
     songs,
+    studio,
     train,
 )
 from cadenza.cli.arguments import Shell, about_in_a_line, help_or_completion, parse, similar
@@ -41,6 +42,7 @@ _Command = tuple[type, Callable[..., None]]
 _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "play": (play.PlayCommand, play.run),
     "plan": (plan.PlanCommand, plan.run),
+    "studio": (studio.StudioCommand, studio.run),
     "practice": (practice.PracticeCommand, practice.run),
     "compare": (compare.Compare, compare.compare),
     "bench": (bench.Bench, bench.run),

@@ -93,6 +93,13 @@ def _velocity(
     """MIDI velocities of keys (N,) that begin to sound on steps `first` (N,)."""
     steps = max(1, round(STRIKE_TIME / dt))
     depth = np.vstack([np.zeros((steps, depth.shape[1])), depth])  # at rest before the first step
-    before = depth[first[:, None] + np.arange(steps + 1), key[:, None]]  # (N, steps + 1)
-    way = before[:, -1] - before.min(axis=1)
+    return strike_velocity(depth[first[:, None] + np.arange(steps + 1), key[:, None]])
+
+
+def strike_velocity(depth: NDArray[Any]) -> NDArray[np.intp]:
+    """MIDI velocities (N,) of keys that begin to sound at the end of `depth` (N, n).
+
+    It holds how far each was down in the last 0.1 s; see `performed_score`.
+    """
+    way = depth[:, -1] - depth.min(axis=1)
     return np.rint(SOFTEST + (LOUDEST - SOFTEST) * way).astype(np.intp)

@@ -16,8 +16,9 @@ from pathlib import Path
 from cadenza.episode import Episode
 from cadenza.music.keyboard import is_black, note_name
 from cadenza.music.performance import key_runs, performed_score
+from cadenza.report.asset import asset
 from cadenza.report.bars import Bar, bars
-from cadenza.report.page import asset, own_parts, pieces, shared_parts, write_page
+from cadenza.report.page import own_parts, pieces, shared_parts, write_page
 from cadenza.report.recording import VERDICTS, embedded, in_json, verdict
 from cadenza.report.sound import SAMPLE_RATE, synthesize
 

@@ -14,7 +14,6 @@ import html
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib import resources
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ import numpy as np
 from cadenza.episode import Episode
 from cadenza.files import write_atomically
 from cadenza.music.formats.finger_numbers import finger_from
+from cadenza.report.asset import asset
 from cadenza.report.recording import embedded
 from cadenza.report.sound import SAMPLE_RATE, Samples
 
@@ -268,8 +268,3 @@ def _number(value: Any) -> float | None:
     except (TypeError, ValueError):
         return None
     return float(f"{number:.5g}") if math.isfinite(number) else None
-
-
-def asset(name: str) -> str:
-    """The text of a file of `assets`."""
-    return resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8")

@@ -52,7 +52,7 @@ def _recording(episode: Episode) -> dict[str, Any]:
     depth = episode.key_depth
     depth = np.zeros_like(episode["key_qpos"]) if depth is None else depth
     rewards = {
-        name.removeprefix("reward_"): _packed(np.asarray(values, np.float32))
+        name.removeprefix("reward_"): packed(np.asarray(values, np.float32))
         for name, values in episode.arrays.items()
         if name.startswith("reward_")
     }
@@ -63,10 +63,10 @@ def _recording(episode: Episode) -> dict[str, Any]:
         "lowest": episode.lowest_pitch,
         "scene": scene,
         "unit": _UNIT,
-        "joints": _packed(np.round(joints / _UNIT).astype(np.int32)),
-        "angles": _packed((depth * 255).astype(np.uint8)),
-        "states": _packed(verdict(episode["goal_keys"], episode["key_activation"])),
-        "pedal": _packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
+        "joints": packed(np.round(joints / _UNIT).astype(np.int32)),
+        "angles": packed((depth * 255).astype(np.uint8)),
+        "states": packed(verdict(episode["goal_keys"], episode["key_activation"])),
+        "pedal": packed(verdict(episode["goal_sustain"], episode["sustain_activation"])),
         "rewards": dict(sorted(rewards.items(), key=lambda item: item[0] != "total")),
     }
 
@@ -80,7 +80,7 @@ def verdict(goal: NDArray[np.bool_], played: NDArray[np.bool_]) -> NDArray[np.ui
     return np.select([goal & played, played, goal], [1, 2, 3], 0).astype(np.uint8)
 
 
-def _packed(values: NDArray[Any]) -> str:
+def packed(values: NDArray[Any]) -> str:
     """`values` (T, ...) as base64 of deflated differences from step to step.
 
     They are those of the bit patterns, modulo 2^bits: nothing is rounded. A column follows the

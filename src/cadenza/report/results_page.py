@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.files import folder_name
+from cadenza.report.asset import asset
 from cadenza.report.bars import Bar, bars
 from cadenza.report.line_chart import Line, Points, line_chart
 from cadenza.report.overview import (
@@ -34,7 +35,7 @@ from cadenza.report.overview import (
     in_interval,
     shown,
 )
-from cadenza.report.page import asset, write_page
+from cadenza.report.page import write_page
 from cadenza.report.recording import in_json
 
 _STYLES = (

@@ -37,9 +37,10 @@ _LOUDNESS = -18.0
 # compressed sound, stays 1 dB below it.
 _CEILING = 10 ** (-2 / 20)
 _LOUDEST = 0.2  # amplitude of the loudest note before the whole is levelled
+LOUDER = 1.6  # power of the velocity that the amplitude grows with
 _BLOCK = 10  # [s] of sound that is made at a time
-_LAST_DAMPER = 88  # MIDI pitch; strings above have no damper and ring on
-_DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
+LAST_DAMPER = 88  # MIDI pitch; strings above have no damper and ring on
+DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
 _LONGEST = 30.0  # [s] a note sounds, whoever holds it
 _VELOCITY_BAND = 8  # velocities that share one timbre
 _TONES_KEPT = 64e6  # bytes of tones that are kept for the notes to come
@@ -195,7 +196,7 @@ def _blocks(
             sound = _damped(_tone_of(note, release, rate, tones), note, release, rate)
             first = round(note.start * rate) - begin
             mix = _at_least(first + len(sound), mix)
-            gain = _LOUDEST * (note.velocity / loudest) ** 1.6
+            gain = _LOUDEST * (note.velocity / loudest) ** LOUDER
             for channel, level in zip(mix, gain * _pan(note.pitch), strict=True):
                 channel[first : first + len(sound)] += sound * level
             done += 1
@@ -222,7 +223,7 @@ def _tone_of(
     if key not in tones:
         if sum(tone.nbytes for tone in tones.values()) > _TONES_KEPT:
             tones.clear()
-        tones[key] = _tone(note.pitch, band / 127, 2.0**doublings, rate)
+        tones[key] = tone(note.pitch, band / 127, 2.0**doublings, rate)
     return tones[key]
 
 
@@ -249,7 +250,7 @@ def _releases(score: Score) -> list[float]:
     return releases
 
 
-def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
+def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
     """One undamped note of loudness 1, (n,); `hardness` 0..1 is how hard the hammer strikes.
 
     It decays at first as the strings of C2, C4 and C7 that Bensa et al. fitted to a grand piano
@@ -274,7 +275,7 @@ def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.
     knock = 70 * 1.19**modes * (1 + 0.1 * np.sin(7.0 * modes))
     knock_level = 0.10 * (0.4 + hardness) * np.exp(-knock / (600 + 1500 * hardness))
     length = int(seconds * rate) + 1
-    tone = _ring(
+    sound = _ring(
         np.concatenate([frequency, frequency * 1.0004, knock]),
         np.concatenate([prompt, prompt / 4, 45 + 0.05 * knock]),
         np.concatenate([0.75 * level, 0.25 * level, knock_level]),
@@ -282,8 +283,8 @@ def _tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.
         rate,
     )
     rise = min(length, int((0.0015 + 0.003 * (1 - hardness)) * rate))
-    tone[:rise] *= 0.5 - 0.5 * np.cos(np.pi * np.arange(rise, dtype=np.float32) / rise)
-    return tone
+    sound[:rise] *= 0.5 - 0.5 * np.cos(np.pi * np.arange(rise, dtype=np.float32) / rise)
+    return sound
 
 
 def _ring(
@@ -319,7 +320,7 @@ def _powers(step: NDArray[Any], count: int) -> NDArray[Any]:
 
 def _damping(pitch: int) -> float:
     """Time from the damper's fall to silence [s]."""
-    return 1.2 if pitch > _LAST_DAMPER else 8 * _DAMPING
+    return 1.2 if pitch > LAST_DAMPER else 8 * DAMPING
 
 
 def _damped(
@@ -330,8 +331,8 @@ def _damped(
     sound = tone[: int((held + damping) * rate)].copy()
     after = sound[int(held * rate) :]
     fade = np.linspace(1, 0, len(after), dtype=np.float32)  # ends at exactly 0: no click
-    if note.pitch <= _LAST_DAMPER:
-        fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (_DAMPING * rate))
+    if note.pitch <= LAST_DAMPER:
+        fade *= np.exp(-np.arange(len(after), dtype=np.float32) / (DAMPING * rate))
     after *= fade
     return sound
 

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.report.asset import asset
 from cadenza.report.line_chart import LARGEST, Line, Points, in_short, line_chart
-from cadenza.report.page import asset, flat, write_page
+from cadenza.report.page import flat, write_page
 
 _STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
 _REWARDS = "eval/reward/"

@@ -6,8 +6,7 @@ const TRACK_LENGTH = (TRACK.ahead + TRACK.past) * TRACK.speed;
 
 /** Behind those `keys` of the scene that lie from number `low` to `high` of the `keyboard`. */
 function createFallingNotes(data, keys, keyboard, [low, high], colours) {
-  const goal = notes(data, wanted), played = notes(data);
-  const longest = longestOf(goal), longestPlayed = longestOf(played);
+  const goal = notes(data, wanted), longest = longestOf(goal);
   const track = new THREE.Group();
   track.position.set(keyboard.min.x - 0.012, 0, keyboard.max.z + 0.016);
   track.quaternion.setFromAxisAngle(new THREE.Vector3(0, 1, 0), Math.PI + TRACK.slope); // x is away
@@ -50,7 +49,7 @@ function createFallingNotes(data, keys, keyboard, [low, high], colours) {
       used = 0;
       const end = time + TRACK.ahead, start = time - TRACK.past;
       within(goal, longest, time, end, (note) => put(note, time, end, time, coming[Number(keys[note.key].black)]));
-      within(played, longestPlayed, start, time, (note) => put(note, start, time, time, colours[note.state - 1]));
+      notesBetween(data, start, time, (note) => put(note, start, time, time, colours[note.state - 1]));
       for (let i = used; i < solids.length; i++) solids[i].visible = false;
     },
   };

@@ -8,7 +8,7 @@ function rowAt(time, dt, steps) {
 
 const fromBase64 = Uint8Array.fromBase64?.bind(Uint8Array) ?? ((text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
 
-/** What `_packed` was given: numbers of the type `Numbers`, row by row. */
+/** What `packed` was given: numbers of the type `Numbers`, row by row. */
 async function unpacked(text, steps, Numbers) {
   const deflated = new Blob([fromBase64(text)]).stream();
   const inflated = new Response(deflated.pipeThrough(new DecompressionStream("deflate")));

@@ -14,7 +14,7 @@ function prepare(canvas, height) {
   return { context, width, height };
 }
 
-/** Hit is filled, missed an outline, wrong hatched: to be told apart without colours too. */
+/** Hit is filled, missed and coming an outline, wrong hatched: to be told apart without colours. */
 function drawNote(context, state, colours, x, y, width, height) {
   const inset = Math.min(1, height / 8);
   [x, y, width, height] = [x + 0.5, y + inset, Math.max(width - 1, 1.5), height - 2 * inset];
@@ -87,8 +87,13 @@ const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not 
 
 function createRoll(element, data, seek) {
   const canvas = element.querySelector("canvas"), { pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
-  const played = notes(data), longest = longestOf(played), pedalled = [];
-  stretches(steps, (t) => pedal[t], (a, b, state) => pedalled.push({ from: a * dt, to: b * dt, state }));
+  let played, longest, pedalled;
+  function read() {
+    [played, pedalled] = [notes(data), []];
+    longest = longestOf(played);
+    stretches(steps, (t) => pedal[t], (a, b, state) => pedalled.push({ from: a * dt, to: b * dt, state }));
+  }
+  read();
   const used = played.map(({ key }) => key);
   const low = Math.max(used.reduce((a, b) => Math.min(a, b), Math.min(69 - lowest, keys - 1)) - 1, 0), high = Math.min(used.reduce((a, b) => Math.max(a, b), Math.max(60 - lowest, 0)) + 1, keys - 1);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
@@ -150,6 +155,11 @@ function createRoll(element, data, seek) {
 
   return {
     draw,
+    /** After rows have changed. */
+    refresh() {
+      read();
+      draw();
+    },
     move(now) {
       const jumped = Math.abs(now - time) > 0.5;
       time = now;

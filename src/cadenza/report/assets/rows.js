@@ -1,7 +1,8 @@
 // What the rows of a recording say: notes, as stretches of them.
 
-const [HIT, WRONG, MISSED] = [1, 2, 3];
-const VERDICTS = ["hit", "wrong", "missed"]; // of states 1, 2, 3; in state 0 a key is rightly silent
+const [HIT, WRONG, MISSED, COMING] = [1, 2, 3, 4];
+// Of states 1 to 4; in state 0 a key is rightly silent. What is coming has yet to be played.
+const VERDICTS = ["hit", "wrong", "missed", "coming"];
 
 const NAMES = ["C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B"];
 const noteName = (pitch) => NAMES[pitch % 12] + (Math.floor(pitch / 12) - 1);
@@ -28,7 +29,17 @@ function notes({ states, dt, steps, keys }, of = (state) => state) {
   }
   return found.sort((a, b) => a.from - b.from);
 }
-const wanted = (state) => (state === HIT || state === MISSED ? HIT : 0);
+const wanted = (state) => (state === HIT || state === MISSED || state === COMING ? HIT : 0);
+
+/** Calls `found` for the notes of all keys in the rows from `start` to `end` [s]. */
+function notesBetween({ states, dt, steps, keys }, start, end, found) {
+  const first = Math.max(Math.floor(start / dt), 0), last = Math.min(Math.ceil(end / dt), steps);
+  for (let key = 0; key < keys; key++) {
+    stretches(last - first, (t) => states[(first + t) * keys + key], (from, to, state) => {
+      found({ key, from: (first + from) * dt, to: (first + to) * dt, state });
+    });
+  }
+}
 
 /** Calls `found` for each of `sorted`, of which none is longer than `longest`, within a time. */
 function within(sorted, longest, start, end, found) {

@@ -120,7 +120,9 @@ class Browser:
     def wait(self, condition: str, seconds: float = 40) -> None:
         end = time.monotonic() + seconds
         while not self.evaluate(condition):
-            assert time.monotonic() < end, f"{condition} did not come true; {self.problems()}"
+            assert time.monotonic() < end, (
+                f"{condition} did not come true; {str(self.problems())[:3000]}"
+            )
             time.sleep(0.05)
 
     def open(self, page: Path) -> None:

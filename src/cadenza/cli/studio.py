@@ -1,0 +1,66 @@
+"""`cadenza studio`: a page on which songs are dropped, and played while one watches."""
+
+from __future__ import annotations
+
+import os
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from cadenza.cli.arguments import Advanced
+from cadenza.cli.output import check_writable
+from cadenza.configs import whole_number
+from cadenza.errors import CadenzaError
+
+
+@dataclass(frozen=True)
+class StudioCommand:
+    """Open a page on this machine: drop a song, and the hands play it while you watch.
+
+    Ctrl-C ends it. What was played is found again the next time.
+
+    Example: cadenza studio
+    """
+
+    folder: Path = Path("played/studio")
+    """Where songs and performances are kept."""
+    port: int = 0
+    """Port to listen on; any free one by default."""
+    host: Advanced[str] = "127.0.0.1"
+    """Address to listen on. With any other than this machine's own, whoever has the address of the
+    page can use this machine to play."""
+    jobs: Advanced[int] = 1
+    """Performances that are planned at the same time."""
+    video: bool = True
+    """Make a video of each performance, if this machine can render."""
+    browser: bool = True
+    """Open the page in a browser, where there is a screen."""
+
+
+def run(command: StudioCommand) -> None:
+    port = whole_number(command.port, "--port", 0, 65535)
+    jobs = whole_number(command.jobs, "--jobs", 1, 64)
+    check_writable(command.folder)
+    serve = _server()
+
+    def ready(address: str) -> None:
+        print(f"Open {address}\nCtrl-C ends the studio.", flush=True)
+        if command.browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            webbrowser.open(address)
+
+    with suppress(KeyboardInterrupt):  # how it ends
+        serve(command.folder, command.host, port, jobs, command.video, ready)
+
+
+def _server() -> Callable[..., None]:
+    try:
+        from cadenza.studio.server import serve
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn", "websockets"):
+            raise
+        raise CadenzaError(
+            "the studio needs a web server: pip install 'cadenza[studio]', or run make studio"
+        ) from error
+    return serve

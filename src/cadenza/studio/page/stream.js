@@ -1,0 +1,70 @@
+// A performance that arrives while it is played: like a recording (see recording.js), but its rows
+// come one after the other, and their states hold only what has been shown.
+
+/** `about` is what the server says before the first row, see `cadenza.studio.live`. */
+async function createLive(about) {
+  const { dt, steps, keys, lowest, joints: width, row: size, start, scene, sound } = about;
+  const goal = await unpacked(about.goal, steps, Uint8Array), goalPedal = await unpacked(about.pedal, steps, Uint8Array);
+  const bytes = new Uint8Array(steps * size), numbers = new Float32Array(bytes.buffer), posture = Float32Array.from(start);
+  const angles = new Uint8Array(steps * keys), states = new Uint8Array(steps * keys), pedal = new Uint8Array(steps);
+  const depths = 4 * width, sounding = depths + keys, pedalAt = sounding + keys;
+  let filled = 0, came = 0, shown = 0, sums = [0, 0, 0];
+  const clear = () => {
+    [shown, sums] = [0, [0, 0, 0]];
+    goal.forEach((wants, i) => { states[i] = wants ? COMING : 0; });
+    goalPedal.forEach((wants, i) => { pedal[i] = wants ? COMING : 0; });
+  };
+  clear();
+  const verdict = (wants, sounds) => (wants ? (sounds ? HIT : MISSED) : sounds ? WRONG : 0);
+  const ratio = (a, b) => (b ? a / b : 1);
+  const rows = () => Math.floor(filled / size);
+  const sounds = (row, key) => bytes[row * size + sounding + key], pedalDown = (row) => bytes[row * size + pedalAt] > 0;
+  return {
+    dt, steps, keys, lowest, scene, sound, angles, states, pedal,
+    /** Rows that have come. */
+    get rows() { return rows(); },
+    /** Up to when it can be played [s]. */
+    get available() { return Math.max(rows() - 1, 0) * dt; },
+    sounds, pedalDown,
+    add(part) {
+      const first = rows();
+      bytes.set(part.subarray(0, bytes.length - came), came);
+      came = Math.min(came + part.length, bytes.length);
+      filled = Math.max(filled, came);
+      for (let row = first; row < rows(); row++) {
+        angles.set(bytes.subarray(row * size + depths, row * size + sounding), row * keys);
+      }
+    },
+    /** What comes next is the first row again. */
+    restart() { came = 0; },
+    jointsAt(time) {
+      if (!rows()) return posture;
+      const { row, next, blend } = rowAt(time, dt, rows()), stride = size / 4;
+      for (let i = 0; i < width; i++) {
+        const from = numbers[row * stride + i];
+        posture[i] = from + blend * (numbers[next * stride + i] - from);
+      }
+      return posture;
+    },
+    /** Shows what became of all keys up to a time; whether there was anything new. */
+    show(time) {
+      const end = Math.min(Math.floor(time / dt + 1e-6) + 1, rows()), first = shown;
+      for (; shown < end; shown++) {
+        let hits = 0, played = 0, want = 0;
+        for (let key = 0; key < keys; key++) {
+          const at = shown * keys + key, heard = sounds(shown, key);
+          hits += goal[at] && heard ? 1 : 0;
+          played += heard ? 1 : 0;
+          want += goal[at];
+          states[at] = verdict(goal[at], heard);
+        }
+        pedal[shown] = verdict(goalPedal[shown], pedalDown(shown));
+        [ratio(2 * hits, played + want), ratio(hits, played), ratio(hits, want)].forEach((value, i) => { sums[i] += value; });
+      }
+      return shown > first;
+    },
+    /** F1, precision and recall of the steps shown, as `cadenza.music.metrics` has them. */
+    get scores() { return sums.map((sum) => (shown ? sum / shown : null)); },
+    clear,
+  };
+}

@@ -1,0 +1,71 @@
+"""Reads an upload, as a process of its own: `python -m cadenza.studio.reading FILE`.
+
+It prints what the file holds as JSON, or `{"error": ...}` in one line, whatever the file is.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from cadenza.errors import CadenzaError
+from cadenza.music.formats.reading import read_score
+from cadenza.music.score import Score
+from cadenza.studio.limits import MOST_NOTES, MOST_SECONDS, READING, limit
+
+
+def content_of(path: Path) -> dict[str, Any]:
+    """What the page shows of a file.
+
+    Raises:
+        CadenzaError: it is no music, or too much of it.
+    """
+    score = read_score(path)
+    check_size(score)
+    return {
+        "seconds": score.total_time,
+        "notes": len(score.notes),
+        "tracks": [asdict(track) for track in score.tracks][:256],
+        "remarks": list(score.remarks)[:20],
+    }
+
+
+def check_size(score: Score) -> None:
+    """Raises: CadenzaError: there is nothing to play, or more than the studio takes."""
+    if not score.notes:
+        raise CadenzaError("there is nothing to play: the file has no notes")
+    if score.total_time > MOST_SECONDS:
+        minutes = f"{score.total_time / 60:.0f} minutes"
+        raise CadenzaError(f"the music lasts {minutes}; the studio plays up to half an hour")
+    if len(score.notes) > MOST_NOTES:
+        raise CadenzaError(f"{len(score.notes)} notes; the studio plays up to {MOST_NOTES}")
+
+
+def without_path(error: BaseException, path: Path) -> str:
+    """What is wrong, in one line that names no file of this machine."""
+    text = str(error).removeprefix(f"{path}: ").replace(str(path), "the file")
+    return " ".join(text.split()) or type(error).__name__
+
+
+def main() -> None:
+    """See above."""
+    path = Path(sys.argv[1])
+    warnings.simplefilter("ignore")
+    try:
+        limit(READING)
+        answer = content_of(path)
+    except (CadenzaError, OSError) as error:
+        answer = {"error": without_path(error, path)}
+    except MemoryError:
+        answer = {"error": "the file needs too much memory"}
+    except Exception:  # of a library that reads formats
+        answer = {"error": "the file is damaged or not music"}
+    json.dump(answer, sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

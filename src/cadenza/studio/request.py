@@ -1,0 +1,75 @@
+"""What a visitor of the studio can ask for. Imports nothing heavy: the server reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.errors import CadenzaError
+from cadenza.files import checked
+
+AGENTS = {
+    "planner": "Planner",
+    "sight": "Planner, without refinement",
+    "pretrained": "Learnt policy (Twinkle only)",
+    "predictive-sampling": "Predictive sampling, for contrast",
+}
+"""Those who play, and what they are called on the page."""
+
+
+@dataclass(frozen=True)
+class PlayRequest:
+    """A song and how it is to be played."""
+
+    song: str
+    """The name of a bundled piece, or the id of an upload."""
+    agent: Literal["planner", "sight", "pretrained", "predictive-sampling"] = "planner"
+    """See `AGENTS`; "sight" is the planner that follows its plan without refinement."""
+    tempo: float = 1.0
+    """2 is twice as fast as written."""
+    transpose: int = 0
+    """[semitones]"""
+    tracks: tuple[int, ...] = ()
+    """Numbers of those to be played, all where none is given."""
+    hand: Literal["shadow", "allegro"] = "shadow"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the process that plays is told."""
+
+    request: PlayRequest
+    title: str
+    source: str
+    """The name of a bundled piece, or the path of an upload."""
+    uploaded: bool
+    id: str
+    """Of the performance."""
+    folder: str
+    """Where it is kept."""
+    video: bool = True
+
+
+def read_request(content: Any) -> PlayRequest:
+    """Raises: CadenzaError: it is something else, or asks for what cannot be."""
+    try:
+        request = checked(content, PlayRequest, "request")
+    except CadenzaError as error:
+        raise CadenzaError(str(error).rpartition(";")[0]) from error
+    ranges: dict[str, tuple[float, float]] = {
+        "tempo": (0.25, 4),
+        "transpose": (-48, 48),
+        "seed": (0, MOST_COUNT),
+    }
+    check_ranges(request, ranges)
+    if len(request.tracks) > 64:
+        raise CadenzaError("tracks: choose 64 or fewer")
+    return request
+
+
+def performance_folder(root: Path, name: str) -> Path:
+    """Where a performance is written until it is whole; nobody lists it."""
+    return root / f".{name}"

@@ -1,0 +1,197 @@
+"""What the studio keeps: uploads, and performances as `cadenza play` leaves them.
+
+    FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, what it holds
+    FOLDER/ID/report.html ...   a performance, and studio.json, what the list says of it
+
+Ids are ours. What a visitor calls something is shown and never part of a path.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cadenza.errors import CadenzaError
+from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
+from cadenza.music.libraries.bundled import songs
+
+_ID = re.compile(r"[0-9a-f]{16}")
+_ABOUT = "studio.json"
+_MOST_UPLOADS = 200
+_LONGEST_TITLE = 100
+_LEFT_OVER = 3600.0  # [s] after which a performance that nobody finished is given up
+FILES = {
+    "report.html": "text/html; charset=utf-8",
+    "played.mid": "audio/midi",
+    "video.mp4": "video/mp4",
+    "metrics.json": "application/json",
+}
+"""What of a performance can be asked for, and what it is."""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A file that was dropped, and what it holds."""
+
+    id: str
+    title: str
+    ending: str
+    seconds: float
+    notes: int
+    tracks: list[dict[str, Any]] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A performance, as the list shows it."""
+
+    title: str
+    request: dict[str, Any]
+    f1: float
+    seconds: float
+    finished: float
+    """[s] since 1970."""
+
+
+class Shelf:
+    """See above."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises: OSError: the folder cannot be made."""
+        self.folder = folder.absolute()
+        self.uploads = self.folder / "uploads"
+        self.uploads.mkdir(parents=True, exist_ok=True)
+        self._tidy()
+
+    def _tidy(self) -> None:
+        """Removes what a process that was killed has left."""
+        old = time.time() - _LEFT_OVER
+        for path in self.folder.glob(".*"):
+            if _ID.fullmatch(path.name[1:]) and path.stat().st_mtime < old:
+                shutil.rmtree(path, ignore_errors=True)
+        for path in self.uploads.glob(f"{TEMPORARY}*"):
+            path.unlink(missing_ok=True)
+
+    # Songs
+
+    def songs(self) -> list[dict[str, Any]]:
+        """What can be played: uploads, the newest first, and the bundled pieces."""
+        uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
+        bundled = [
+            {
+                "id": piece.name,
+                "title": piece.title,
+                "composer": piece.composer,
+                "grade": piece.grade,
+                "seconds": piece.seconds,
+                "uploaded": False,
+            }
+            for piece in songs()
+        ]
+        return uploaded + bundled
+
+    def source(self, song: str) -> tuple[str, str, bool]:
+        """Title, name or path, and whether it is an upload.
+
+        Raises:
+            CadenzaError: there is no such song.
+        """
+        for piece in songs():
+            if piece.name == song:
+                return piece.title, piece.name, False
+        if _ID.fullmatch(song) and (about := self.uploads / f"{song}.json").is_file():
+            upload = read_json(about, Upload)
+            return upload.title, str(self.uploads / f"{song}{upload.ending}"), True
+        raise CadenzaError("there is no such song; choose one from the list, or drop a file")
+
+    def _uploads(self) -> list[Upload]:
+        newest = sorted(self.uploads.glob("*.json"), key=lambda p: p.stat().st_mtime, reverse=True)
+        found = []
+        for path in newest:
+            try:
+                found.append(read_json(path, Upload))
+            except CadenzaError:  # somebody else's
+                continue
+        return found
+
+    def put(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
+        """Writes an upload; it is listed once `add` says what it holds.
+
+        Returns:
+            Where it lies, its id, its title and its ending.
+        """
+        ending, id = _ending(content), hashlib.sha256(content).hexdigest()[:16]
+        path = self.uploads / f"{id}{ending}"
+        with write_atomically(path) as file:
+            file.write(content)
+        return path, id, _title(name), ending
+
+    def add(self, upload: Upload) -> None:
+        """Lists it, and forgets the oldest where there are too many."""
+        write_json(self.uploads / f"{upload.id}.json", asdict(upload))
+        for old in self._uploads()[_MOST_UPLOADS:]:
+            self.remove_upload(old.id)
+
+    def remove_upload(self, id: str) -> None:
+        """Raises: CadenzaError: there is none."""
+        if not _ID.fullmatch(id) or not (self.uploads / f"{id}.json").exists():
+            raise CadenzaError("there is no such upload")
+        for path in self.uploads.glob(f"{id}.*"):
+            path.unlink(missing_ok=True)
+
+    # Performances
+
+    def performances(self) -> list[dict[str, Any]]:
+        """All that are whole, the newest first."""
+        found = []
+        for path in self.folder.iterdir():
+            if not _ID.fullmatch(path.name) or path.is_symlink():
+                continue
+            try:
+                kept = read_json(path / _ABOUT, Kept)
+            except CadenzaError:
+                continue
+            files = [name for name in FILES if (path / name).is_file()]
+            found.append(asdict(kept) | {"id": path.name, "files": files})
+        return sorted(found, key=lambda kept: kept["finished"], reverse=True)
+
+    def file(self, id: str, name: str) -> Path:
+        """One of `FILES` of a performance.
+
+        Raises:
+            CadenzaError: there is none.
+        """
+        path = self._performance(id) / name
+        if name not in FILES or not path.is_file():
+            raise CadenzaError("there is no such file")
+        return path
+
+    def remove(self, id: str) -> None:
+        """Raises: CadenzaError: there is no such performance."""
+        shutil.rmtree(self._performance(id))
+
+    def _performance(self, id: str) -> Path:
+        path = self.folder / id
+        if not _ID.fullmatch(id) or not (path / _ABOUT).is_file():
+            raise CadenzaError("there is no such performance")
+        return path
+
+
+def _ending(content: bytes) -> str:
+    """By what a file holds, whatever it is called."""
+    if content.startswith(b"PK"):
+        return ".mxl"
+    return ".musicxml" if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") else ".mid"
+
+
+def _title(name: str) -> str:
+    """A file's name as it can be shown."""
+    stem = re.sub(r"\.(midi?|musicxml|xml|mxl)$", "", name.strip(), flags=re.IGNORECASE)
+    shown = "".join(c if c.isprintable() else " " for c in stem)
+    return " ".join(shown.split())[:_LONGEST_TITLE] or "Untitled"

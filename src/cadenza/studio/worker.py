@@ -1,0 +1,146 @@
+"""Plays one song, as a process of its own: `python -m cadenza.studio.worker`.
+
+It loads all that is needed, then waits for an order (see `cadenza.studio.request.Order`) as a line
+of JSON on stdin, and tells on stdout what happens, as `cadenza.studio.messages` has it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner  # loaded before it is needed
+from cadenza.agents.registry import PLANNER
+from cadenza.errors import CadenzaError
+from cadenza.files import parsed_json, plain, write_json
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.score import Score
+from cadenza.performing.performance import Performance, perform
+from cadenza.performing.setup import Selection, select, set_up
+from cadenza.studio.limits import PLAYING, limit
+from cadenza.studio.live import Live, Send, as_json
+from cadenza.studio.messages import Message
+from cadenza.studio.reading import check_size, without_path
+from cadenza.studio.request import Order, performance_folder
+
+__all__ = ["ScorePlanner", "main"]
+
+_BETWEEN = 0.2  # [s] between two times that a stage is told
+
+
+def main() -> None:
+    """See above."""
+    with os.fdopen(os.dup(1), "wb") as out:
+        os.dup2(2, 1)  # what others print is no message
+        line = sys.stdin.buffer.readline()
+        if not line:
+            return
+        limit(PLAYING)
+        order = parsed_json(line, Order, "order")
+
+        def send(message: Message) -> None:
+            try:
+                message.write(out)
+            except BrokenPipeError:  # nobody listens: the server has gone
+                if not keeping:
+                    os._exit(1)
+
+        keeping = False
+        try:
+            performance = play(order, send)
+            keeping = True
+            keep(performance, order, send)
+        except (CadenzaError, OSError) as error:
+            send(as_json(state="failed", error=without_path(error, Path(order.source))))
+        except MemoryError:
+            send(as_json(state="failed", error="it needs more memory than a player may use"))
+
+
+def play(order: Order, send: Send) -> Performance:
+    """Plays, telling every step."""
+    began = time.monotonic()
+    selection = _selected(order)
+    request = order.request
+    task = replace(selection.task, transpose=request.transpose, stretch=1 / request.tempo)
+    scene = replace(selection.scene, hand=request.hand)
+    told = _Told(send)
+    with set_up(selection, task, scene, request.seed, told.stage) as setup:
+        live = Live(setup.task, send)
+        live.begin()
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stage != "playing":
+                told.stage(stage, done, total)
+                return
+            live.step()
+
+        performance = perform(setup, progress)
+        spent = round(time.monotonic() - began, 3)
+        send(as_json(state="played", metrics=plain(performance.metrics), spent=spent))
+        return performance
+
+
+def _selected(order: Order) -> Selection:
+    """The song and who plays it, called as the visitor calls it."""
+    request = order.request
+    agent = PLANNER if request.agent == "sight" else request.agent
+    config = {PLANNER: ScorePlannerConfig(method="none")} if request.agent == "sight" else None
+    arrangement = Arrangement(tracks=request.tracks)
+    if not order.uploaded:
+        return select(order.source, agent, arrangement=arrangement, configs=config)
+    score = _score(order, arrangement)
+    return select(score, agent, arrangement=arrangement, configs=config)
+
+
+def _score(order: Order, arrangement: Arrangement) -> Score:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        score = arrangement.score(order.source)
+    check_size(score)
+    return replace(score, title=order.title)
+
+
+def keep(performance: Performance, order: Order, send: Send) -> None:
+    """Writes what `cadenza play` leaves; the folder appears when all of it is there."""
+    root, told = Path(order.folder), _Told(send, "writing")
+    folder = performance_folder(root, order.id)
+    about: dict[str, Any] = {
+        "title": order.title,
+        "request": order.request.__dict__,
+        "f1": performance.metrics["f1"],
+        "seconds": performance.seconds,
+        "finished": time.time(),
+    }
+    try:
+        performance.save(folder, order.video, told.stage)
+        write_json(folder / "studio.json", about)
+        folder.rename(root / order.id)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    send(as_json(state="kept", performance=order.id))
+
+
+class _Told:
+    """Tells how far a stage is, not too often."""
+
+    def __init__(self, send: Send, state: str = "preparing") -> None:
+        self._send, self._state = send, state
+        self._last = ("", 0.0)
+
+    def stage(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage == self._last[0] and now - self._last[1] < _BETWEEN:
+            return
+        self._last = stage, now
+        self._send(as_json(state=self._state, stage=stage, done=done, total=total))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""The studio in a browser, with a server and players of its own."""
+
+from __future__ import annotations
+
+import base64
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from headless import Browser, needs_chromium
+
+pytest.importorskip("uvicorn", reason="needs cadenza[studio]")
+pytestmark = [pytest.mark.slow, needs_chromium]
+
+
+@contextmanager
+def studio(folder: Path) -> Iterator[str]:
+    """Its address."""
+    command = [sys.executable, "-m", "cadenza", "studio", "--folder", str(folder)]
+    options = ["--no-video", "--no-browser"]
+    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield process.stdout.readline().split()[-1]
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("studio")
+
+
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    with studio(folder) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    browser = Browser(tmp_path_factory.mktemp("profile"))
+    yield browser
+    browser.close()
+
+
+def wait(browser: Browser, condition: str) -> None:
+    """For long: players share the machine with whatever else it does."""
+    browser.wait(condition, 150)
+
+
+def visit(browser: Browser, address: str) -> None:
+    browser.events.clear()
+    browser.call("Page.navigate", url="about:blank")
+    browser.call("Page.navigate", url=address)
+    wait(browser, "!!window.cadenza && cadenza.ready")
+    assert browser.evaluate("cadenza.error") is None
+    browser.evaluate("document.getElementById('agent').value = 'sight'")
+
+
+def drop(browser: Browser, content: bytes, name: str) -> None:
+    """As if a file was dropped on the page."""
+    data = base64.b64encode(content).decode()
+    browser.evaluate(f"""(async () => {{
+        const bytes = Uint8Array.from(atob("{data}"), (c) => c.charCodeAt(0));
+        const dataTransfer = new DataTransfer();
+        dataTransfer.items.add(new File([bytes], {json.dumps(name)}));
+        document.body.dispatchEvent(new DragEvent("drop", {{ dataTransfer, bubbles: true }}));
+    }})()""")
+
+
+def song(path: Path, count: int = 6) -> bytes:
+    write_midi(Score(tuple(Note(0.5 * i, 0.5 * i + 0.4, 67 + i % 3) for i in range(count))), path)
+    return path.read_bytes()
+
+
+def text(browser: Browser, id: str) -> str:
+    return browser.evaluate(f"document.getElementById('{id}').innerText")
+
+
+def test_a_dropped_file_plays_to_its_end_and_is_kept(
+    browser: Browser, address: str, folder: Path, tmp_path: Path
+) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "a.mid"), "My <b>song.mid")
+    wait(browser, "cadenza.began")
+    assert text(browser, "title") == "My <b>song"
+    wait(browser, "cadenza.time > 1.2")
+    wait(browser, "cadenza.finished")
+    f1, precision, recall = browser.evaluate("cadenza.live.scores")
+    # Sounds are struck when their keys are; a machine that is busy may be late now and then.
+    late = sorted(abs(at - due) for due, _, at in browser.evaluate("cadenza.strikes"))
+    assert late
+    assert late[len(late) // 2] < 0.02
+    wait(browser, "cadenza.state === 'kept' && document.getElementById('kept').children.length")
+    (kept,) = (path for path in folder.iterdir() if (path / "studio.json").exists())
+    metrics = json.loads((kept / "metrics.json").read_text())
+    for name, shown in ("f1", f1), ("precision", precision), ("recall", recall):
+        assert shown == pytest.approx(metrics[name], abs=1e-9)
+    assert metrics["f1"] > 0.5
+    assert "My <b>song" in text(browser, "kept")
+    assert browser.problems() == []
+    # The report opens, and cannot reach the studio.
+    url = browser.evaluate("document.querySelector('#kept a').href")
+    browser.call("Page.navigate", url=url)
+    wait(browser, "!!window.cadenza && cadenza.ready")
+    assert browser.evaluate("origin") == "null"
+    assert browser.problems() == []
+
+
+def test_a_page_that_is_loaded_again_goes_on(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "b.mid", 12), "b.mid")
+    wait(browser, "cadenza.time > 1.5")
+    browser.call("Page.reload")
+    time.sleep(0.2)
+    wait(browser, "!!window.cadenza && cadenza.ready && cadenza.began")
+    assert browser.evaluate("cadenza.time") > 1
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+
+
+def test_cancel_ends_the_player_and_keeps_nothing(
+    browser: Browser, address: str, folder: Path, tmp_path: Path
+) -> None:
+    visit(browser, address)
+    drop(browser, song(tmp_path / "c.mid", 100), "c.mid")
+    wait(browser, "cadenza.live")
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+    assert text(browser, "doing") == "Cancelled."
+    time.sleep(0.5)
+    kept = [json.loads(path.read_text())["title"] for path in folder.glob("*/studio.json")]
+    assert "c" not in kept
+    assert not list(folder.glob(".*/episode.npz"))
+
+
+def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    drop(browser, b"MThd" + b"\xff" * 100, "broken.mid")
+    wait(browser, "cadenza.error !== null")
+    assert text(browser, "error")
+    assert "\n" not in text(browser, "error")
+    assert text(browser, "doing") == "Drop another file, or choose a piece."
+
+
+def test_kept_performances_and_settings_are_found_after_a_restart(
+    browser: Browser, folder: Path
+) -> None:
+    with studio(folder) as again:  # beside the first, which does not mind
+        visit(browser, f"{again}#song=OdeToJoy&hand=allegro&seed=7&tempo=1.5")
+        assert "My <b>song" in text(browser, "kept")
+        chosen = (
+            "[...document.querySelectorAll('.options select, .options input')].map(e => e.value)"
+        )
+        assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7"]
+        assert text(browser, "start") == "Play Ode to Joy"
+        browser.evaluate("window.confirm = () => true")
+        browser.evaluate("document.querySelector('#kept li button:last-child').click()")
+        wait(browser, "!document.getElementById('kept').children.length")
+        assert not list(folder.glob("*/studio.json"))

@@ -1,0 +1,67 @@
+"""What is told while it is played, against what is kept of it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import zlib
+
+import numpy as np
+
+from cadenza.agents.agent import RandomAgent
+from cadenza.music.performance import performed_score
+from cadenza.music.score import Note, Score
+from cadenza.performing.performance import perform
+from cadenza.performing.setup import select, set_up
+from cadenza.studio.live import Live
+from cadenza.studio.messages import JSON, ROWS, TONE, Message
+from cadenza.tasks.config import TaskConfig
+
+
+def test_the_rows_hold_the_episode_and_tones_come_before_their_keys() -> None:
+    score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
+    told: list[Message] = []
+    with set_up(select(score, RandomAgent()), TaskConfig(), seed=3) as setup:
+        live = Live(setup.task, told.append)
+        live.begin()
+        played = perform(setup, lambda stage, *_: live.step() if stage == "playing" else None)
+    about = json.loads(told[0].content)
+    episode, joints = played.episode, about["joints"]
+    rows = [message.content for message in told if message.kind == ROWS]
+    assert told[0].kind == JSON
+    assert about["steps"] == len(rows) == episode.num_steps
+    assert {len(row) for row in rows} == {about["row"]}
+    assert about["row"] % 4 == 0
+    numbers = np.array([np.frombuffer(row[: 4 * joints], "<f4") for row in rows])
+    np.testing.assert_array_equal(numbers, episode["hand_qpos"].astype(np.float32))
+    keys = np.array([np.frombuffer(row[4 * joints :][:176], np.uint8) for row in rows])
+    assert episode.key_depth is not None
+    np.testing.assert_array_equal(keys[:, :88], (episode.key_depth * 255).astype(np.uint8))
+    np.testing.assert_array_equal(keys[:, 88:] > 0, episode["key_activation"])
+    np.testing.assert_array_equal(
+        [row[4 * joints + 176] for row in rows], episode["sustain_activation"]
+    )
+    # Strikes are the notes of the file that is kept, as loud.
+    step, key = np.nonzero(keys[:, 88:] > 1)
+    loud = keys[step, 88 + key].tolist()
+    struck = sorted(zip((step * about["dt"]).tolist(), (key + 21).tolist(), loud, strict=True))
+    notes = performed_score(
+        episode["key_activation"], episode["sustain_activation"], episode.dt, episode.key_depth
+    ).notes
+    assert struck == sorted((note.start, note.pitch, note.velocity) for note in notes)
+    assert struck  # random actions strike keys
+    known = set[tuple[int, int]]()
+    for message in told:
+        if message.kind == TONE:
+            pitch, band, peak = struct.unpack_from("<BBxxf", message.content)
+            known.add((pitch, band))
+            assert np.abs(np.frombuffer(message.content[8:], "<i2")).max() == 32767
+            assert peak > 0
+        elif message.kind == ROWS:
+            sounds = message.content[4 * joints + 88 :][:88]
+            assert {(k + 21, v // 32) for k, v in enumerate(sounds) if v > 1} <= known
+    # What is to be played comes first, packed as in a report.
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(about["goal"])), np.uint8)
+    goal = np.cumsum(planes.reshape(88, -1), axis=1, dtype=np.uint8).T
+    np.testing.assert_array_equal(goal, episode["goal_keys"])

@@ -1,0 +1,140 @@
+"""What a visitor asks for, and files that a visitor drops."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.files import write_json
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.studio import reading, shelf
+from cadenza.studio.request import PlayRequest, read_request
+from cadenza.studio.shelf import Kept, Shelf, Upload
+
+
+def test_a_request_says_what_is_to_be_played() -> None:
+    request = read_request({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2]})
+    assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        {"song": 1},
+        {"song": "OdeToJoy", "agent": "os:system"},
+        {"song": "OdeToJoy", "hand": "os:system"},
+        {"song": "OdeToJoy", "tempo": 0},
+        {"song": "OdeToJoy", "transpose": 1000},
+        {"song": "OdeToJoy", "seed": -1},
+        {"song": "OdeToJoy", "tracks": list(range(1000))},
+        {"song": "OdeToJoy", "video": "/etc/passwd"},
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused_in_a_line(content: dict[str, object]) -> None:
+    with pytest.raises(CadenzaError) as refused:
+        read_request(content)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.fixture
+def songs(tmp_path: Path) -> Shelf:
+    return Shelf(tmp_path)
+
+
+def add(songs: Shelf, content: bytes, name: str) -> Upload:
+    path, id, title, ending = songs.put(content, name)
+    assert path.read_bytes() == content
+    assert path.resolve().is_relative_to(songs.folder.resolve())
+    upload = Upload(id, title, ending, 1.0, 1)
+    songs.add(upload)
+    return upload
+
+
+@pytest.mark.parametrize("name", ["../../evil.mid", "/etc/passwd", "a\0b.mid", "", "é" * 5000])
+def test_names_are_shown_but_lead_nowhere(songs: Shelf, name: str) -> None:
+    upload = add(songs, b"MThd", name)
+    (listed, *_) = songs.songs()
+    assert listed["title"] == upload.title
+    assert upload.title.isprintable()
+    assert 0 < len(upload.title) <= 100
+    assert len(list(songs.folder.rglob("*"))) == 3  # the folder of uploads, the file, what it holds
+
+
+@pytest.mark.parametrize("song", ["../uploads/x", "/etc/passwd", "0" * 16, "no such"])
+def test_a_song_that_is_not_there_is_refused(songs: Shelf, song: str) -> None:
+    with pytest.raises(CadenzaError, match="no such song"):
+        songs.source(song)
+
+
+def test_only_so_many_uploads_are_kept(songs: Shelf, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shelf, "_MOST_UPLOADS", 2)
+    for i in range(4):
+        add(songs, b"MThd%d" % i, f"{i}.mid")
+    assert len([song for song in songs.songs() if song["uploaded"]]) == 2
+    assert len(list(songs.uploads.iterdir())) == 4
+
+
+def test_performances_are_found_again_and_removed(songs: Shelf) -> None:
+    id = "0123456789abcdef"
+    kept = Kept("Ode", asdict(PlayRequest("OdeToJoy")), 0.9, 8.0, 1.0)
+    (songs.folder / id).mkdir()
+    write_json(songs.folder / id / "studio.json", asdict(kept))
+    (songs.folder / id / "report.html").write_text("report")
+    (songs.folder / "fedcba9876543210").mkdir()  # somebody else's
+    again = Shelf(songs.folder)
+    (found,) = again.performances()
+    assert (found["id"], found["title"], found["files"]) == (id, "Ode", ["report.html"])
+    assert again.file(id, "report.html").read_text() == "report"
+    for wrong in (id, "settings.json"), (id, "../x"), ("..", "report.html"), ("x", "report.html"):
+        with pytest.raises(CadenzaError, match="there is no such"):
+            again.file(*wrong)
+    again.remove(id)
+    assert again.performances() == []
+    with pytest.raises(CadenzaError, match="no such performance"):
+        again.remove("uploads")
+
+
+def test_a_file_is_read_by_a_process_that_says_what_it_holds(tmp_path: Path) -> None:
+    path = tmp_path / "a.mid"
+    write_midi(Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 62))), path)
+    command = [sys.executable, "-P", "-m", "cadenza.studio.reading", str(path)]
+    answer = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    assert (answer["notes"], answer["seconds"]) == (2, 2.0)
+
+
+@pytest.mark.parametrize("content", [b"MThd", b"", b"<score", b"PK\3\4", b"\x89PNG" * 100])
+def test_what_is_no_music_is_refused_in_a_line(
+    songs: Shelf,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    content: bytes,
+) -> None:
+    path, *_ = songs.put(content, "song.mid")
+    monkeypatch.setattr(sys, "argv", ["reading", str(path)])
+    monkeypatch.setattr(reading, "limit", lambda _: None)  # not on the process of the tests
+    reading.main()
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error
+    assert "\n" not in error
+    assert str(path) not in error
+
+
+@pytest.mark.parametrize(
+    ("notes", "why"),
+    [
+        ((), "no notes"),
+        ((Note(3600.0, 3601.0, 60),), "half an hour"),
+        (tuple(Note(0.01 * i, 0.01 * i + 0.01, 60) for i in range(40_001)), "40001 notes"),
+    ],
+)
+def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -> None:
+    with pytest.raises(CadenzaError, match=why):
+        reading.check_size(Score(notes))

@@ -1,0 +1,133 @@
+"""The server without a browser: who may talk to it, and what it answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="needs cadenza[studio]")
+pytest.importorskip("uvicorn", reason="needs cadenza[studio]")
+pytest.importorskip("httpx2", reason="needs the development group")
+
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.studio import jobs
+from cadenza.studio.server import Studio
+
+ADDRESS = "http://127.0.0.1:8000"
+SAME = {"origin": ADDRESS}
+
+
+@pytest.fixture
+def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+    async def nothing(self: Any) -> None:
+        pass
+
+    monkeypatch.setattr(jobs.Jobs, "warm", nothing)
+    monkeypatch.setattr(jobs.Jobs, "_pump", lambda _: None)  # jobs stay in the queue
+    app = Studio(tmp_path / "studio").app("TOKEN", "127.0.0.1")
+    with TestClient(app, base_url=ADDRESS) as client:
+        yield client
+
+
+def test_the_page_and_its_parts_are_there(client: TestClient) -> None:
+    page = client.get("/TOKEN/")
+    assert page.status_code == 200
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    parts = [client.get(f"/TOKEN/{name}") for name in ("studio.css", "studio.js", "three.js")]
+    assert all(part.status_code == 200 for part in parts)
+    assert len(page.content) + sum(len(part.content) for part in parts) < 1_000_000
+    assert client.get("/TOKEN/guard.py").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/", {}),
+        ("/WRONG/", {}),
+        ("/TOKENx/", {}),
+        ("/t%C3%B6ken/", {}),
+        ("/TOKEN/", {"host": "evil.example:8000"}),
+        ("/TOKEN/", {"host": ""}),
+        ("/TOKEN/api/songs", {"origin": "http://evil.example"}),
+        ("/TOKEN/api/songs", {"origin": "null"}),
+        ("/TOKEN/api/songs", {"origin": "http://127.0.0.1:9000"}),
+    ],
+)
+def test_others_are_refused(client: TestClient, path: str, headers: dict[str, str]) -> None:
+    answer = client.get(path, headers=headers)
+    assert answer.status_code == 403
+    assert answer.text.count("\n") == 1
+
+
+def test_nothing_changes_without_an_origin(client: TestClient) -> None:
+    for method, path in [("POST", "jobs"), ("POST", "songs"), ("DELETE", "performances/x")]:
+        assert client.request(method, f"/TOKEN/api/{path}").status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        ("/TOKEN/watch/x", {}),
+        ("/TOKEN/watch/x", {"origin": "http://evil.example"}),
+        ("/WRONG/watch/x", SAME),
+        ("/TOKEN/watch/x", SAME | {"host": "evil.example"}),
+    ],
+)
+def test_others_cannot_watch(client: TestClient, path: str, headers: dict[str, str]) -> None:
+    with (
+        pytest.raises(WebSocketDisconnect),
+        client.websocket_connect(f"ws://127.0.0.1:8000{path}", headers=headers),
+    ):
+        pass
+
+
+def test_a_job_that_is_gone_is_said_to_be(client: TestClient) -> None:
+    with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as socket:
+        assert socket.receive_json() == {"state": "gone"}
+
+
+def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:
+    path = tmp_path / "a.mid"
+    write_midi(Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 62))), path)
+    url = "/TOKEN/api/songs?name=%3Cb%3EMy%20song.mid"
+    answer = client.post(url, content=path.read_bytes(), headers=SAME)
+    assert answer.status_code == 201, answer.text
+    (first, *_) = client.get("/TOKEN/api/songs").json()["songs"]
+    assert (first["id"], first["title"], first["notes"]) == (answer.json()["id"], "<b>My song", 2)
+    assert client.delete(f"/TOKEN/api/songs/{first['id']}", headers=SAME).status_code == 204
+    assert not any(song["uploaded"] for song in client.get("/TOKEN/api/songs").json()["songs"])
+
+
+def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(
+    client: TestClient, tmp_path: Path
+) -> None:
+    for content in b"MThd broken", b"\0" * (5 << 20):
+        answer = client.post("/TOKEN/api/songs?name=a.mid", content=content, headers=SAME)
+        assert answer.status_code == 400
+        assert answer.json()["error"]
+        assert "\n" not in answer.json()["error"]
+        assert str(tmp_path) not in answer.text
+    assert list((tmp_path / "studio" / "uploads").iterdir()) == []
+
+
+def test_only_so_many_songs_wait(client: TestClient) -> None:
+    def ask(**request: Any) -> Any:
+        return client.post("/TOKEN/api/jobs", json=request, headers=SAME)
+
+    answers = [ask(song="OdeToJoy") for _ in range(jobs.MOST_WAITING + 1)]
+    assert [answer.status_code for answer in answers] == [201] * jobs.MOST_WAITING + [400]
+    assert "wait already" in answers[-1].json()["error"]
+    id = answers[0].json()["id"]
+    assert client.delete(f"/TOKEN/api/jobs/{id}", headers=SAME).status_code == 204
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as socket:
+        assert socket.receive_json() == {"state": "cancelled"}
+    assert ask(song="OdeToJoy").status_code == 201
+    assert ask(song="../x").json()["error"].startswith("there is no such song")
+    assert client.post("/TOKEN/api/jobs", content=b"{", headers=SAME).status_code == 400
