@@ -59,6 +59,7 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
         "info": (dataset.DatasetInfo, dataset.info),
         "check": (dataset.DatasetCheck, dataset.check),
         "play": (dataset.DatasetPlay, dataset.play),
+        "export": (dataset.DatasetExport, dataset.export),
     },
 }
 """A command, or several under one name."""

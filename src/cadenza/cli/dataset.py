@@ -221,3 +221,32 @@ def play(command: DatasetPlay) -> None:
         performance = play_again(episodes[number], told)
     print(f"{episodes[number].about.song}, {episodes[number].folder.name}")
     keep(performance, folder, command.video)
+
+
+@dataclass(frozen=True)
+class DatasetExport:
+    """Write demonstrations for other libraries: Minari, or LeRobot v3.
+
+    Example: cadenza dataset export demonstrations --format lerobot -o lerobot
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """Of the demonstrations."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """A new folder. For Minari, MINARI_DATASETS_PATH has to name it when the dataset is loaded."""
+    format: Literal["minari", "lerobot"] = "minari"
+    """What to write."""
+    quiet: Quiet = False
+
+
+def export(command: DatasetExport) -> None:
+    from cadenza.demonstrations.dataset import open_dataset
+    from cadenza.demonstrations.lerobot_export import write_lerobot
+    from cadenza.demonstrations.minari_export import NAME, write_minari
+
+    dataset = open_dataset(command.folder)
+    write = write_minari if command.format == "minari" else write_lerobot
+    with progress("exporting", "episodes") as advance:
+        write(dataset, command.output, advance)
+    what = f"the dataset {NAME}" if command.format == "minari" else "a LeRobot dataset"
+    print(f"{len(dataset.episodes)} episodes: {what} in {command.output}")

@@ -1,0 +1,235 @@
+"""Writes demonstrations as a dataset of LeRobot, format v3.0, which is Parquet and JSON.
+
+    meta/info.json                                what there is, and of which shapes
+    meta/stats.json                               least, greatest, mean, deviation of each feature
+    meta/tasks.parquet                            a task for each song
+    meta/episodes/chunk-000/file-000.parquet      where each episode is
+    data/chunk-000/file-000.parquet               the frames, many episodes a file
+
+The action is what the demonstrator chose, in [-1, 1]; what was played, with noise, is the next
+frame's `observation.previous_action`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.demonstrations.dataset import Dataset
+from cadenza.demonstrations.transitions import new_folder, transitions
+from cadenza.errors import CadenzaError
+from cadenza.files import write_json
+
+_FILE_BYTES = 100 * 2**20  # after which another file is begun
+_FILES_PER_CHUNK = 1000
+_DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+_INDICES = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+
+Arrays = dict[str, NDArray[Any]]
+Stats = dict[str, dict[str, Any]]
+
+
+def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
+    """Writes a dataset into a new folder.
+
+    Raises:
+        CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, or the
+            control steps are no whole number a second.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise CadenzaError("pyarrow is not installed: pip install 'cadenza[export]'") from error
+    fps = round(1 / dataset.control_timestep)
+    if abs(fps * dataset.control_timestep - 1) > 1e-9:
+        raise CadenzaError(
+            f"LeRobot wants a whole number of frames a second, not {1 / dataset.control_timestep:g}"
+        )
+    songs = list(dict.fromkeys(episode.about.song for episode in dataset.episodes))
+    tasks = {song: number for number, song in enumerate(songs)}
+    with new_folder(path) as folder:
+        files, rows, stats = _Files(folder), list[dict[str, Any]](), _Stats()
+        index = 0
+        features: dict[str, Any] = {}
+        for number, episode in enumerate(dataset.episodes):
+            frames = _frames(dataset, number, index, tasks[episode.about.song], fps)
+            features = features or {name: _feature(values) for name, values in frames.items()}
+            of_episode = _stats_of(frames)
+            stats.add(of_episode)
+            chunk, file = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
+            count = len(frames["index"])
+            rows.append(
+                {
+                    "episode_index": number,
+                    "tasks": [_task(episode.about.song)],
+                    "length": count,
+                    "data/chunk_index": chunk,
+                    "data/file_index": file,
+                    "dataset_from_index": index,
+                    "dataset_to_index": index + count,
+                    "meta/episodes/chunk_index": 0,
+                    "meta/episodes/file_index": 0,
+                }
+                | {f"stats/{n}/{k}": v for n, of in of_episode.items() for k, v in of.items()}
+            )
+            index += count
+            advance(number + 1, len(dataset.episodes))
+        files.close()
+        (folder / _EPISODES).parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(rows), folder / _EPISODES)
+        pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
+        write_json(folder / "meta/stats.json", stats.whole)
+        info = {
+            "codebase_version": "v3.0",
+            "robot_type": f"{dataset.scene.hand.name} hands",
+            "total_episodes": len(rows),
+            "total_frames": index,
+            "total_tasks": len(songs),
+            "chunks_size": _FILES_PER_CHUNK,
+            "data_files_size_in_mb": _FILE_BYTES >> 20,
+            "video_files_size_in_mb": 200,
+            "fps": fps,
+            "splits": {"train": f"0:{len(rows)}"},
+            "data_path": _DATA,
+            "video_path": None,
+            "features": features,
+        }
+        write_json(folder / "meta/info.json", info)
+
+
+def _frames(dataset: Dataset, number: int, first: int, task: int, fps: int) -> Arrays:
+    made = transitions(dataset, number)
+    count = len(made.chosen)
+    frame = np.arange(count)
+    return {
+        "observation.state": made.joints[:-1],
+        "observation.velocity": made.velocities[:-1],
+        "observation.previous_action": made.played[:-1],
+        "observation.environment_state": made.environment[:-1],
+        "action": made.chosen,
+        "next.reward": made.reward,
+        "next.done": frame == count - 1,
+        "timestamp": (frame / fps).astype(np.float32),
+        "frame_index": frame,
+        "episode_index": np.full(count, number),
+        "index": first + frame,
+        "task_index": np.full(count, task),
+    }
+
+
+def _feature(values: NDArray[Any]) -> dict[str, Any]:
+    return {"dtype": values.dtype.name, "shape": list(values.shape[1:]) or [1], "names": None}
+
+
+def _column(pa: Any, values: NDArray[Any]) -> Any:
+    if values.ndim == 1:
+        return pa.array(values)
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _task(song: str) -> str:
+    return f"Play {song}."
+
+
+def _tasks(pa: Any, songs: Sequence[str]) -> Any:
+    """The table of tasks, whose names pandas, which reads it, takes as their index."""
+    table = pa.table({"task_index": range(len(songs)), "task": [_task(song) for song in songs]})
+    columns: list[dict[str, Any]] = [
+        {"name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
+        {"name": "task", "pandas_type": "unicode", "numpy_type": "object"},
+    ]
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [c | {"field_name": c["name"], "metadata": None} for c in columns],
+        "pandas_version": "2.0.0",
+    }
+    return table.replace_schema_metadata({"pandas": json.dumps(about)})
+
+
+def _stats_of(frames: Mapping[str, NDArray[Any]]) -> Stats:
+    found: Stats = {}
+    for name, values in frames.items():
+        columns = values.reshape(len(values), -1).astype(np.float64)
+        found[name] = {
+            "min": columns.min(axis=0).tolist(),
+            "max": columns.max(axis=0).tolist(),
+            "mean": columns.mean(axis=0).tolist(),
+            "std": columns.std(axis=0).tolist(),
+            "count": [len(columns)],
+        }
+    return found
+
+
+class _Stats:
+    """Of many episodes together, each given by its own."""
+
+    def __init__(self) -> None:
+        self.whole: Stats = {}
+
+    def add(self, stats: Stats) -> None:
+        if not self.whole:
+            self.whole = stats
+            return
+        for name, new in stats.items():
+            old = self.whole[name]
+            (m,), (n,) = old["count"], new["count"]
+            a, b = np.array(old["mean"]), np.array(new["mean"])
+            mean = (m * a + n * b) / (m + n)
+            # The law of total variance.
+            within = (m * np.array(old["std"]) ** 2 + n * np.array(new["std"]) ** 2) / (m + n)
+            between = (m * (a - mean) ** 2 + n * (b - mean) ** 2) / (m + n)
+            self.whole[name] = {
+                "min": np.minimum(old["min"], new["min"]).tolist(),
+                "max": np.maximum(old["max"], new["max"]).tolist(),
+                "mean": mean.tolist(),
+                "std": np.sqrt(within + between).tolist(),
+                "count": [m + n],
+            }
+
+
+class _Files:
+    """The files of frames, one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._number = folder, -1
+        self._writer: Any = None
+
+    def add(self, table: Any) -> tuple[int, int]:
+        """Adds an episode; returns the numbers of its chunk and its file."""
+        import pyarrow.parquet as pq
+
+        if self._writer is None or self._path.stat().st_size > _FILE_BYTES:
+            self.close()
+            self._number += 1
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(self._path, table.schema)
+        self._writer.write_table(table)
+        return self._place
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    @property
+    def _place(self) -> tuple[int, int]:
+        return divmod(self._number, _FILES_PER_CHUNK)
+
+    @property
+    def _path(self) -> Path:
+        chunk, file = self._place
+        return self._folder / _DATA.format(chunk_index=chunk, file_index=file)

@@ -1,0 +1,95 @@
+"""Writes demonstrations as a dataset of Minari, Gymnasium's library for offline learning.
+
+Observations and actions are those of the environment `cadenza/Piano-v0`; the actions are those that
+were played, noise and all, since they led to the next observation. What the demonstrator chose
+stands beside them, as the info `chosen_action`.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from cadenza.demonstrations.dataset import Dataset
+from cadenza.demonstrations.transitions import Transitions, new_folder, transitions
+from cadenza.errors import CadenzaError
+
+NAME = "cadenza/demonstrations-v0"
+_ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
+_AT_ONCE = 50  # episodes that are written at once
+
+
+def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
+    """Writes the dataset `NAME` into a new folder, which MINARI_DATASETS_PATH has to name then.
+
+    Raises:
+        CadenzaError: Minari is not installed, the folder exists, or an episode is damaged.
+    """
+    try:
+        import minari
+        import pyarrow  # noqa: F401 - Minari's error would come late
+        from minari.data_collector.episode_buffer import EpisodeBuffer
+    except ImportError as error:
+        raise CadenzaError("Minari is not installed: pip install 'cadenza[export]'") from error
+    first = transitions(dataset, 0)
+    low = np.zeros(first.observation.shape[1], np.float32)
+    high = np.ones_like(low)
+    joints = slice(len(low) - first.joints.shape[1], len(low))
+    low[joints], high[joints] = -np.inf, np.inf
+    with new_folder(path) as folder, _root(folder), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that it has no author
+        made = minari.create_dataset_from_buffers(
+            NAME,
+            [_buffer(EpisodeBuffer, first)],
+            observation_space=spaces.Box(low, high, dtype=np.float32),
+            action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
+            algorithm_name=str(dataset.episodes[0].about.job["agent"]),
+            description="Two simulated robot hands play the piano.",
+            requirements=["cadenza"],
+            data_format="parquet",
+        )
+        count = len(dataset.episodes)
+        for some in _batched(range(1, count), _AT_ONCE):
+            made.update_dataset_from_buffer(
+                [_buffer(EpisodeBuffer, transitions(dataset, number)) for number in some]
+            )
+            advance(some[-1] + 1, count)
+
+
+def _buffer(kind: Any, made: Transitions) -> Any:
+    count = len(made.chosen)
+    # Minari has as many infos as observations.
+    chosen = np.concatenate([made.chosen, np.zeros_like(made.chosen[:1])])
+    return kind(
+        observations=made.observation,
+        actions=made.played[1:],
+        rewards=made.reward,
+        terminations=np.zeros(count, bool),
+        truncations=np.arange(count) == count - 1,
+        infos={"chosen_action": chosen},
+    )
+
+
+@contextmanager
+def _root(folder: Path) -> Iterator[None]:
+    before = os.environ.get(_ROOT)
+    os.environ[_ROOT] = str(folder.resolve())
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_ROOT]
+        else:
+            os.environ[_ROOT] = before
+
+
+def _batched(numbers: range, size: int) -> Iterator[range]:
+    for at in range(0, len(numbers), size):
+        yield numbers[at : at + size]

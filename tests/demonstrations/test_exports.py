@@ -1,0 +1,107 @@
+"""Exports: what Minari loads, and what the files of LeRobot hold."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import play_episodes
+from cadenza.cli import main
+from cadenza.demonstrations.dataset import open_dataset
+from cadenza.demonstrations.recorded import played_actions
+from cadenza.demonstrations.replay import task_of
+from cadenza.demonstrations.transitions import transitions
+from cadenza.errors import CadenzaError
+from cadenza.tasks.view import View
+
+minari = pytest.importorskip("minari")
+pq = pytest.importorskip("pyarrow.parquet")
+
+
+class Watching(Playback):
+    """Keeps what it is shown."""
+
+    def act(self, view: View) -> np.ndarray:
+        seen.append(view.observation[0].copy())
+        return super().act(view)
+
+
+seen: list[np.ndarray] = []
+
+
+def test_observations_are_those_of_the_environment(made: Path) -> None:
+    dataset = open_dataset(made)
+    episode, exported = dataset.episodes[0], transitions(dataset, 0)
+    seen.clear()
+    with task_of(episode, dataset.scene) as task:
+        (result,) = play_episodes(task, Watching(played_actions(episode.steps)), [0])
+        seen.append(task.observation()[0])
+        layout = task.observation_layout
+    shown = np.array(seen)
+    fingering = exported.fingering.shape[1]  # played again without looking for fingers
+    at = layout["goal"].stop
+    ours = np.delete(exported.observation, np.s_[at : at + fingering], axis=1)
+    assert ours.shape == shown.shape
+    np.testing.assert_allclose(ours, shown, atol=1e-3)  # keys are kept as float16
+    assert result.metrics["f1"] == episode.about.f1
+
+
+def test_minari_loads_what_was_recorded(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    main(["dataset", "export", str(made), "--format", "minari", "-o", str(tmp_path / "minari")])
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    loaded, dataset = minari.load_dataset("cadenza/demonstrations-v0"), open_dataset(made)
+    assert (loaded.total_episodes, loaded.total_steps) == (2, dataset.num_steps)
+    for number, episode in enumerate(loaded.iterate_episodes()):
+        ours = transitions(dataset, number)
+        assert loaded.observation_space.contains(episode.observations[5])
+        assert loaded.action_space.contains(episode.actions[5])
+        np.testing.assert_array_equal(episode.observations, ours.observation)
+        np.testing.assert_array_equal(episode.actions, ours.played[1:])
+        np.testing.assert_array_equal(episode.infos["chosen_action"][:-1], ours.chosen)
+        assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
+
+
+def test_lerobot_files_hold_what_was_recorded(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "lerobot"
+    main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(folder)])
+    dataset = open_dataset(made)
+    info = json.loads((folder / "meta/info.json").read_text())
+    assert (info["codebase_version"], info["fps"]) == ("v3.0", 20)
+    assert info["total_frames"] == dataset.num_steps
+    frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))
+    assert set(frames.column_names) == set(info["features"])
+    assert frames["index"].to_pylist() == list(range(dataset.num_steps))
+    actions = np.array(frames["action"].to_pylist(), np.float32)
+    ours = np.concatenate([transitions(dataset, number).chosen for number in range(2)])
+    np.testing.assert_array_equal(actions, ours)
+    rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [row["dataset_from_index"] for row in rows] == dataset.first.tolist()
+    stats = json.loads((folder / "meta/stats.json").read_text())["action"]
+    np.testing.assert_allclose(stats["mean"], actions.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(stats["std"], actions.std(axis=0), atol=1e-5)
+    assert stats["count"] == [dataset.num_steps]
+
+
+def test_nothing_is_overwritten(made: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit, match="2"):
+        main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path)])
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_half_of_an_export_is_never_seen(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise CadenzaError("damaged")
+
+    monkeypatch.setattr("cadenza.demonstrations.lerobot_export._stats_of", fails)
+    with pytest.raises(SystemExit, match="2"):
+        main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path / "new")])
+    assert list(tmp_path.iterdir()) == []
