@@ -470,6 +470,33 @@ def test_in_a_jump_only_heights_are_strict() -> None:
 # Least squares
 
 
+def test_postures_are_such_that_their_controls_reach_them() -> None:
+    """A thumb on black keys needs the hand further in than on white ones, as soon as it strikes."""
+    scene = build_scene(SceneConfig(hands="right"))
+    keys = np.zeros((60, 88), bool)
+    for i, key in enumerate((39, 40, 41, 42)):  # C4, C#4, D4, D#4
+        keys[20 + 8 * i : 24 + 8 * i, key] = True
+    fingers = np.where(keys, np.int8(0), np.int8(-1))
+    start = np.zeros(len(scene.hand_joint_names))
+    *_, plan = nominal_plans(scene, keys, fingers, start, 0.05)
+    inwards = servos_of(scene).names.index("forearm_ty")
+    lacking = np.abs(plan.postures - plan.tracking.expected[:, :, 0])[:, inwards]
+    assert lacking[keys.any(axis=1).nonzero()[0] + 1].max() < 0.005
+
+
+def test_a_thumb_strikes_in_time_without_a_search() -> None:
+    notes = [
+        replace(note, finger=finger(0))
+        for note in melody(60, 62, 64, 65, 64, 62, 60, length=0.5).notes
+    ]
+    score = Score(tuple(replace(note, end=note.end - 0.2) for note in notes))
+    config = ScorePlannerConfig(method="none", fingering="score")
+    episode = perform(score, config, hands="right").episode
+    first = np.flatnonzero(np.diff(episode["goal_keys"].any(axis=1).astype(int)) == 1) + 1
+    heard = episode["key_activation"][first] & episode["goal_keys"][first].astype(bool)
+    assert heard.any(axis=1).sum() >= 6
+
+
 def test_links_keep_apart_by_their_radii() -> None:
     """Against the distance of two segments as found by a general minimiser."""
     scene = build_scene(SceneConfig(hands="right"))
@@ -522,6 +549,16 @@ def test_servos_follow_as_their_figures_say() -> None:
     assert np.abs(tracking.expected[5:, :, 0] - reference[5:]).max() < 0.01
     assert (servos.low <= tracking.ctrl).all()
     assert (tracking.ctrl <= servos.high).all()
+
+
+def test_a_forearm_follows_a_jump_without_delay() -> None:
+    servos = servos_of(build_scene(SceneConfig(hands="right")))
+    (slide,) = servos.along_keyboard
+    reference = np.tile(np.clip(0.0, servos.low, servos.high), (16, 1))
+    reference[:, slide] = 0.1 * (1 - np.cos(np.pi * np.clip((np.arange(16) - 5) / 5, 0, 1)))
+    start = np.stack([reference[0], np.zeros(len(servos.low))], axis=1)
+    expected = track(servos, reference, start, np.zeros((15, len(servos.low))), 0.05).expected
+    assert np.abs(expected[:, slide, 0] - reference[:, slide]).max() < 0.005
 
 
 # Sampling

@@ -46,6 +46,16 @@ class Servos:
         """Those that slide the forearms, the right one first."""
         return [a for a, name in enumerate(self.names) if name == ALONG_KEYBOARD]
 
+    def lead(self, dt: float) -> Array:
+        """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.
+
+        It is held from the second to the third: where they are in the middle of that, and what
+        damping and inertia make it run ahead of them.
+        """
+        damped = self.damping / self.stiffness / dt
+        driven = self.inertia / self.stiffness / dt**2
+        return np.array([driven, 0.5 - damped - 2 * driven, 0.5 + damped + driven])
+
 
 def servos_of(scene: Scene) -> Servos:
     """The servos of a scene with hands."""

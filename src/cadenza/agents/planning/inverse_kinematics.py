@@ -2,9 +2,9 @@
 
 The unknowns are all postures at once. Every residual belongs to one posture (fingertips in their
 boxes, fingers out of each other, forearms apart, joints near rest) or to three in a row (smooth
-motion), so that the normal equations are banded, and a Gauss-Newton step costs a time linear in
-the music's length. Levenberg-Marquardt damping is kept for each posture by itself: one that is hard
-to find does not hold up the others.
+motion, controls within their ranges), so that the normal equations are banded, and a Gauss-Newton
+step costs a time linear in the music's length. Levenberg-Marquardt damping is kept for each posture
+by itself: one that is hard to find does not hold up the others.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.linalg import solveh_banded
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import LinkCollisions
-from cadenza.agents.planning.targets import Targets
+from cadenza.agents.planning.targets import Targets, pressing
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 _OVERLAP = 0.002  # [m] of links that counts as one
 _WALL = 0.001  # [m] into black keys
+_LACKING = 0.02  # of a servo's stride that it does not go, as its control would leave its range
 _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.005  # [m]
 
@@ -97,6 +98,47 @@ class _Linearised(NamedTuple):
     cost: Array  # (S - 1,) half the squares of all residuals, those in time at their first posture
     pull: Array  # (S - 1, A) the gradient of the residuals that belong to one posture
     blocks: Array  # (S - 1, A, A) the products of their derivatives
+    beyond: Array  # (S - 1, A) how far the controls that lead to them are out of their ranges
+
+
+class _InARow(NamedTuple):
+    """A sum over three postures in a row: what they count in it, (A,) or the same for all."""
+
+    first: Array | float
+    second: Array | float
+    third: Array | float
+
+    def of(self, postures: Array) -> Array:
+        """(N, A) of postures (N + 2, A)."""
+        before, now, after = postures[:-2], postures[1:-1], postures[2:]
+        return self.first * before + self.second * now + self.third * after
+
+    def add_squares(self, band: Array, weight: Array) -> None:
+        """Adds to normal equations, in the upper form of `solveh_banded`, those of its squares.
+
+        Args:
+            band: of N postures; two before them are known.
+            weight: (N, A) of each square.
+        """
+        size = weight.shape[1]
+        diagonal, next_one, next_but_one = (
+            band[row].reshape(weight.shape) for row in (2 * size, size, 0)
+        )
+        diagonal += weight * self.third**2
+        diagonal[:-1] += weight[1:] * self.second**2
+        diagonal[:-2] += weight[2:] * self.first**2
+        next_one[1:] += weight[1:] * (self.second * self.third)
+        next_one[1:-1] += weight[2:] * (self.first * self.second)
+        next_but_one[2:] += weight[2:] * (self.first * self.third)
+
+    def add_gradient(self, gradient: Array, pull: Array) -> None:
+        """Adds to the gradient (N, A) that of its squares; `pull` is weight times sum."""
+        gradient += pull * self.third
+        gradient[:-1] += pull[1:] * self.second
+        gradient[:-2] += pull[2:] * self.first
+
+
+_SECOND_DIFFERENCE = _InARow(1.0, -2.0, 1.0)
 
 
 class _Problem:
@@ -123,30 +165,23 @@ class _Problem:
         acceleration = np.array([use.acceleration for use in uses])
         self._inertia = (acceleration / (1 / dt) ** 2) ** -2.0  # of second differences
         self._stride = np.array([use.stride for use in uses])
+        self._force = targets.force[1:, there]
+        self._lead = _InARow(*servos.lead(dt))
+        self._limit = (_LACKING * self._stride * self._lead.third) ** -2.0
         self._mounted_apart = scene.config.hand_spacing
         slides = servos.along_keyboard
         self._slides = slides if len(slides) == 2 else []
-        self._base = self._smoothness_band(len(guess) - 1)
+        self._base = self._constant_band(len(guess) - 1)
 
-    def _smoothness_band(self, count: int) -> Array:
+    def _constant_band(self, count: int) -> Array:
         """The constant part of the normal equations, in the upper form of `solveh_banded`.
 
-        Differences x[s+1] - 2 x[s] + x[s-1], the first with the posture before the problem begins.
+        The first of the second differences is with the posture before the problem begins.
         """
-        servos = len(self._stiffness)
-        diagonal = np.tile(self._stiffness, (count, 1))
-        next_one = np.zeros((count, servos))
-        next_but_one = np.zeros((count, servos))
-        diagonal += self._inertia
-        diagonal[:-1] += 4 * self._inertia
-        diagonal[:-2] += self._inertia
-        next_one[1:] -= 2 * self._inertia
-        next_one[1:-1] -= 2 * self._inertia
-        next_but_one[2:] += self._inertia
-        band = np.zeros((2 * servos + 1, count * servos))
-        band[-1], band[servos], band[0] = (
-            values.ravel() for values in (diagonal, next_one, next_but_one)
-        )
+        size = len(self._stiffness)
+        band = np.zeros((2 * size + 1, count * size))
+        band[-1] = np.tile(self._stiffness, count)
+        _SECOND_DIFFERENCE.add_squares(band, np.tile(self._inertia, (count, 1)))
         return band
 
     def linearise(self, postures: Array) -> _Linearised:
@@ -156,19 +191,27 @@ class _Problem:
             np.zeros((count, size)),
             np.zeros((count, size, size)),
         )
+        servos = self._servos
+        rows = np.concatenate([self._before[None], postures])
+        control = self._lead.of(rows)
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            residual, slope = self._residuals(postures[1:][some], some)
+            residual, slope, pressed = self._residuals(postures[1:][some], some)
+            control[some] += pressed / servos.stiffness
             squares[some] = (residual**2).sum(axis=1)
             pull[some] = np.einsum("sra,sr->sa", slope, residual)
             blocks[some] = slope.transpose(0, 2, 1) @ slope
-        in_time = self._inertia * self._second_differences(postures) ** 2
+        beyond = control - np.clip(control, servos.low, servos.high)
+        smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
         at_ease = self._stiffness * (postures[1:] - self._rest) ** 2
-        cost = 0.5 * (squares + (in_time + at_ease).sum(axis=1))
-        return _Linearised(cost, pull, blocks)
+        cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=1))
+        return _Linearised(cost, pull, blocks, beyond)
 
-    def _residuals(self, moving: Array, some: slice) -> tuple[Array, Array]:
-        """(N, R) those of N postures by themselves, and their derivatives (N, R, A)."""
+    def _residuals(self, moving: Array, some: slice) -> tuple[Array, Array, Array]:
+        """(N, R) those of N postures by themselves, and their derivatives (N, R, A).
+
+        And (N, A) the force along each servo's coordinate that presses keys.
+        """
         low, high, sigma = self._low[some], self._high[some], self._sigma[some]
         points, jacobian = self._kinematics.fingers(moving)
         tips = points[:, :, TIP]
@@ -184,7 +227,8 @@ class _Problem:
             near, near_slope = self._forearms(moving)
             residuals.append(near)
             slopes.append(near_slope)
-        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
+        pressed = pressing(jacobian[:, :, TIP, 2], self._force[some])
+        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1), pressed
 
     def _forearms(self, moving: Array) -> tuple[Array, Array]:
         right, left = self._slides
@@ -195,20 +239,16 @@ class _Problem:
         slope[:, 0, left] = -slope[:, 0, right]
         return near[:, None], slope
 
-    def _second_differences(self, postures: Array) -> Array:
-        """(S - 1, A)"""
-        return np.diff(np.concatenate([self._before[None], postures]), n=2, axis=0)
-
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
         """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""
         servos = self._servos
         count, size = len(postures) - 1, len(servos.low)
         gradient = at.pull + self._stiffness * (postures[1:] - self._rest)
-        change = self._inertia * self._second_differences(postures)
-        gradient += change
-        gradient[:-1] -= 2 * change[1:]
-        gradient[:-2] += change[2:]
+        change = _SECOND_DIFFERENCE.of(np.concatenate([self._before[None], postures]))
+        _SECOND_DIFFERENCE.add_gradient(gradient, self._inertia * change)
+        self._lead.add_gradient(gradient, self._limit * at.beyond)
         band = self._base.copy()
+        self._lead.add_squares(band, self._limit * (at.beyond != 0))
         for above in range(size):  # diagonals of the blocks
             row = band[-1 - above].reshape(count, size)
             row[:, above:] += np.diagonal(at.blocks, above, axis1=1, axis2=2)

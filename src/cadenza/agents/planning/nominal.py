@@ -23,7 +23,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
-from cadenza.agents.planning.targets import Targets, targets_of
+from cadenza.agents.planning.targets import Targets, pressing, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -176,7 +176,7 @@ class _Hands:
             progress,
         )
         points, jacobian = self._kinematics.fingers(postures)
-        force = _pressing(jacobian[:, :, TIP, 2], targets, scene.fingers_there)
+        force = pressing(jacobian[1:, :, TIP, 2], targets.force[1:, scene.fingers_there])
         earlier = plan.postures[-2:-1]
         moving = np.concatenate([earlier, postures])
         force += reaction(scene, servos, moving, self._dt)[len(earlier) :]
@@ -237,14 +237,3 @@ def _joined(plan: Nominal, window: Nominal, steps: int) -> list[Press]:
         # What comes before a press that had begun, the later window does not know.
         known[begin] = press._replace(flies_to=known.get(begin, press).flies_to)
     return plan.presses[:settled] + [known[begin] for begin in sorted(known)]
-
-
-def _pressing(sinking: Array, targets: Targets, there: slice) -> Array:
-    """(T, A) the force along each servo's coordinate that presses keys as `targets` wants.
-
-    Args:
-        sinking: (T + 1, F, A) how the fingertips' heights change with the coordinates.
-        targets: of all fingers.
-        there: those that are there.
-    """
-    return -np.einsum("sfa,sf->sa", sinking, targets.force[:, there])[1:]

@@ -29,13 +29,19 @@ _APPROACH = 0.2  # [s] before a press in which its finger gets over the key
 _READY = 0.05  # [s] of them in which it is just above it
 # More than what just holds the key down, so that it sounds in spite of what is not modelled.
 _FORCE_MARGIN = 1.6
+# As many times that where it goes down, in which its inertia has to be overcome; on a black key
+# a fingertip would slip off.
+_STRIKE = 1.5
+_STRIKING = 0.05  # [s]
 
 # What a box is worth: the distance from it [m] that counts as one standard deviation.
 _X_SIGMA = 0.006
+_X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
 _AT_KEY = np.array([_X_SIGMA, 0.0015, 0.001])
 _ABOVE_KEY = np.array([_X_SIGMA, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
 _IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
+_BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
 
 
 class Targets(NamedTuple):
@@ -49,6 +55,16 @@ class Targets(NamedTuple):
     """(S, F) nearest to the player that black keys are: the least x [m]."""
     force: Array
     """(S, F) downwards [N]."""
+
+
+def pressing(sinking: Array, force: Array) -> Array:
+    """(S, A) the force along each servo's coordinate that presses keys.
+
+    Args:
+        sinking: (S, F, A) how the fingertips' heights change with the coordinates.
+        force: (S, F) of the fingertips, downwards [N].
+    """
+    return -np.einsum("sfa,sf->sa", sinking, force)
 
 
 def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
@@ -104,7 +120,8 @@ class _Writer:
             sigma = _ABOVE_KEY * max(ahead / ready, 1.0)
             sigma[2] = _ABOVE_KEY[2] if is_ready else _IDLE[2]
             if press.flies_to:
-                sigma *= _IN_FLIGHT
+                lands = is_ready and self._keyboard.is_black[press.key]
+                sigma *= _BEFORE_LANDING_ON_BLACK if lands else _IN_FLIGHT
             self._box(press, state, over, (low, high), sigma)
 
     def _hold(self, press: Press) -> None:
@@ -116,6 +133,9 @@ class _Writer:
         lever = at[0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
         force = _FORCE_MARGIN * keyboard.holding_torque[key] / lever
         self._targets.force[states, press.finger] = force
+        if not keyboard.is_black[key]:
+            struck = min(press.first + steps_in(_STRIKING, self._dt), press.last)
+            self._targets.force[press.first : struck, press.finger] *= _STRIKE
 
     def _let_go(self, press: Press, until: int) -> None:
         """Straight up, or it would drag along the key; in a jump just up."""
@@ -136,7 +156,9 @@ class _Writer:
         targets.low[states, press.finger] = (*(at[:2] - room), height[0])
         targets.high[states, press.finger] = (*(at[:2] + room), height[1])
         targets.sigma[states, press.finger] = sigma
-        if not self._keyboard.is_black[press.key]:
+        if self._keyboard.is_black[press.key]:
+            targets.sigma[states, press.finger, 0] *= _X_ON_BLACK
+        else:
             targets.wall[states, press.finger] = self._walls[press.finger]
 
     def _at(self, press: Press, angle: float) -> Array:

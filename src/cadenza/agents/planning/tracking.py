@@ -58,7 +58,7 @@ class Follower:
         return np.clip(ctrl - feedback, self._low, self._high)
 
 
-# How much less a control's distance from the reference weighs than the servo's own.
+# How much less a control's distance from what leads along the reference weighs than the servo's.
 _CONTROL_WEIGHT = 0.02
 
 
@@ -67,8 +67,9 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
 
     Each servo by itself is a mass on a damped spring whose other end is the control, held for
     `dt` [s]. The controls minimise the squared distance from the reference plus a little of their
-    own: a linear-quadratic tracker (e.g. Anderson & Moore, Optimal Control: Linear Quadratic
-    Methods, 1990, chapter 4), solved for all servos at once by the Riccati recursion.
+    own from those that lead along it (`Servos.lead`), within their ranges: a linear-quadratic
+    tracker (e.g. Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 4),
+    solved for all servos at once by the Riccati recursion.
 
     Args:
         servos: what has to follow.
@@ -79,6 +80,10 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     """
     step, push = _discretise(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
+    before, now, after = servos.lead(dt)
+    earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
+    leading = before * earlier + now * reference[:-1] + after * reference[1:]
+    leading = np.clip(leading, servos.low, servos.high)
     gain = np.zeros((steps, count, 2))
     towards = np.zeros((steps, count))
     value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
@@ -89,7 +94,7 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
         pushed = np.einsum("aij,aj->ai", value, push)
         curvature = _CONTROL_WEIGHT + np.einsum("ai,ai->a", push, pushed)
         gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[:, None]
-        pull = _CONTROL_WEIGHT * reference[t + 1]
+        pull = _CONTROL_WEIGHT * leading[t]
         towards[t] = (pull - np.einsum("ai,ai->a", push, slope)) / curvature
         closed = step - push[:, :, None] * gain[t][:, None, :]
         slope = np.einsum("aji,aj->ai", closed, slope) + gain[t] * pull[:, None]
