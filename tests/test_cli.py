@@ -88,7 +88,7 @@ def help_of(
 
 COMMANDS = (
     *("play", "practice", "plan", "compare", "bench", "train", "curves"),
-    *("songs", "libraries", "import", "info", "etude"),
+    *("songs", "libraries", "import", "info", "etude", "studio"),
 )
 
 
@@ -104,7 +104,7 @@ def test_help_fits_a_screen(
     for option in ("--stretch", "--transpose", "--hands"):
         assert (option in said) == asks
     assert ("--quiet" in said) == (asks or command == "import")
-    assert ("--help-all" in said) == (asks or command in ("info", "curves"))
+    assert ("--help-all" in said) == (asks or command in ("info", "curves", "studio"))
     assert ("SONG" in said) == (asks or command == "info")
     assert not any(option in said for option in ("--gravity-compensation", "--planner.", "--tau"))
     assert help_of(capsys, monkeypatch, command, "-h") == said

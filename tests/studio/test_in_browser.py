@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,18 +23,21 @@ pytestmark = [pytest.mark.slow, needs_chromium]
 
 
 @contextmanager
-def studio(folder: Path) -> Iterator[str]:
-    """Its address."""
-    command = [sys.executable, "-m", "cadenza", "studio", "--folder", str(folder)]
-    options = ["--no-video", "--no-browser"]
-    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+def page_of(*command: str) -> Iterator[str]:
+    """The address that a command prints, which ends with Ctrl-C."""
+    line = [sys.executable, "-m", "cadenza", *command]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     try:
         yield process.stdout.readline().split()[-1]
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(60) == 0
         process.stdout.close()
+
+
+def studio(folder: Path) -> AbstractContextManager[str]:
+    return page_of("studio", "--folder", str(folder), "--no-video", "--no-browser")
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +164,7 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
     browser: Browser, folder: Path
 ) -> None:
     with studio(folder) as again:  # beside the first, which does not mind
+        kept = list(folder.glob("*/studio.json"))
         visit(browser, f"{again}#song=OdeToJoy&hand=allegro&seed=7&tempo=1.5")
         assert "My <b>song" in text(browser, "kept")
         chosen = (
@@ -170,5 +174,20 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         assert text(browser, "start") == "Play Ode to Joy"
         browser.evaluate("window.confirm = () => true")
         browser.evaluate("document.querySelector('#kept li button:last-child').click()")
-        wait(browser, "!document.getElementById('kept').children.length")
-        assert not list(folder.glob("*/studio.json"))
+        wait(browser, f"document.getElementById('kept').children.length === {len(kept) - 1}")
+        assert len(list(folder.glob("*/studio.json"))) == len(kept) - 1
+
+
+def test_what_is_played_on_the_command_line_can_be_watched(
+    browser: Browser, tmp_path: Path
+) -> None:
+    song(tmp_path / "d.mid")
+    out = tmp_path / "out"
+    command = ["play", str(tmp_path / "d.mid"), "--watch", "--no-video", "-o", str(out)]
+    with page_of(*command, "--planner.method", "none") as address:
+        browser.events.clear()
+        browser.call("Page.navigate", url=address)
+        wait(browser, "!!window.cadenza && cadenza.finished && cadenza.state === 'kept'")
+        shown = browser.evaluate("cadenza.live.scores[0]")
+        assert browser.problems() == []
+    assert shown == pytest.approx(json.loads((out / "metrics.json").read_text())["f1"], abs=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -25,11 +26,14 @@ from cadenza.cli.performing import (
 )
 from cadenza.cli.progress import stages
 from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.studio import need_server
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
+    from cadenza.performing.setup import Setup
     from cadenza.sim.render import Picture
+    from cadenza.studio.showing import Showing
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class PlayCommand(Performing):
     """Width and height of the video [px], up to 1920 1080."""
     video_camera: Advanced[str] = "player"
     """Camera of the video: player, closeup, left, right, back, egocentric or topdown."""
+    watch: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Show it on a page while it is planned, until Ctrl-C."""
     quiet: Quiet = False
 
 
@@ -66,18 +72,34 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
     selection = selected(command, command.agent, command.plan)
     command = with_defaults_of(command, selection, again)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
-    with setting_up(selection, command, command.seed) as setup:
-        check_writable(folder)
-        tell_how_long(setup)
-        with stages("playing") as progress, asked_to_stop("this step") as stop:
-            performance = perform(setup, progress, stop)
-            stopped = stop()
-        length = setup.num_steps * performance.episode.dt
-    keep(performance, folder, command.video, picture, command.loudness)
+    if command.watch:
+        need_server()
+    with ExitStack() as kept:
+        with setting_up(selection, command, command.seed) as setup:
+            check_writable(folder)
+            tell_how_long(setup)
+            page = kept.enter_context(_shown(setup)) if command.watch else None
+            with stages("playing") as progress, asked_to_stop("this step") as stop:
+                performance = perform(setup, page.following(progress) if page else progress, stop)
+                stopped = stop()
+            length = setup.num_steps * performance.episode.dt
+        if page:
+            page.played(performance)
+        keep(performance, folder, command.video, picture, command.loudness)
+        if page and not stopped:
+            print("Ctrl-C ends the page")
+            page.stay()
     if stopped:
         part = f"{performance.seconds:.1f} of {length:.1f} s"
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
         raise KeyboardInterrupt
+
+
+def _shown(setup: Setup) -> AbstractContextManager[Showing]:
+    """A page to watch it on."""
+    from cadenza.studio.showing import shown
+
+    return shown(setup, setup.score.title)
 
 
 def _name_of(agent: str) -> str:

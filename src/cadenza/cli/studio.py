@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import webbrowser
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 from cadenza.cli.arguments import Advanced
@@ -43,24 +42,15 @@ def run(command: StudioCommand) -> None:
     port = whole_number(command.port, "--port", 0, 65535)
     jobs = whole_number(command.jobs, "--jobs", 1, 64)
     check_writable(command.folder)
-    serve = _server()
+    need_server()
+    from cadenza.studio.server import Studio, announce, serve
 
-    def ready(address: str) -> None:
-        print(f"Open {address}\nCtrl-C ends the studio.", flush=True)
-        if command.browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            webbrowser.open(address)
-
+    studio = Studio(command.folder, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
-        serve(command.folder, command.host, port, jobs, command.video, ready)
+        serve(studio, command.host, port, partial(announce, browser=command.browser))
 
 
-def _server() -> Callable[..., None]:
-    try:
-        from cadenza.studio.server import serve
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("starlette", "uvicorn", "websockets"):
-            raise
-        raise CadenzaError(
-            "the studio needs a web server: pip install 'cadenza[studio]', or run make studio"
-        ) from error
-    return serve
+def need_server() -> None:
+    """Raises: CadenzaError: what serves pages is not installed."""
+    if any(find_spec(name) is None for name in ("starlette", "uvicorn", "websockets")):
+        raise CadenzaError("pages need a web server: pip install 'cadenza[studio]'")

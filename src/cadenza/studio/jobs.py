@@ -10,6 +10,7 @@ import shutil
 import sys
 from asyncio.subprocess import PIPE, Process
 from collections import deque
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -176,16 +177,12 @@ class Jobs:
             process.stdin.write(json.dumps(asdict(job.order)).encode() + b"\n")
             await process.stdin.drain()
         job.tell()
-        with suppress(asyncio.IncompleteReadError):
-            while not job.is_over or job.status["state"] == "kept":
-                kind, length = HEADER.unpack(await process.stdout.readexactly(HEADER.size))
-                if length > MOST_BYTES:
-                    break
-                was, content = job.status["state"], await process.stdout.readexactly(length)
-                if job.status["state"] != "cancelled":
-                    job.hear(kind, content)
-                if job.status["state"] != was:
-                    self._pump()
+        async for kind, content in messages(process.stdout):
+            was = job.status["state"]
+            if was != "cancelled":
+                job.hear(kind, content)
+            if job.status["state"] != was:
+                self._pump()
         _kill(process)
         await process.wait()
         if not job.is_over:
@@ -196,6 +193,16 @@ class Jobs:
 
 
 _NOT_YET = object()
+
+
+async def messages(stream: asyncio.StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
+    """Kind and content of each, until there are no more; see `cadenza.studio.messages`."""
+    with suppress(asyncio.IncompleteReadError):
+        while True:
+            kind, length = HEADER.unpack(await stream.readexactly(HEADER.size))
+            if length > MOST_BYTES:
+                return
+            yield kind, await stream.readexactly(length)
 
 
 async def _started(module: str, *arguments: str) -> Process:

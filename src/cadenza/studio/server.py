@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import secrets
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+import webbrowser
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext, suppress
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -18,7 +20,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cadenza.errors import CadenzaError
@@ -41,41 +43,33 @@ _WATCHERS = 16  # at once
 Handler = Callable[[Request], Awaitable[Response]]
 
 
-class Studio:
-    """All that the server knows."""
+class Watchable:
+    """A page, and performances that can be watched on it as they are made."""
 
-    def __init__(self, folder: Path, at_once: int = 1, video: bool = True) -> None:
-        """Raises: OSError: the folder cannot be made."""
-        self.shelf = Shelf(folder)
-        self.jobs = Jobs(self.shelf.folder, at_once, video)
-        self._reading = asyncio.Semaphore(_READING_AT_ONCE)
+    def __init__(self) -> None:
         self._watchers = 0
+
+    @property
+    def performing(self) -> Mapping[str, Job]:
+        """Those that wait or play, and the last ones."""
+        raise NotImplementedError
+
+    def routes(self) -> list[BaseRoute]:
+        """What is answered."""
+        return [
+            Route("/", self.page),
+            Route("/{name:str}.{ending:str}", self.script),
+            Route("/api/jobs", _plainly(self.list_jobs)),
+            WebSocketRoute("/watch/{id}", self.watch),
+        ]
 
     def app(self, token: str, host: str) -> Guard:
         """What answers; see `Guard`."""
-        routes = [
-            Route("/", self.page),
-            Route("/{name:str}.{ending:str}", self.script),
-            Route("/api/songs", _plainly(self.songs)),
-            Route("/api/songs", _plainly(self.upload), methods=["POST"]),
-            Route("/api/songs/{id}", _plainly(self.forget), methods=["DELETE"]),
-            Route("/api/jobs", _plainly(self.list_jobs)),
-            Route("/api/jobs", _plainly(self.play), methods=["POST"]),
-            Route("/api/jobs/{id}", _plainly(self.cancel), methods=["DELETE"]),
-            Route("/api/performances", _plainly(self.performances)),
-            Route("/api/performances/{id}", _plainly(self.remove), methods=["DELETE"]),
-            Route("/performances/{id}/{name}", _plainly(self.file)),
-            WebSocketRoute("/watch/{id}", self.watch),
-        ]
-        return Guard(Starlette(routes=routes, lifespan=self._lifespan), token, host)
+        return Guard(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
 
-    @asynccontextmanager
-    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        await self.jobs.warm()
-        try:
-            yield
-        finally:
-            await self.jobs.close()
+    def lifespan(self, _: Starlette) -> AbstractAsyncContextManager[None]:
+        """What goes on while it answers."""
+        return nullcontext()
 
     async def page(self, _: Request) -> Response:
         """The page; its address must end in a slash, so that what it names lies below."""
@@ -88,6 +82,73 @@ class Studio:
             return _error("there is no such file", 404)
         kind, make = _PARTS[name]
         return Response(make(), media_type=kind)
+
+    async def list_jobs(self, _: Request) -> Response:
+        """Those that wait or play, and the last ones."""
+        return JSONResponse([job.summary for job in self.performing.values()])
+
+    async def watch(self, socket: WebSocket) -> None:
+        """Sends what a job has to tell, from its beginning on, until it is over."""
+        job = self.performing.get(socket.path_params["id"])
+        if self._watchers >= _WATCHERS:
+            await socket.close(1013)
+            return
+        await socket.accept()
+        if job is None:
+            await socket.send_text(json.dumps({"state": "gone"}))
+            await socket.close()
+            return
+        self._watchers += 1
+        telling = asyncio.create_task(_tell(job, socket))
+        listening = asyncio.create_task(_until_gone(socket))
+        try:
+            await asyncio.wait((telling, listening), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._watchers -= 1
+            for task in telling, listening:
+                task.cancel()
+            await asyncio.gather(telling, listening, return_exceptions=True)
+        with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
+            await socket.close()
+
+
+class Studio(Watchable):
+    """All that the server of the studio knows."""
+
+    def __init__(self, folder: Path, at_once: int = 1, video: bool = True) -> None:
+        """Raises: OSError: the folder cannot be made."""
+        super().__init__()
+        self.shelf = Shelf(folder)
+        self.jobs = Jobs(self.shelf.folder, at_once, video)
+        self._reading = asyncio.Semaphore(_READING_AT_ONCE)
+
+    @property
+    def performing(self) -> Mapping[str, Job]:
+        """See `Watchable`."""
+        return self.jobs.jobs
+
+    def routes(self) -> list[BaseRoute]:
+        """See `Watchable`."""
+        return [
+            *super().routes(),
+            Route("/api/songs", _plainly(self.songs)),
+            Route("/api/songs", _plainly(self.upload), methods=["POST"]),
+            Route("/api/songs/{id}", _plainly(self.forget), methods=["DELETE"]),
+            Route("/api/jobs", _plainly(self.play), methods=["POST"]),
+            Route("/api/jobs/{id}", _plainly(self.cancel), methods=["DELETE"]),
+            Route("/api/performances", _plainly(self.performances)),
+            Route("/api/performances/{id}", _plainly(self.remove), methods=["DELETE"]),
+            Route("/performances/{id}/{name}", _plainly(self.file)),
+        ]
+
+    @asynccontextmanager
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        """See `Watchable`."""
+        await self.jobs.warm()
+        try:
+            yield
+        finally:
+            await self.jobs.close()
 
     async def songs(self, _: Request) -> Response:
         """What can be played, and who plays."""
@@ -114,10 +175,6 @@ class Studio:
         """Deletes an upload."""
         await run_in_threadpool(self.shelf.remove_upload, request.path_params["id"])
         return Response(status_code=204)
-
-    async def list_jobs(self, _: Request) -> Response:
-        """Those that wait or play, and the last ones."""
-        return JSONResponse([job.summary for job in self.jobs.jobs.values()])
 
     async def play(self, request: Request) -> Response:
         """Has a song played."""
@@ -149,30 +206,6 @@ class Studio:
         policy = "sandbox allow-scripts allow-downloads; connect-src 'none'"
         headers = {"content-security-policy": policy} if name == "report.html" else {}
         return FileResponse(path, media_type=FILES[name], headers=headers)
-
-    async def watch(self, socket: WebSocket) -> None:
-        """Sends what a job has to tell, from its beginning on, until it is over."""
-        job = self.jobs.jobs.get(socket.path_params["id"])
-        if self._watchers >= _WATCHERS:
-            await socket.close(1013)
-            return
-        await socket.accept()
-        if job is None:
-            await socket.send_text(json.dumps({"state": "gone"}))
-            await socket.close()
-            return
-        self._watchers += 1
-        telling = asyncio.create_task(_tell(job, socket))
-        listening = asyncio.create_task(_until_gone(socket))
-        try:
-            await asyncio.wait((telling, listening), return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            self._watchers -= 1
-            for task in telling, listening:
-                task.cancel()
-            await asyncio.gather(telling, listening, return_exceptions=True)
-        with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
-            await socket.close()
 
 
 async def _tell(job: Job, socket: WebSocket) -> None:
@@ -258,29 +291,30 @@ _PARTS: dict[str, tuple[str, Callable[[], str]]] = {
 }
 
 
+def announce(address: str, browser: bool = True) -> None:
+    """Says what to open, and opens it where there is a screen."""
+    print(f"Open {address}", flush=True)
+    if browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        webbrowser.open(address)
+
+
 def serve(
-    folder: Path,
+    what: Watchable,
     host: str = "127.0.0.1",
     port: int = 0,
-    at_once: int = 1,
-    video: bool = True,
-    ready: Callable[[str], None] = print,
-    token: str | None = None,
+    ready: Callable[[str], None] = announce,
 ) -> None:
     """Serves until the process is told to end.
 
     Args:
-        folder: where uploads and performances are kept.
+        what: is served.
         host, port: where to listen; any free port by default.
-        at_once: performances that are made at the same time.
-        video: whether each leaves one.
-        ready: is told the address to open.
-        token: what the address holds; random by default.
+        ready: is told the address to open, which holds a random token.
 
     Raises:
         CadenzaError: somebody else listens there, or there is no such address.
     """
-    token = token or secrets.token_urlsafe(16)
+    token = secrets.token_urlsafe(16)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listening = socket.create_server((host, port), family=family)
@@ -290,7 +324,7 @@ def serve(
         port = listening.getsockname()[1]
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
-        app = Studio(folder, at_once, video).app(token, host)
+        app = what.app(token, host)
         ready(f"http://{shown}:{port}/{token}/")
         config = uvicorn.Config(
             app,

@@ -37,12 +37,13 @@ async function ask(path, method = "GET", body = undefined) {
 
 // What can be played
 
-let songs = [], chosen = null;
+let songs = [], chosen = null, only = null; // the one performance that can be watched
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 
 async function listSongs() {
-  const { songs: found, agents } = await ask("api/songs");
-  songs = found;
+  const { songs: found, agents, only: one = null } = await ask("api/songs");
+  [songs, only] = [found, one];
+  document.body.classList.toggle("one", only !== null);
   if (!$("agent").options.length) for (const [value, name] of Object.entries(agents)) $("agent").append(make("option", name, { value }));
   showSongs();
 }
@@ -425,6 +426,7 @@ $("solid").addEventListener("click", () => press($("solid"), !stage.setFlat(!sta
 for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
   document.addEventListener(name, (event) => {
     event.preventDefault();
+    if (only) return;
     const over = name === "dragenter" || name === "dragover";
     $("picture").classList.toggle("over", over);
     $("drop").classList.toggle("over", over);
@@ -444,9 +446,10 @@ document.addEventListener("keydown", (event) => {
 await listSongs();
 await listKept();
 const asked = fromHash();
-if (asked.job) {
+if (asked.job || only) {
   const [id, time] = JSON.parse(sessionStorage.getItem("cadenza") ?? "[null, 0]");
-  watch(asked.job, id === asked.job ? time : 0);
+  const wanted = only ?? asked.job;
+  watch(wanted, id === wanted ? time : 0);
 } else if (asked.song) {
   set(asked);
   $("more").open = true;

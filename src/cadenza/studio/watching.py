@@ -1,0 +1,81 @@
+"""Shows one performance that another process plays: `python -m cadenza.studio.watching ORDER`.
+
+It takes the order as JSON, and reads on stdin what `cadenza.studio.messages` has.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager, suppress
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from cadenza.files import parsed_json
+from cadenza.studio.jobs import Job, messages
+from cadenza.studio.request import Order
+from cadenza.studio.server import Watchable, serve
+
+
+class Watching(Watchable):
+    """One performance, which cannot be changed from the page."""
+
+    def __init__(self, order: Order) -> None:
+        super().__init__()
+        self._job = Job(order, {"state": "preparing"})
+
+    @property
+    def performing(self) -> Mapping[str, Job]:
+        """See `Watchable`."""
+        return {self._job.id: self._job}
+
+    def routes(self) -> list[BaseRoute]:
+        """See `Watchable`."""
+        return [
+            *super().routes(),
+            Route("/api/songs", self.songs),
+            Route("/api/performances", self.performances),
+        ]
+
+    async def songs(self, _: Request) -> Response:
+        """None but the one."""
+        return JSONResponse({"songs": [], "agents": {}, "only": self._job.id})
+
+    async def performances(self, _: Request) -> Response:
+        """Whoever plays says where the files are."""
+        return JSONResponse([])
+
+    @asynccontextmanager
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        """See `Watchable`."""
+        listening = asyncio.create_task(self._listen())
+        try:
+            yield
+        finally:
+            listening.cancel()
+            with suppress(asyncio.CancelledError):
+                await listening
+
+    async def _listen(self) -> None:
+        reader = asyncio.StreamReader()
+        protocol = asyncio.StreamReaderProtocol(reader)
+        await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
+        async for kind, content in messages(reader):
+            self._job.hear(kind, content)
+        if not self._job.is_over:
+            self._job.status = {"state": "cancelled"}
+            self._job.tell()
+
+
+def main() -> None:
+    """See above."""
+    with suppress(KeyboardInterrupt):
+        serve(Watching(parsed_json(sys.argv[1], Order, "order")))
+
+
+if __name__ == "__main__":
+    main()
