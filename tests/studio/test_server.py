@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import sys
+from asyncio.subprocess import PIPE
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,7 @@ from starlette.websockets import WebSocketDisconnect
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs
+from cadenza.studio.request import PlayRequest
 from cadenza.studio.server import Studio
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -131,3 +135,32 @@ def test_only_so_many_songs_wait(client: TestClient) -> None:
     assert ask(song="OdeToJoy").status_code == 201
     assert ask(song="../x").json()["error"].startswith("there is no such song")
     assert client.post("/TOKEN/api/jobs", content=b"{", headers=SAME).status_code == 400
+
+
+def test_jobs_run_one_after_the_other_and_end_when_cancelled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With players that do nothing but wait."""
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path)
+        first, second = (
+            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False) for _ in range(2)
+        )
+        assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
+        queue.cancel(first.id)  # before its process has even started
+        while second.process is None:
+            await asyncio.sleep(0.01)
+        assert (first.is_busy, first.status["state"]) == (False, "cancelled")
+        second.process.kill()
+        while not second.is_over:
+            await asyncio.sleep(0.01)
+        assert second.status["error"] == "the player ended unexpectedly"
+        await queue.close()
+
+    async def waiting(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
+        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+
+    monkeypatch.setattr(jobs, "_started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))

@@ -37,7 +37,9 @@ class Job:
         about: what is to be played, once that is known; see `cadenza.studio.live`.
         rows: those of all steps so far.
         tones: those that were needed so far.
+        known: all tones that any job needed, by pitch and band: they sound the same.
         changed: is set whenever there is more to tell, and replaced.
+        is_busy: whether a process works on it; `process` once that has started.
     """
 
     order: Order
@@ -46,6 +48,8 @@ class Job:
     rows: bytearray = field(default_factory=bytearray)
     tones: list[bytes] = field(default_factory=list)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
+    known: dict[bytes, bytes] = field(default_factory=dict)
+    is_busy: bool = False
     process: Process | None = None
 
     @property
@@ -77,7 +81,7 @@ class Job:
             if self.status["state"] == "preparing":
                 self.status = {"state": "playing"}
         elif kind == TONE:
-            self.tones.append(TONE + content)
+            self.tones.append(self.known.setdefault(content[:2], TONE + content))
         elif kind == JSON:
             said = json.loads(content)
             if "state" not in said:
@@ -94,6 +98,7 @@ class Jobs:
     def __init__(self, folder: Path, at_once: int = 1, video: bool = True) -> None:
         self._folder, self._at_once, self._video = folder, at_once, video
         self.jobs: dict[str, Job] = {}
+        self._tones: dict[bytes, bytes] = {}
         self._waiting: deque[Job] = deque()
         self._spare: Process | None = None
         self._tasks: set[asyncio.Task[None]] = set()
@@ -109,7 +114,8 @@ class Jobs:
         if len(self._waiting) >= MOST_WAITING:
             raise CadenzaError(f"{MOST_WAITING} songs wait already; cancel one, or wait")
         id, folder = secrets.token_hex(8), str(self._folder)
-        job = Job(Order(request, title, source, uploaded, id, folder, self._video))
+        order = Order(request, title, source, uploaded, id, folder, self._video)
+        job = Job(order, known=self._tones)
         self.jobs[job.id] = job
         self._waiting.append(job)
         self._pump()
@@ -141,19 +147,17 @@ class Jobs:
     def _pump(self) -> None:
         """Starts what can be started."""
         while self._waiting and not self._closed:
-            busy = [job for job in self.jobs.values() if job.process is not None]
+            busy = [job for job in self.jobs.values() if job.is_busy]
             writing = [job for job in busy if job.status["state"] in ("played", "writing")]
             if len(busy) - len(writing) >= self._at_once or len(writing) > _MOST_WRITING:
                 return
             job = self._waiting.popleft()
-            job.status = {"state": "preparing"}
+            job.status, job.is_busy = {"state": "preparing"}, True
             spare, self._spare = self._spare, None
             task = asyncio.create_task(self._run(job, spare))
-            # Known to be busy before the task runs.
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
-            job.process = spare if spare is not None else _NOT_YET  # type: ignore[assignment]
-        over = [job for job in self.jobs.values() if job.is_over and job.process is None]
+        over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
         for job in over[:-_FINISHED_KEPT]:
             del self.jobs[job.id]
 
@@ -166,7 +170,7 @@ class Jobs:
                 _kill(process)
             await self._listen(job, process)
         finally:
-            job.process = None
+            job.process, job.is_busy = None, False
             self._pump()
             await self.warm()
 
@@ -190,9 +194,6 @@ class Jobs:
         if job.status["state"] != "kept":
             shutil.rmtree(performance_folder(self._folder, job.id), ignore_errors=True)
         job.tell()
-
-
-_NOT_YET = object()
 
 
 async def messages(stream: asyncio.StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:

@@ -19,7 +19,7 @@ from cadenza.studio.messages import JSON, ROWS, TONE, Message, row_bytes
 from cadenza.tasks.piano_task import PianoTask
 
 _RATE = 32_000  # [Hz]
-_SECONDS = 5.0  # that a tone lasts
+_SECONDS = {60: 5.0, 84: 3.5, 128: 2.0}  # [s] that tones last below a pitch: high ones die sooner
 _FADE = 0.5  # [s] at its end
 _BAND = 32  # velocities that share a tone
 
@@ -98,7 +98,8 @@ class Live:
         if (pitch, band) in self._tones:
             return
         self._tones.add((pitch, band))
-        samples = tone(pitch, (band + 0.5) * _BAND / 127, _SECONDS, _RATE)
+        seconds = next(seconds for above, seconds in _SECONDS.items() if pitch < above)
+        samples = tone(pitch, (band + 0.5) * _BAND / 127, seconds, _RATE)
         self._send(Message(TONE, struct.pack("<BBxx", pitch, band) + _encoded(samples)))
 
 

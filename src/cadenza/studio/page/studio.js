@@ -119,7 +119,9 @@ async function begin() {
 // What is played now
 
 const instrument = createInstrument();
-const LEAD = 2.5, SHORT_LEAD = 1, FAST = 1.4; // [s] ahead before it plays; less where planning is so much faster
+// [s] ahead before it plays; less where planning is so many times faster than the music. A song that
+// the planner does not plan at once is interrupted early, for the second part.
+const LEAD = 2.5, SHORT_LEAD = 1, FAST = 1.4, LONG = 30, LONG_LEAD = 5;
 const AHEAD = 0.35; // [s] that sounds are scheduled ahead
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
 let job = null, socket = null, live = null, stage = null, roll = null, status = { state: "idle" };
@@ -259,7 +261,11 @@ function pace() {
   const last = came.at(-1), first = came.find(([at]) => at > last[0] - 2);
   return first === last ? Infinity : ((last[1] - first[1]) * live.dt) / (last[0] - first[0]);
 }
-const lead = () => (came.length > 5 && pace() > FAST && cadenza.waits === 0 ? SHORT_LEAD : LEAD);
+function lead() {
+  if (cadenza.waits || position > LONG_LEAD) return LEAD;
+  if (live.steps * live.dt > LONG) return LONG_LEAD;
+  return came.length > 5 && pace() > FAST ? SHORT_LEAD : LEAD;
+}
 
 /** Plays while there is something planned ahead, and says what it waits for. */
 function proceed() {
