@@ -105,6 +105,8 @@ def _check(command: Collect) -> None:
     check_ranges(command.variation, {"noise": (0, 10)})
     if command.variation.excerpt is not None:
         check_ranges(command.variation, {"excerpt": (1, 3600)})
+    if command.scene.hands == "none":
+        raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.executor == "local" and command.address is not None:
         raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 

@@ -68,7 +68,8 @@ def problems(
                 if not found:
                     sound.append((recorded, scene))
         except (CadenzaError, OSError) as error:
-            yield str(error) if RESULT in str(error) else f"{path.parent}: {error}; {MAKE_AGAIN}"
+            said = str(error)
+            yield said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
     for i in chosen.tolist():

@@ -1,0 +1,123 @@
+"""`cadenza dataset` as a person meets it: killed, resumed, two at once, and wrong input."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cadenza.cli import main
+from cadenza.demonstrations.dataset import kept
+from cadenza.files import TEMPORARY
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+
+_PATIENCE = 600.0  # [s] a machine may be busy
+COLLECT = ("dataset", "collect", "--songs", "songs", "-o", "out", "--least-f1", "0")
+QUICK = ("--planner.method", "none", "--jobs", "2")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With two songs of one note each."""
+    for pitch in 60, 64:
+        write_midi(Score((Note(0.0, 0.3, pitch),)), tmp_path / "songs" / f"{pitch}.mid")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def started(*others: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "cadenza", *COLLECT, *QUICK, *others],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        start_new_session=True,
+    )
+
+
+def results(folder: Path) -> dict[str, int]:
+    """Finished episodes, and when each was finished."""
+    found = (folder / "out" / "runs").glob("*/result.json")
+    return {path.parent.name: path.stat().st_mtime_ns for path in found}
+
+
+@pytest.mark.slow
+def test_killed_and_resumed_and_two_at_once(folder: Path) -> None:
+    killed = started("--episodes", "4")
+    end = time.monotonic() + _PATIENCE
+    while len(results(folder)) < 2:
+        assert killed.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.communicate()
+    before = results(folder)
+    assert 2 <= len(before) < 8
+    both = [started("--episodes", "4") for _ in range(2)]
+    said = [command.communicate(timeout=_PATIENCE)[0] for command in both]
+    assert [command.returncode for command in both] == [0, 0], said
+    assert all("8 of 8 runs finished" in text for text in said)
+    after = results(folder)
+    assert len(after) == 8
+    assert before.items() <= after.items()
+    assert len(kept(folder / "out")) == 8
+    assert not list((folder / "out").rglob(f"{TEMPORARY}*"))
+    main(["dataset", "check", "out", "--replays", "2"])
+
+
+@pytest.mark.slow
+def test_an_episode_is_played_again_to_a_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([*COLLECT, *QUICK])
+    capsys.readouterr()
+    main(["dataset", "play", "out", "1", "-o", "page"])
+    f1 = kept(folder / "out")[1].about.f1
+    assert f"F1 {f1:.3f}" in capsys.readouterr().out
+    assert (folder / "page" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("collect", "--episodes", "0"), "episodes 0"),
+        (("collect", "--least-f1", "2"), "least_f1 2"),
+        (("collect", "--noise", "-1"), "noise -1"),
+        (("collect", "--excerpt", "0"), "excerpt 0"),
+        (("collect", "--songs", "nothing"), "no song library 'nothing'"),
+        (("collect", "--agent", "nobody"), "no agent 'nobody'"),
+        (("collect", "--agent", "playback"), "plays no song but its own"),
+        (("collect", "--hands", "none"), "no hands"),
+        (("collect", "--address", "auto"), "add --executor ray"),
+        (("info", "songs"), "holds no demonstrations"),
+        (("check", "songs"), "holds no demonstrations"),
+        (("play", "songs", "0"), "holds no demonstrations"),
+        (("export", "songs", "-o", "new"), "holds no demonstrations"),
+        (("export", "songs"), "output is missing"),
+        (("colect",), "choose from collect, info"),
+        ((), "choose from collect, info"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(
+    folder: Path, words: tuple[str, ...], what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["dataset", *words])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert what in line
+    assert [path.name for path in folder.iterdir()] == ["songs"]
+
+
+def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["dataset", "--help"])
+    lines = capsys.readouterr().out.splitlines()
+    names = [line.split(":")[0] for line in lines]
+    assert names == [f"cadenza dataset {n}" for n in ("collect", "info", "check", "play", "export")]
