@@ -1,28 +1,25 @@
 """A hand looks for something better to do where its playing loses something.
 
-It begins a little before what fails. Either it tries many variations of the take in simulation, by
-itself and with the keys near it only, or it plays on from there with a search as at first sight,
-but with other random numbers, looking further ahead, and for longer. Whether what it finds is of
-use shows when it is played in the whole scene, where the other hand may be in the way.
+It begins a little before what fails, and tries many variations of the take in simulation, by
+itself and with the keys near it only. Whether the best of them is of use shows when it is played
+in the whole scene, where the other hand may be in the way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.losses import Losses
-from cadenza.agents.planning.refinement import HandPart, HandRefinement
+from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.takes import Take
-from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.planning.tracking import Follower
 from cadenza.agents.planning.variations import Variations
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
@@ -36,10 +33,6 @@ Array = NDArray[np.float64]
 _CANDIDATES = 24  # variations that are tried
 _BEFORE = 0.6  # [s] at most that a variation begins before what it is to mend
 _BEYOND = 0.6  # [s] for which it is judged after it
-_SEARCHES = 0.25  # how often it searches
-_SEARCHED = (0.4, 1.0)  # [s] that it plays on so
-_HORIZON = 0.5  # [s] that it looks ahead then
-_UNLIMITED = 1e9  # control steps that it may simulate
 
 
 class Change(NamedTuple):
@@ -85,18 +78,16 @@ class HandPractice:
         plan: SongPlan,
         side: Side,
         part: HandPart,
-        config: ScorePlannerConfig,
         threads: Threads,
     ) -> None:
         """Args:
         plan: of the whole song.
         side: of the hand.
         part: what the hand has to do.
-        config: how to search.
         threads: that share trials.
         """
         dt = plan.track.config.control_timestep
-        alone, self.servos, self._joints = hand_alone(plan.scene, side)
+        alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
         servos = servos_of(alone)
         self._low, self._high, self._slides = servos.low, servos.high, servos.along_keyboard
@@ -105,11 +96,7 @@ class HandPractice:
         self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
         self._trials = HandTrials(alone, dt, plan.scene)
         self._before, self._beyond = steps_in(_BEFORE, dt), steps_in(_BEYOND, dt)
-        self._searched = [steps_in(seconds, dt) for seconds in _SEARCHED]
-        rng, config = np.random.default_rng(0), replace(config, horizon=_HORIZON)
-        self._search = HandRefinement(alone, part, tracking, config, dt, rng, threads)
-        self._searches = _SEARCHES if config.method != "none" else 0.0
-        self._planned, self._keys = tracking, plan.goals.keys
+        self._keys = plan.goals.keys
 
     def attempt(
         self,
@@ -134,8 +121,15 @@ class HandPractice:
         if rng.random() < 0.5:
             step = self._since(take, first, step)
         begin = max(step - int(rng.integers(1, self._before + 1)), first)
-        look = self._searched_for if rng.random() < self._searches else self._varied
-        change, simulated = look(take, begin, step, last, at(begin), rng)
+        changed = min(begin + self._variations.length(rng), last)
+        end = min(max(changed, step + 1) + self._beyond, last)
+        path, simulation = take.expected[:, self.servos, 0], at(begin)
+        offsets = self._variations.draw(path, begin, changed, _CANDIDATES, rng)
+        self._begin_trials(simulation, offsets, begin, end)
+        # What a hand's servos are moved by before each step; first of all, by nothing.
+        before = np.pad(offsets, ((1, 0), (1, end - begin - offsets.shape[1]), (0, 0)))
+        best, simulated = self._best_of(before, take, begin)
+        change = Change(begin, best.ctrl, best.expected) if best else None
         return Attempt(step, begin, change, simulated)
 
     def _since(self, take: Take, first: int, step: int) -> int:
@@ -144,52 +138,6 @@ class HandPractice:
         wrong = (take.sounding ^ self._keys)[rows] & (self._part.mine | ~self._keys)[rows]
         fine = ~(wrong & wrong[-1]).any(axis=1)
         return min(first + int(np.append(-1, np.flatnonzero(fine))[-1]) + 1, step)
-
-    def _searched_for(
-        self,
-        take: Take,
-        begin: int,
-        step: int,
-        last: int,
-        simulation: PlanningSimulation,
-        rng: np.random.Generator,
-    ) -> tuple[Change, int]:
-        """What a search from `begin` on does, around the take or the plan."""
-        shortest, longest = self._searched
-        count = min(max(int(rng.integers(shortest, longest + 1)), step + 1 - begin), last - begin)
-        around = self._planned
-        if rng.random() < 0.5:
-            way = np.append(take.expected[:, self.servos], around.expected[-1:], axis=0)
-            around = Tracking(take.ctrl[:, self.servos], self._gain, way)
-        search, state = self._search, simulation.state
-        search.follow(self._part, around)
-        hand_qpos, hand_qvel = state.hand_qpos[0, self._joints], state.hand_qvel[0, self._joints]
-        search.begin_at(begin, (hand_qpos, hand_qvel, state.key_qpos[0]), _UNLIMITED, rng)
-        simulated, ctrl, expected = search.simulated, [], []
-        for _ in range(count):
-            expected.append(search.posture)
-            ctrl.append(search.play_on())
-        return Change(begin, np.array(ctrl), np.array(expected)), search.simulated - simulated
-
-    def _varied(
-        self,
-        take: Take,
-        begin: int,
-        step: int,
-        last: int,
-        simulation: PlanningSimulation,
-        rng: np.random.Generator,
-    ) -> tuple[Change | None, int]:
-        """The best variation from `begin` on, if one is better than the take."""
-        changed = min(begin + self._variations.length(rng), last)
-        end = min(max(changed, step + 1) + self._beyond, last)
-        path = take.expected[:, self.servos, 0]
-        offsets = self._variations.draw(path, begin, changed, _CANDIDATES, rng)
-        self._begin_trials(simulation, offsets, begin, end)
-        # What a hand's servos are moved by before each step; first of all, by nothing.
-        before = np.pad(offsets, ((1, 0), (1, end - begin - offsets.shape[1]), (0, 0)))
-        best, simulated = self._best_of(before, take, begin)
-        return Change(begin, best.ctrl, best.expected) if best else None, simulated
 
     def _begin_trials(
         self, simulation: PlanningSimulation, offsets: Array, first: int, end: int

@@ -123,7 +123,7 @@ class Practice:
         self._about = repr((self._seed, config)).encode()
         parts = [HandPart(plan, side) for side in sides]
         self.hands = [
-            HandPractice(plan, side, part, config, self._threads)
+            HandPractice(plan, side, part, self._threads)
             for side, part in zip(sides, parts, strict=True)
         ]
         self._stage = Stage(plan, self._start, parts)

@@ -109,11 +109,7 @@ class Memory(NamedTuple):
 
 
 class HandRefinement:
-    """Controls of one hand, step by step.
-
-    Attributes:
-        simulated: control steps on trial, so far.
-    """
+    """Controls of one hand, step by step."""
 
     def __init__(
         self,
@@ -152,7 +148,7 @@ class HandRefinement:
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
-        self._step = self.simulated = 0
+        self._step = 0
 
     def skip_to(self, step: int) -> None:
         """Goes on with that step, from the state that it is told."""
@@ -167,21 +163,6 @@ class HandRefinement:
         """Goes on as what had that memory would have."""
         self._correction, self._savings = memory.correction.copy(), float(memory.savings)
         self._rng = generator_of(memory.rng)
-
-    def begin_at(
-        self, step: int, state: tuple[Array, Array, Array], savings: float, rng: np.random.Generator
-    ) -> None:
-        """Begins anew before a step, in a state as `act` is told it."""
-        self._twin.place(*state)
-        self._correction[:] = 0.0
-        self._step, self._savings, self._rng = step, savings, rng
-
-    @property
-    def posture(self) -> Array:
-        """(A, 2) position and speed of each servo."""
-        state = self._twin.state
-        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
-        return self._to_posture.T @ here
 
     @property
     def steps_seen(self) -> int:
@@ -201,10 +182,6 @@ class HandRefinement:
             key_qpos: (K,) [rad]
         """
         self._be_at(hand_qpos, hand_qvel, key_qpos)
-        return self.play_on()
-
-    def play_on(self) -> Array:
-        """(A,) the next controls, if the hand has moved as it should."""
         self._savings += self._earned
         ctrl = self._plan()
         self._go_on(ctrl)
@@ -242,7 +219,9 @@ class HandRefinement:
 
     def _feedback(self) -> Array:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
-        return self._tracking.feedback(self._step, self.posture)
+        state = self._twin.state
+        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
+        return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
     def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
@@ -344,7 +323,6 @@ class HandRefinement:
         """Reckons with a trial."""
         taken = len(trial.steps)
         self._savings -= taken
-        self.simulated += taken
         self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
 
 

@@ -83,8 +83,11 @@ class Variations:
         return rng.uniform(*_SHARES) * lifted[:, None] * self._lift
 
     def _shifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
-        shift = int(rng.integers(1, self._shift + 1)) * (1 if rng.random() < 0.5 else -1)
-        return path[np.clip(after + shift, 0, len(path) - 1)] - path[after]
+        first, last = rng.uniform(-self._shift, self._shift, 2)
+        when = np.clip(after + np.linspace(first, last, len(after)), 0, len(path) - 1)
+        before, part = when.astype(np.intp), (when % 1.0)[:, None]
+        later = np.minimum(before + 1, len(path) - 1)
+        return (1 - part) * path[before] + part * path[later] - path[after]
 
     def _drawn_back(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         towards = self._planned[after] if rng.random() < 0.5 else path[after[0] - 1]
