@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -70,7 +70,8 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
 
     picture = Picture(*command.video_size, command.video_camera)
     selection = selected(command, command.agent, command.plan)
-    command = with_defaults_of(command, selection, again)
+    # tyro would call a flag that is on already --no-watch.
+    command = with_defaults_of(replace(command, watch=False), selection, again)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
         need_server()
