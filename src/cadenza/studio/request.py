@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
@@ -16,7 +17,8 @@ AGENTS = {
     "pretrained": "Learnt policy (Twinkle only)",
     "predictive-sampling": "Predictive sampling, for contrast",
 }
-"""Those who play, and what they are called on the page."""
+"""Those who play, and what they are called on the page. "sight" follows the plan as it is."""
+HANDS = ("shadow", "allegro")
 
 
 @dataclass(frozen=True)
@@ -25,15 +27,16 @@ class PlayRequest:
 
     song: str
     """The name of a bundled piece, or the id of an upload."""
-    agent: Literal["planner", "sight", "pretrained", "predictive-sampling"] = "planner"
-    """See `AGENTS`; "sight" is the planner that follows its plan without refinement."""
+    agent: str = "planner"
+    """One of `AGENTS`, any on the command line."""
     tempo: float = 1.0
     """2 is twice as fast as written."""
     transpose: int = 0
     """[semitones]"""
     tracks: tuple[int, ...] = ()
     """Numbers of those to be played, all where none is given."""
-    hand: Literal["shadow", "allegro"] = "shadow"
+    hand: str = "shadow"
+    """One of `HANDS`, any on the command line."""
     seed: int = 0
 
 
@@ -59,6 +62,10 @@ def read_request(content: Any) -> PlayRequest:
         request = checked(content, PlayRequest, "request")
     except CadenzaError as error:
         raise CadenzaError(str(error).rpartition(";")[0]) from error
+    known: Collection[str]
+    for name, known in ("agent", AGENTS), ("hand", HANDS):
+        if getattr(request, name) not in known:
+            raise CadenzaError(f"{name}: choose from {', '.join(known)}")
     ranges: dict[str, tuple[float, float]] = {
         "tempo": (0.25, 4),
         "transpose": (-48, 48),
