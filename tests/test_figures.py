@@ -32,6 +32,7 @@ ALLOWED = {
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
     ("agents/planning/config.py", 10): "candidates and step sizes",
     ("agents/planning/variations.py", 10): "the base of the sizes of variations",
+    ("cli/dataset.py", 10): "the most noise",
     ("cli/estimate.py", 5): "plain control steps",
     ("fingering/difficulty.py", 10): "the hardest grade",
     ("fingering/changes.py", 5): "kinds of changes",
@@ -44,6 +45,7 @@ ALLOWED = {
     ("report/sound.py", 10): "seconds of sound; the base of decibels",
     ("report/sound.py", 88): "the pitch of the last damper; the seed of the room's noise",
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
+    ("studio/server.py", 5): "seconds that a connection is kept",
     ("tasks/config.py", 10): "steps of the lookahead",
 }
 COINCIDENCES = {("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares"}

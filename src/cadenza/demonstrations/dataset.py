@@ -30,11 +30,13 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals
 from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import TaskConfig
 
 Array = NDArray[Any]
 Floats = NDArray[np.float32]
 Ids = NDArray[np.intp]
 
+LOOKAHEAD = TaskConfig.n_steps_lookahead  # control steps, as the environments show them
 EPISODES = "runs"  # the folder of the episodes' folders
 
 
@@ -121,7 +123,7 @@ class Dataset:
         episode = np.searchsorted(self.first, steps, side="right") - 1
         return episode, steps - self.first[episode]
 
-    def batch(self, steps: Ids, lookahead: int = 10, ahead: Sequence[int] = ()) -> Batch:
+    def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> Batch:
         """What there is to learn from `steps` (B,).
 
         Args:

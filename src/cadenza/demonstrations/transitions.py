@@ -12,12 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.demonstrations.dataset import Dataset, Floats
+from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY
 from cadenza.scene.scene import Scene
-
-LOOKAHEAD = 10  # control steps, of the goals that are observed
 
 
 class Transitions(NamedTuple):
