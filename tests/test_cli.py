@@ -356,7 +356,8 @@ def figures(folder: Path) -> dict[str, float]:
 def test_the_same_seed_plays_the_same(tune: Path, tmp_path: Path) -> None:
     folders = [tmp_path / name for name in ("a", "b", "c")]
     for folder, seed in zip(folders, ("7", "7", "8"), strict=True):
-        main(["play", str(tune), "--seed", seed, "--no-video", "-o", str(folder)])
+        options = ["--seed", seed, "--random-hand-position", "0.05", "--no-video"]
+        main(["play", str(tune), *options, "-o", str(folder)])
     a, b, c = (load_episode(folder / "episode.npz") for folder in folders)
     assert figures(folders[0]) == figures(folders[1])
     assert a.arrays.keys() == b.arrays.keys()

@@ -48,8 +48,8 @@ def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path)
 
 
 def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path: Path) -> None:
-    plain = Variation(noise=0.0, mirror=False)
-    (folder,) = collected(tmp_path / "a", plain, least_f1=1.0)
+    noisy = Variation(noise=5.0, mirror=False)
+    (folder,) = collected(tmp_path / "a", noisy, least_f1=1.0)
     assert sorted(path.name for path in folder.iterdir()) == [
         "job.json",
         "lock",
@@ -58,13 +58,13 @@ def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path
     ]
     was = about(folder)
     assert not was.kept
-    (job,) = jobs(tmp_path / "a", plain, 1, least_f1=1.0)
+    (job,) = jobs(tmp_path / "a", noisy, 1, least_f1=1.0)
     assert is_complete(job, folder)
     assert not is_complete(replace(job, least_f1=was.f1), folder)
-    collected(tmp_path / "a", plain, least_f1=was.f1)
+    collected(tmp_path / "a", noisy, least_f1=was.f1)
     assert about(folder).kept
     before = (folder / RESULT).stat().st_mtime_ns
-    collected(tmp_path / "a", plain, least_f1=1.0)
+    collected(tmp_path / "a", noisy, least_f1=1.0)
     assert (folder / RESULT).stat().st_mtime_ns == before
 
 
