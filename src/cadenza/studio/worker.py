@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import sys
 import time
 import warnings
@@ -37,6 +38,7 @@ _BETWEEN = 0.2  # [s] between two times that a stage is told
 
 def main() -> None:
     """See above."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
     with os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)  # what others print is no message
         line = sys.stdin.buffer.readline()
