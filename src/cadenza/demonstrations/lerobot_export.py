@@ -21,21 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.transitions import new_folder, transitions
+from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
-from cadenza.files import write_json
+from cadenza.files import new_folder, write_json
 
 _FILE_BYTES = 100 * 2**20  # after which another file is begun
 _FILES_PER_CHUNK = 1000
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
-_INDICES = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
 
 Arrays = dict[str, NDArray[Any]]
 Stats = dict[str, dict[str, Any]]

@@ -18,8 +18,9 @@ import numpy as np
 from gymnasium import spaces
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.transitions import Transitions, new_folder, transitions
+from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import CadenzaError
+from cadenza.files import new_folder
 
 NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets

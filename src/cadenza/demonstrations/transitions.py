@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import secrets
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats
-from cadenza.errors import CadenzaError
-from cadenza.files import TEMPORARY
-from cadenza.scene.scene import Scene
+from cadenza.tasks import reward
+from cadenza.tasks.view import from_range
 
 
 class Transitions(NamedTuple):
@@ -62,8 +55,9 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
     batch = dataset.batch(dataset.first[number] + np.arange(count), LOOKAHEAD)
     # After the last step, environments go on showing its goals.
     here = np.minimum(np.arange(count + 1), count - 1)
-    depth = np.clip(steps["key_qpos"].astype(np.float32) / scene.keyboard.travel, 0, 1)
-    played = unscaled(steps["previous_action"], scene)
+    depth = reward.key_state(steps["key_qpos"].astype(np.float32), scene.keyboard.travel)
+    limits = scene.action_low, scene.action_high
+    played = from_range(steps["previous_action"], *limits).astype(np.float32)
     played[0] = 0
     return Transitions(
         goal=batch.goal[here].reshape(count + 1, -1).astype(np.float32),
@@ -72,32 +66,7 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
         pedal=steps["previous_action"][:, -1:],
         joints=steps["hand_qpos"],
         velocities=steps["hand_qvel"],
-        chosen=unscaled(steps["action"][:-1], scene),
+        chosen=from_range(steps["action"][:-1], *limits).astype(np.float32),
         played=played,
         reward=steps["previous_reward"][1:],
     )
-
-
-def unscaled(actions: Floats, scene: Scene) -> Floats:
-    """(..., A + 1) from actuator units to [-1, 1]."""
-    low, high = scene.action_low, scene.action_high
-    scaled = (actions - (low + high) / 2) / ((high - low) / 2)
-    return np.clip(scaled, -1, 1).astype(np.float32)
-
-
-@contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
-    """Yields a folder that becomes `path` when the block ends without an error.
-
-    Raises:
-        CadenzaError: there is something at `path`, other than an empty folder.
-    """
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise CadenzaError(f"{path}: exists already; choose another folder with --output")
-    temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
-    temporary.mkdir(parents=True)
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

@@ -16,6 +16,7 @@ from cadenza.report.recording import packed
 from cadenza.report.sound import DAMPING, LAST_DAMPER, LOUDER, tone
 from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import JSON, ROWS, TONE, Message, row_bytes
+from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 
 _RATE = 32_000  # [Hz]
@@ -73,7 +74,7 @@ class Live:
     def step(self) -> None:
         """Tells what the step that was just taken has come to."""
         task, state = self._task, self._task.state
-        depth = np.clip(state.key_qpos[0] / self._travel, 0.0, 1.0)
+        depth = reward.key_state(state.key_qpos[0], self._travel)
         self._depths.append(depth)
         sounding = task.sounding[0]
         sounds = sounding.astype(np.uint8)

@@ -25,6 +25,12 @@ def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
     return np.minimum(np.maximum(value, low), high)
 
 
+def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
+    """The inverse of `to_range`: from [low, high] to [-1, 1], `(..., A)`."""
+    action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
+    return np.minimum(np.maximum(action, -1.0), 1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class TaskSpec:
     """What is the same in all environments and episodes of a task."""
@@ -55,9 +61,7 @@ class TaskSpec:
 
     def unscale_action(self, ctrl: NDArray[Any]) -> Array:
         """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
-        low, high = self.action_low, self.action_high
-        action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
-        return np.minimum(np.maximum(action, -1.0), 1.0)
+        return from_range(ctrl, self.action_low, self.action_high)
 
 
 @dataclass(frozen=True, eq=False)
