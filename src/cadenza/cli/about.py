@@ -56,6 +56,7 @@ def _song_facts(score: Score) -> dict[str, Any]:
     return {
         "title": score.title,
         "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",
+        **({"bars": len(score.bars)} if score.bars else {}),
         "notes": len(score.notes),
         "range": _pitch_range(
             min(note.pitch for note in score.notes), max(note.pitch for note in score.notes)

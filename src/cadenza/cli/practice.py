@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +20,7 @@ from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import locked
+from cadenza.music.bars import places
 
 if TYPE_CHECKING:
     from cadenza.agents.planning.practice import Practice
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 _EFFORT = 10.0
 _BETWEEN = 20.0  # [s] at least between two times that practice is kept
+_LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 
 @dataclass(frozen=True)
@@ -124,11 +126,19 @@ def _practise(practising: Practising, command: PracticeCommand, stop: Callable[[
 
         practice.run(MOST_EFFORT if minutes is not None else effort, goes_on)
         goes_on()
+    if practice.history and (left := practice.passages()):
+        print(f"not yet right: {_places(practice, left)}")
 
 
 def _where(practice: Practice) -> str:
     """What is worked on, and what remains."""
-    dt, passages = practice.plan.track.config.control_timestep, len(practice.passages())
-    at = " and ".join(f"{dt * step:.1f} s" for step in practice.at)
+    passages = len(practice.passages())
     best = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
-    return f"{best}at {at}, {passages} passage{'s'[: passages != 1]} left"
+    return f"{best}{_places(practice, practice.at)}, {passages} passage{'s'[: passages != 1]} left"
+
+
+def _places(practice: Practice, steps: Iterable[int]) -> str:
+    """Such as "bars 3, 7-9"."""
+    track = practice.plan.track
+    dt = track.config.control_timestep
+    return places(track.on_the_clock, [dt * (step + _LATE) for step in steps])

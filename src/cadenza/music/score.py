@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import isfinite
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
@@ -70,11 +71,28 @@ class PedalEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class Bar:
+    """The bar of this `number` begins at `time` [s], which may lie before the song.
+
+    Raises:
+        CadenzaError: the time is not finite.
+    """
+
+    time: float
+    number: int
+
+    def __post_init__(self) -> None:
+        if not isfinite(self.time):
+            raise CadenzaError(f"bar at {self.time} s: give a finite time")
+
+
+@dataclass(frozen=True, slots=True)
 class Score:
     """Notes sorted by (start, pitch) and pedal events sorted by time (given in any order).
 
     `remarks` lists in plain words what was repaired when the score was read. `tracks` are those of
-    the file, chosen or not; they play no part in whether two scores are equal.
+    the file, chosen or not. `bars` are in the order in which they are played, and none where the
+    file has no metre. Tracks and bars play no part in whether two scores are equal.
     """
 
     notes: tuple[Note, ...]
@@ -82,12 +100,14 @@ class Score:
     title: str = ""
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = field(default=(), compare=False)
+    bars: tuple[Bar, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         notes = tuple(sorted(self.notes, key=lambda note: (note.start, note.pitch)))
         pedal = tuple(sorted(self.pedal, key=lambda event: event.time))
         object.__setattr__(self, "notes", notes)
         object.__setattr__(self, "pedal", pedal)
+        object.__setattr__(self, "bars", tuple(sorted(self.bars, key=lambda bar: bar.time)))
 
     @property
     def total_time(self) -> float:
@@ -163,7 +183,8 @@ class Score:
         """What sounds before `seconds`; notes that would go on end there."""
         notes = (replace(n, end=min(n.end, seconds)) for n in self.notes if n.start < seconds)
         pedal = (event for event in self.pedal if event.time < seconds)
-        return replace(self, notes=tuple(notes), pedal=tuple(pedal))
+        bars = (bar for bar in self.bars if bar.time < seconds)
+        return replace(self, notes=tuple(notes), pedal=tuple(pedal), bars=tuple(bars))
 
     def with_initial_silence(self, seconds: float) -> Score:
         """Everything later by `seconds`, so that the hands have time to get into place.
@@ -184,10 +205,7 @@ class Score:
         """
         if not 0 < seconds < float("inf"):
             raise CadenzaError(f"the first {seconds} s: give a positive number")
-        until = round(min((note.start for note in self.notes), default=0.0) + seconds, 9)
-        notes = (replace(n, end=min(n.end, until)) for n in self.notes if n.start < until)
-        pedal = (event for event in self.pedal if event.time < until)
-        return replace(self, notes=tuple(notes), pedal=tuple(pedal))
+        return self.until(round(min((n.start for n in self.notes), default=0.0) + seconds, 9))
 
     def _shifted(self, seconds: float) -> Score:
         # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
@@ -201,7 +219,8 @@ class Score:
 
         notes = tuple(moved(note) for note in self.notes)
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
-        return replace(self, notes=notes, pedal=pedal)
+        bars = tuple(replace(bar, time=move(bar.time)) for bar in self.bars)
+        return replace(self, notes=notes, pedal=pedal, bars=bars)
 
 
 def check_length(seconds: float, what: str) -> None:

@@ -127,8 +127,8 @@ class Practice:
             for side, part in zip(sides, parts, strict=True)
         ]
         self._stage = Stage(plan, self._start, parts)
-        self._chunk, self._around, between = (
-            steps_in(seconds, dt) for seconds in (_CHUNK, _AROUND, _BETWEEN)
+        self._chunk, self._around, self._apart, between = (
+            steps_in(seconds, dt) for seconds in (_CHUNK, _AROUND, _APART, _BETWEEN)
         )
         self._between, self._window, self._advance = between, _WINDOW * between, _ADVANCE * between
         self._ahead = self._window + _AFTER * between
@@ -160,11 +160,11 @@ class Practice:
             return True
         return self.effort < effort and bool(self.take.loss.any())
 
-    def passages(self) -> list[float]:
-        """When passages begin that lose something [s]."""
+    def passages(self) -> list[int]:
+        """The steps at which passages begin that lose something."""
         losing = np.flatnonzero(self.take.loss.any(axis=1))
-        times = losing * self.plan.track.config.control_timestep
-        return list(times[np.diff(times, prepend=-np.inf) > _APART])
+        apart = np.diff(losing, prepend=-self.num_steps) > self._apart
+        return list(map(int, losing[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
         """Practises until `effort` has been made, as long as `goes_on`, which is often asked.

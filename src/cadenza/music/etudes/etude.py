@@ -74,7 +74,8 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
     rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
     sheet = _sheet(_KINDS[kind], difficulty, rng)
     notes = tuple(sheet.note(tone) for tone in _KINDS[kind].write(sheet))
-    return Score(notes, title=f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}")
+    title = f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}"
+    return Score(notes, title=title, bars=sheet.numbered_bars)
 
 
 def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:

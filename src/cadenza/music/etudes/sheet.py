@@ -9,7 +9,7 @@ import numpy as np
 from cadenza.fingers import SIDES, Side
 from cadenza.music.etudes.harmony import TONIC, Chord, progression
 from cadenza.music.etudes.keys import STEPS, Key
-from cadenza.music.score import Note
+from cadenza.music.score import Bar, Note
 
 PHRASE = 4  # bars
 _TOGETHER = 6  # the difficulty from which both hands play figures at once
@@ -88,9 +88,19 @@ class Sheet:
             return SIDES
         return (SIDES[(bar // PHRASE) % 2],)
 
+    @property
+    def numbered_bars(self) -> tuple[Bar, ...]:
+        """In seconds."""
+        return tuple(Bar(bar * self.bar * self._step, bar + 1) for bar in range(self.bars))
+
+    @property
+    def _step(self) -> float:
+        """[s]"""
+        return 60 / (self.tempo * self.division)
+
     def note(self, tone: Tone) -> Note:
         """In seconds, louder where a bar begins."""
-        step = 60 / (self.tempo * self.division)
+        step = self._step
         seconds = tone.length * step
         start = tone.at * step
         accent = _ACCENT if tone.at % self.bar == 0 else 0

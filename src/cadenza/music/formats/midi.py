@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -24,6 +26,7 @@ from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
+    Bar,
     Note,
     PedalEvent,
     Score,
@@ -41,6 +44,8 @@ _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
 _SUSTAIN = 64  # controller number of the sustain pedal
 _LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
+_SHORTEST_BEAT = 64  # as a part of a whole note
+_MOST_BARS = 20_000  # more are taken for damage
 
 # Key signatures other than from 7 flats to 7 sharps, major (0) or minor (1).
 _NO_KEY = re.compile(rb"\xff\x59\x02(?![\xf9-\xff\x00-\x07][\x00\x01])..", re.DOTALL)
@@ -55,8 +60,8 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     2, whose tracks are songs of their own, the first with notes is read. The sustain pedals
     (controller 64) of all channels that are played move the one pedal, which stands where the
     latest event of any of them put it. Times follow the tempo changes, or the SMPTE division where
-    the file has one. Chunks of unknown types are skipped. What cannot be played on one piano is
-    repaired, and `Score.remarks` says so:
+    the file has one. Bars follow the time signatures, where there are any. Chunks of unknown types
+    are skipped. What cannot be played on one piano is repaired, and `Score.remarks` says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
@@ -109,7 +114,8 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
         Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
         for note in played
     )
-    return Score(notes, pedal, _title(file, path), tuple(remarks), listed)
+    bars = _bars(file.ticks_per_beat, chunks, clock, played[-1].start)
+    return Score(notes, pedal, _title(file, path), tuple(remarks), listed, bars)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -331,6 +337,33 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
             )
         )
     return tuple(tracks)
+
+
+def _bars(
+    division: int, chunks: Iterable[mido.MidiTrack], clock: _Clock, until: float
+) -> tuple[Bar, ...]:
+    """By the time signatures, from the first on to the time `until` in units of the clock.
+
+    A new one begins a new bar. Of a division in SMPTE frames there are none: it has no beats.
+    """
+    fours: dict[int, int] = {}  # a tick -> how many four bars have from there on
+    for chunk in chunks:
+        tick = 0
+        for message in chunk:
+            tick += message.time
+            if message.type == "time_signature" and message.denominator <= _SHORTEST_BEAT:
+                fours[tick] = 16 * division * message.numerator // message.denominator
+    bars: list[Bar] = []
+    begins = sorted(tick for tick in fours if fours[tick] > 0)
+    for first, end in pairwise([*begins, sys.maxsize]):
+        for n in count():
+            tick = first + n * fours[first] // 4
+            if tick >= end or clock.at(tick) > until:
+                break
+            if len(bars) == _MOST_BARS:
+                return ()
+            bars.append(Bar(clock.seconds(clock.at(tick)), len(bars) + 1))
+    return tuple(bars)
 
 
 def _title(file: mido.MidiFile, path: Path) -> str:

@@ -25,6 +25,7 @@ from cadenza.music.repair import Sounding, repaired, repairs
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
+    Bar,
     Note,
     PedalEvent,
     Score,
@@ -42,7 +43,7 @@ MOST = {
     b"<repeat": 1_000,
     b"<ending": 1_000,
 }
-_MAX_PLAYED = 100_000  # notes, with repeats
+_MAX_PLAYED = 100_000  # notes or bars, with repeats
 _SECONDS_PER_QUARTER = 0.5  # until the file says otherwise, as in MIDI
 _GRACE = 0.1  # [s] that a grace note lasts, before the beat
 _VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 112, "fff": 126}
@@ -74,7 +75,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
         parts = [parts[number - 1] for number in sorted(set(tracks))]
 
     counts = Counter[str]()
-    found, pedal = _played(parts, sheet, counts, path)
+    found, pedal, timed = _played(parts, sheet, counts, path)
     begin = min([0.0, *(note.start for note in found)])  # grace notes before the first beat
     notes = tuple(
         Note(note.start - begin, note.end - begin, note.pitch, note.velocity, note.finger)
@@ -85,7 +86,8 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
         raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
     moves = tuple(PedalEvent(time - begin, value) for time, value in pedal)
-    return Score(notes, moves, sheet.title or title_of(path), remarks, listed)
+    bars = tuple(Bar(time - begin, number) for time, number in timed)
+    return Score(notes, moves, sheet.title or title_of(path), remarks, listed, bars)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +114,14 @@ class _Sheet:
     """What is written, times in quarters.
 
     `sections` are played one after the other; `tempos` say from when on a quarter lasts how long.
+    `bars` are when bars begin, and their numbers.
     """
 
     title: str
     parts: list[_Part]
     sections: list[tuple[float, float]]
     tempos: dict[float, float]
+    bars: list[tuple[float, int]]
     remarks: list[str]
 
 
@@ -128,8 +132,8 @@ def _track(number: int, part: _Part) -> Track:
 
 def _played(
     parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
-) -> tuple[list[Sounding], list[tuple[float, int]]]:
-    """The notes, and when [s] the pedal moves where, section after section."""
+) -> tuple[list[Sounding], list[tuple[float, int]], list[tuple[float, int]]]:
+    """The notes, when [s] the pedal moves where, and when which bar begins, by sections."""
     tempos = {min((start for start, _ in sheet.sections), default=0.0): _SECONDS_PER_QUARTER}
     tempos = dict(sorted((tempos | sheet.tempos).items()))
     quarters = np.array([*tempos, 1e6])
@@ -141,6 +145,7 @@ def _played(
     check_length(sum(at(end) - at(start) for start, end in sheet.sections), f"{path}: the song")
     found: list[Sounding] = []
     pedal: list[tuple[float, int]] = []
+    bars: list[tuple[float, int]] = []
     now = 0.0
     for start, end in sheet.sections:
         later = now - at(start)
@@ -159,10 +164,12 @@ def _played(
             for quarter, value in part.pedal:  # up where it ends, down where it begins
                 if start < quarter < end or quarter == (start if value else end):
                     pedal.append((max(0.0, round(at(quarter) + later, 9)), value))
+        bars += [(round(at(q) + later, 9), number) for q, number in sheet.bars if start <= q < end]
         now += at(end) - at(start)
-        if len(found) > _MAX_PLAYED:
-            raise CadenzaError(f"{path}: over {_MAX_PLAYED} notes with all repeats, too many")
-    return found, pedal
+        if max(len(found), len(bars)) > _MAX_PLAYED:
+            what = f"over {_MAX_PLAYED} notes or bars with all repeats"
+            raise CadenzaError(f"{path}: {what}, too many")
+    return found, pedal, bars
 
 
 def _xml(path: Path) -> bytes:
@@ -232,11 +239,12 @@ def _sheet(data: bytes, path: Path) -> _Sheet:
                         tempos.setdefault(float(part.quarter_map(tempo.start.t)), lasts / 1e6)
             parts = [_part(part, symbols) for part in lasting]
             sections, remarks = _sections(lasting[0], symbols) if parts else ([], [])
+            bars = _bars(lasting[0], symbols) if parts else []
     except Exception as error:  # the library checks little and raises almost anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: cannot be read as MusicXML ({reason})") from error
     title = printable(score.work_title or score.movement_title or score.title or "")
-    return _Sheet(title, parts, sections, tempos, remarks)
+    return _Sheet(title, parts, sections, tempos, bars, remarks)
 
 
 def _part(part: Any, symbols: Any) -> _Part:
@@ -276,6 +284,17 @@ def _part(part: Any, symbols: Any) -> _Part:
         if down.end is not None:
             pedal.append((float(quarters(down.end.t)), _PEDAL_UP))
     return _Part(printable(part.part_name or ""), notes, pedal)
+
+
+def _bars(part: Any, symbols: Any) -> list[tuple[float, int]]:
+    """When they begin, in quarters, and their numbers; as printed, where that is a number."""
+    return [
+        (
+            float(part.quarter_map(bar.start.t)),
+            int(bar.name or "") if (bar.name or "").isdecimal() else bar.number,
+        )
+        for bar in part.iter_all(symbols.Measure)
+    ]
 
 
 def _finger(note: Any, symbols: Any) -> Finger | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cadenza.music.formats.finger_numbers import finger_from, written
-from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.music.score import Bar, Note, PedalEvent, Score
 from cadenza.music.tracks import Track
 
 
@@ -29,6 +29,7 @@ class WrittenScore:
     title: str = ""
     remarks: tuple[str, ...] = ()
     tracks: tuple[Track, ...] = ()
+    bars: tuple[Bar, ...] = ()
 
     @classmethod
     def of(cls, score: Score) -> WrittenScore:
@@ -36,7 +37,7 @@ class WrittenScore:
         notes = (
             WrittenNote(n.start, n.end, n.pitch, n.velocity, written(n.finger)) for n in score.notes
         )
-        return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks)
+        return cls(tuple(notes), score.pedal, score.title, score.remarks, score.tracks, score.bars)
 
     @property
     def score(self) -> Score:
@@ -44,4 +45,4 @@ class WrittenScore:
         notes = (
             Note(n.start, n.end, n.pitch, n.velocity, finger_from(n.finger)) for n in self.notes
         )
-        return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks)
+        return Score(tuple(notes), self.pedal, self.title, self.remarks, self.tracks, self.bars)
