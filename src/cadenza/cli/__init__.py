@@ -34,6 +34,7 @@ from cadenza.cli.arguments import Shell, about_in_a_line, help_or_completion, pa
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
+from cadenza.cli.setups import with_options_of_setup
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
@@ -95,7 +96,6 @@ def _run(arguments: list[str]) -> None:
         return
     if any(":" in word for word in rest) and "" not in sys.path:
         sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
-    _load_chosen(rest)
     chosen = _COMMANDS[name]
     if isinstance(chosen, dict):
         if not rest or rest[0] not in chosen:
@@ -103,6 +103,8 @@ def _run(arguments: list[str]) -> None:
             return
         name, chosen, rest = f"{name} {rest[0]}", chosen[rest[0]], rest[1:]
     kind, run = chosen
+    rest = with_options_of_setup(kind, rest)
+    _load_chosen(rest)
     if issubclass(kind, Options):
         kind = with_options_of_agents(kind, rest)
     default = train.Train(training=train.begins_with(arguments)) if name == "train" else None

@@ -130,6 +130,7 @@ def _installation_facts() -> dict[str, Any]:
     from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.threads import available_cores
+    from cadenza.tasks.setups import SETUPS
 
     try:
         Renderer(build_scene()).close()
@@ -144,7 +145,7 @@ def _installation_facts() -> dict[str, Any]:
         "can render video": drawing,
         **{
             f"{registry.kind} {name}": entry.about
-            for registry in (AGENTS, HANDS, KEYBOARDS, LEARNERS)
+            for registry in (SETUPS, AGENTS, HANDS, KEYBOARDS, LEARNERS)
             for name, entry in registry.entries().items()
         },
     }

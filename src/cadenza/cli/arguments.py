@@ -68,7 +68,7 @@ Quiet = Annotated[
 COMMON: dict[type, tuple[str, ...]] = {
     Arrangement: ("tracks", "reduce"),
     TaskConfig: ("stretch", "transpose"),
-    SceneConfig: ("hand", "hands"),
+    SceneConfig: ("hands",),
     Variation: ("noise", "mirror", "excerpt"),
     TrainingConfig: ("num_steps", "residual", "seed"),
 }
@@ -289,7 +289,7 @@ def _what_is_wrong(
     event: errors.ParseErrorEvent, kind: type, default: Any, prog: str, arguments: Sequence[str]
 ) -> str | None:
     """In a line; None where tyro should say it."""
-    known = ["--help", "--help-all", *_options(kind, default=default)]
+    known = ["--help", "--help-all", *option_names(kind, default=default)]
     names = [word.split("=")[0].replace("_", "-") for word in arguments]
     unknown = [name for name in names if name.startswith("--") and name not in known]
     match event:
@@ -317,7 +317,16 @@ def _name(argument: Any) -> str:
     return argument.lowered.metavar if argument.is_positional() else argument.display_name()
 
 
-def _options(kind: Any, prefix: str | None = "", default: Any = None) -> Iterator[str]:
+def words_of(name: str, value: Any) -> list[str]:
+    """What gives an option this value on a command line."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return [f"--{'' if value else 'no-'}{option}"]
+    values = value if isinstance(value, tuple) else (value,)
+    return [f"--{option}", *map(str, values)]
+
+
+def option_names(kind: Any, prefix: str | None = "", default: Any = None) -> Iterator[str]:
     """The names of all options of a command; with the prefix None also those nested have none.
 
     As for tyro, a `default` of a subclass brings the options of that.
@@ -330,7 +339,7 @@ def _options(kind: Any, prefix: str | None = "", default: Any = None) -> Iterato
         if is_dataclass(field):
             bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
             within = None if bare else f"{prefix}{option}."
-            yield from _options(field, within, getattr(default, name, None))
+            yield from option_names(field, within, getattr(default, name, None))
         elif tyro.conf.Positional not in marks:
             yield f"--{prefix or ''}{option}"
             if field is bool:

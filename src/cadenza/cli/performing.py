@@ -17,6 +17,7 @@ import tyro
 from cadenza.agents.registry import AGENTS, agent_options, options_name
 from cadenza.cli.arguments import Advanced
 from cadenza.cli.progress import stages
+from cadenza.cli.setups import SETUP_HELP
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 from cadenza.music.arrangement import Arrangement
@@ -34,9 +35,8 @@ Again = Callable[[Command], Command]
 TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
-    f"Who plays: {', '.join(AGENTS.own)}, the folder of a policy, or module:Class; with "
-    '--help-all also its options. "cadenza info" lists more. By default the planner, or the policy '
-    "whose folder is SONG."
+    'Who plays: a name that "cadenza info" lists, the folder of a policy, or module:Class; with '
+    "--help-all also its options. By default the planner, or the policy whose folder is SONG."
 )
 
 
@@ -45,6 +45,7 @@ class Options:
     """What all that have agents play have in common."""
 
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=with_time_to_begin)
     scene: tyro.conf.OmitArgPrefixes[SceneConfig] = field(default_factory=SceneConfig)
     num_threads: Advanced[int | None] = None

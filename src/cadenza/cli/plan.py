@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from cadenza.agents.registry import PLANNER, PLAYBACK
-from cadenza.cli.arguments import Quiet
+from cadenza.cli.arguments import Quiet, words_of
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.performing import (
@@ -74,12 +74,6 @@ def _to_replay(command: PlanCommand, path: Path) -> list[str]:
         (command.arrangement, Arrangement()),
     ):
         for name, value in asdict(options).items():
-            if value == getattr(default, name):
-                continue
-            flag = name.replace("_", "-")
-            if isinstance(value, bool):
-                flags.append(f"--{'' if value else 'no-'}{flag}")
-            else:
-                values = value if isinstance(value, tuple) else (value,)
-                flags += [f"--{flag}", *map(str, values)]
+            if value != getattr(default, name):
+                flags += words_of(name, value)
     return [*flags, *(["--seed", str(command.seed)] if command.seed else [])]

@@ -19,6 +19,7 @@ from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
+from cadenza.cli.setups import SETUP_HELP
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain
@@ -61,6 +62,7 @@ class Train:
     video: Advanced[bool] = True
     """Write a video of the best policy, if this machine can render."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
+    setup: Annotated[str | None, tyro.conf.arg(help=SETUP_HELP)] = None
     quiet: Quiet = False
     training: tyro.conf.OmitArgPrefixes[TrainingConfig] = field(
         default_factory=lambda: preset("fast")

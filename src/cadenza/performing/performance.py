@@ -32,6 +32,7 @@ from cadenza.scene.scene import Scene
 from cadenza.sim.render import VIDEO, Picture, Renderer
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.setups import NamedSetup, setup_named
 
 Loudness = Literal["struck", "score"]
 """Of a note that was played: as its key was struck, or as the score writes it."""
@@ -205,6 +206,7 @@ def play(
     *,
     task: TaskConfig | None = None,
     scene: SceneConfig | None = None,
+    setup: str | None = None,
     plan: str | Path | None = None,
     progress: Progress = silent,
     num_threads: int | None = None,
@@ -227,6 +229,8 @@ def play(
             for other agents `TaskConfig(initial_buffer_time=0.5)`, time for the hands to get into
             place.
         scene: hands and keys; None is what the policy was trained with, or `SceneConfig()`.
+        setup: the name of a setup, such as "allegro", in place of a scene; its agent plays unless
+            one is given, in its task unless one is given.
         plan: the file whose actions "playback" plays: a plan or an episode.
         progress: is told how far each stage is, `progress(stage, done, total)`.
         num_threads: how many threads a planner uses, by default two, one for each hand; it plays
@@ -236,9 +240,12 @@ def play(
         CadenzaError: the song or the agent is not there, an option makes no sense, or they do not
             go together.
     """
-    selection = select(song, agent, plan=plan)
-    with set_up(selection, task, scene, seed, progress, num_threads) as setup:
-        return perform(setup, progress)
+    named = NamedSetup() if setup is None else setup_named(setup)
+    if setup is not None and scene is not None:
+        raise CadenzaError(f"setup {setup} has a scene of its own: give a setup or a scene")
+    selection = select(song, named.agent if agent is None else agent, plan=plan).at(named)
+    with set_up(selection, task, scene, seed, progress, num_threads) as ready:
+        return perform(ready, progress)
 
 
 def perform(

@@ -46,6 +46,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import MOST_THREADS, default_threads
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.setups import NamedSetup
 
 PRACTISED = "plan.npz"  # what the folder of a song that was practised holds
 Song = str | Path | Score
@@ -70,6 +71,11 @@ class Selection:
     learnt: LearntPolicy | None = None
     plan: Path | None = None
     arrangement: Arrangement = field(default_factory=Arrangement)
+
+    def at(self, named: NamedSetup) -> Selection:
+        """The same with the task and the scene of a named setup."""
+        task, scene = named.of(TaskConfig), named.of(SceneConfig)
+        return replace(self, task=replace(self.task, **task), scene=replace(self.scene, **scene))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask, Transition
 from cadenza.tasks.reward import RewardTerm
+from cadenza.tasks.setups import setup_named
 
 Song = str | Path | Score
 Observation = Any  # an array, or with pixels a dictionary of two
@@ -36,20 +37,24 @@ def configure(
     """Sorts keyword options into the two configurations that have them as fields.
 
     Args:
-        options: change `task` and `scene`.
+        options: change `task` and `scene`; "setup" names options that count unless they are given.
         task: the defaults if not given.
         scene: the defaults if not given.
 
     Raises:
-        CadenzaError: no configuration has such an option.
+        CadenzaError: no configuration has such an option, or there is no such setup.
     """
+    if (setup := options.get("setup")) is not None:
+        options = {**setup_named(setup).options, **options}
+    options = {name: value for name, value in options.items() if name != "setup"}
     known: dict[type, set[str]] = {
         kind: {field.name for field in fields(kind)} for kind in (TaskConfig, SceneConfig)
     }
     names = set().union(*known.values())
     if unknown := sorted(options.keys() - names):
         raise CadenzaError(
-            f"unknown option {', '.join(unknown)}: choose from {', '.join(sorted(names))}"
+            f"unknown option {', '.join(unknown)}: choose from "
+            f"{', '.join(sorted({*names, 'setup'}))}"
         )
 
     def chosen(kind: type) -> dict[str, Any]:
@@ -134,7 +139,8 @@ class PianoVectorEnv(VectorEnv):
             scene: the scene's configuration.
             reward_terms: name -> function of a `tasks.reward.Outcome` that returns (N,); added to
                 the reward, or in place of the term that has this name.
-            options: fields of `TaskConfig` and `SceneConfig`, which change `task` and `scene`.
+            options: fields of `TaskConfig` and `SceneConfig`, which change `task` and `scene`; or
+                setup="allegro", the name of several of them, see `cadenza.tasks.setups`.
 
         Raises:
             CadenzaError: a song cannot be played or an option makes no sense.

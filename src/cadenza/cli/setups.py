@@ -1,0 +1,35 @@
+"""The option --setup: a name for several options."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from cadenza.cli.arguments import option_names, words_of
+from cadenza.tasks.setups import setup_named
+
+SETUP_HELP = 'Hands, keyboard and agent by one name, see "cadenza info"; other options win.'
+
+
+def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:
+    """The words of a command line, after those that the setup stands for which they name.
+
+    Of options that are given twice, the last ones count.
+
+    Raises:
+        CadenzaError: there is no such setup.
+    """
+    before = words[: words.index("--")] if "--" in words else words
+    parts = [part for word in before for part in word.split("=", 1)]
+    names = [name for option, name in pairwise(parts) if option == "--setup"]
+    known = {*option_names(kind)}
+    if not names or "--setup" not in known:
+        return [*words]
+    setup = setup_named(names[-1])
+    given: dict[str, Any] = {**setup.options}
+    if setup.agent is not None:
+        given |= {"agent": setup.agent, "agents": (setup.agent,)}
+    options = [words_of(name, value) for name, value in given.items()]
+    chosen = [word for option in options if option[0] in known for word in option]
+    return [*chosen, "--setup", names[-1], *words]  # a list of values ends where an option begins

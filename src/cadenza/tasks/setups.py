@@ -1,0 +1,54 @@
+"""Setups by name: which hands sit at which keyboard, and who plays there.
+
+A setup is a set of options under one name, such as `--setup allegro`. What is given beside it wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cadenza.errors import CadenzaError
+from cadenza.registry import Entry, Registry
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+SETUPS = Registry(
+    "setup",
+    "cadenza.setups",
+    {
+        "shadow": Entry("cadenza.tasks.setups:SHADOW", "two Shadow Hands at a piano"),
+        "allegro": Entry("cadenza.tasks.setups:ALLEGRO", "two Allegro Hands at a piano"),
+    },
+    otherwise="module:NAME",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class NamedSetup:
+    """What the name of a setup stands for."""
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of `SceneConfig` and `TaskConfig`; the others keep their defaults."""
+    agent: str | None = None
+    """Who plays unless another agent is chosen; None for the usual one."""
+
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: no configuration has such an option."""
+        known = {*self.of(SceneConfig), *self.of(TaskConfig)}
+        if unknown := sorted(self.options.keys() - known):
+            raise CadenzaError(f"setup: there is no option {unknown[0]!r} of a scene or a task")
+
+    def of(self, kind: type) -> dict[str, Any]:
+        """The options that are fields of `kind`."""
+        return {f.name: self.options[f.name] for f in fields(kind) if f.name in self.options}
+
+
+SHADOW = NamedSetup({"hand": "shadow"})
+ALLEGRO = NamedSetup({"hand": "allegro"})
+
+
+def setup_named(name: str) -> NamedSetup:
+    """Raises: CadenzaError: there is no such setup."""
+    return SETUPS.load(name, NamedSetup)
