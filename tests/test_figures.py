@@ -17,6 +17,7 @@ import pytest
 
 import cadenza
 from cadenza.hands.named import HANDS
+from cadenza.keyboards.named import KEYBOARDS, keyboard_named
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
@@ -36,6 +37,7 @@ ALLOWED = {
     ("cli/estimate.py", 5): "plain control steps",
     ("fingering/difficulty.py", 10): "the hardest grade",
     ("fingering/changes.py", 5): "kinds of changes",
+    ("music/etudes/drills.py", 5): "degrees of a sixth",
     ("music/etudes/etude.py", 10): "grades of difficulty; steps a second",
     ("music/etudes/keys.py", 5): "semitones of scales; flats",
     ("music/etudes/keys.py", 10): "semitones of scales",
@@ -48,7 +50,10 @@ ALLOWED = {
     ("studio/server.py", 5): "seconds that a connection is kept",
     ("tasks/config.py", 10): "steps of the lookahead",
 }
-COINCIDENCES = {("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares"}
+COINCIDENCES = {
+    ("cli/practice.py", 0.999): "almost a step",
+    ("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares",
+}
 
 
 @cache
@@ -118,7 +123,16 @@ def stated() -> set[float]:
 def test_no_figure_of_a_hand_or_a_keyboard_is_copied() -> None:
     known = stated()
     assert {0.01125, PIANO.sound_tolerance} < known
-    follow = (PIANO.white.travel, PIANO.black.travel, PIANO.spacing, PIANO.half_length)
+    follow = [
+        figure
+        for keyboard in map(keyboard_named, KEYBOARDS.own)
+        for figure in (
+            keyboard.white.travel,
+            keyboard.black.travel,
+            keyboard.spacing,
+            keyboard.half_length,
+        )
+    ]
     assert [
         f"{name}:{line}: {value}"
         for name, file in files(peculiar=False)

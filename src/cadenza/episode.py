@@ -92,6 +92,7 @@ _EXPECTED = {
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
     "fingertip_xpos": ArrayOf(NUMBERS, ("T", "F", 3)),
+    "touch": ArrayOf(NUMBERS, ("T", "F")),
     "body_xpos": ArrayOf(NUMBERS, ("T", "B", 3)),
     "body_xquat": ArrayOf(NUMBERS, ("T", "B", 4)),
     "reward_*": ArrayOf(NUMBERS, ("T",)),
@@ -120,6 +121,7 @@ class Episode:
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, F, 3) [m]
+    - `touch` (T, F) normal forces on the fingertips [N], where there are sensors
     - `body_xpos` (T, B, 3) [m] and `body_xquat` (T, B, 4), w x y z, of the hands' bodies, float32
     - `reward_total` and ``reward_<term>`` (T,)
     """

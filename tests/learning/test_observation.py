@@ -21,6 +21,7 @@ TASKS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "pedal and buffer": ({"sustain_term": True, "initial_buffer_time": 0.2}, {}),
     "one hand": ({}, {"hands": "left"}),
     "no hands": ({}, {"hands": "none"}),
+    "touch": ({}, {"hands": "right", "touch": True}),
     "without fingers": ({"fingering": "off", "n_seconds_lookahead": 0.22}, {}),
     "no lookahead": ({"n_steps_lookahead": 0}, {"reduced_action_space": False}),
     "random": ({"random_stretch": 0.3, "random_hand_position": 0.1}, {}),

@@ -154,6 +154,8 @@ class _Record:
             "fingertip_xpos": state.fingertip_xpos[env],
             "reward_total": transition.reward[env],
         }
+        if task.scene.config.touch:
+            row["touch"] = state.touch[env]
         row |= {f"reward_{name}": values[env] for name, values in transition.terms.items()}
         self._unstable = bool(transition.unstable[env])
         for name, value in {**row, **self._of_the_score(observation)}.items():

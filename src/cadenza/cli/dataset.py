@@ -107,6 +107,8 @@ def _check(command: Collect) -> None:
         check_ranges(command.variation, {"excerpt": (1, 3600)})
     if command.scene.hands == "none":
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
+    if command.scene.touch:
+        raise CadenzaError("--touch: no forces are kept of an episode; leave it out")
     if command.executor == "local" and command.address is not None:
         raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 

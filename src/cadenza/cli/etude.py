@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from cadenza.cli.output import check_name, check_writable
-from cadenza.music.etudes import KINDS
+from cadenza.music.etudes import DRILLS, KINDS
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,13 @@ class Etude:
 
     kind: Annotated[
         str | None,
-        tyro.conf.arg(help=f"Kind: {', '.join(KINDS)}. Drawn from the seed if not given."),
+        tyro.conf.arg(
+            help=f"Kind: {', '.join(KINDS)}, drawn from the seed if not given; or for one hand "
+            f"{', '.join(DRILLS)}."
+        ),
     ] = None
     difficulty: int = 3
-    """1 to 10."""
+    """1 to 10; for one hand, how many notes or chords there are."""
     seed: int | None = None
     """Random seed. Drawn, and printed, if not given."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

@@ -27,6 +27,7 @@ LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
 FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey: colours are for what became of a key
 DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
 _SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
+_TOUCHED = 1.1
 
 _GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -131,6 +132,7 @@ class Options:
     primitive_fingertips: bool
     hand_collisions: bool
     dry_friction: bool
+    touch: bool
     keyboard_half_length: float
     """[m]"""
 
@@ -167,6 +169,21 @@ def add_fingertip_site(spec: mujoco.MjSpec, side: Side, finger: str, link: str, 
         name=name, pos=_mirror(pos, side), size=_SITE_SIZE, group=_SITE_GROUP
     )
     return name
+
+
+def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None:
+    """Measures the normal force on a round fingertip, whose site is named [N].
+
+    What touches its link counts in and behind a sphere that is a little larger than the tip.
+    """
+    site = spec.site(fingertip)
+    site.size = np.full(3, _TOUCHED * radius)
+    spec.add_sensor(
+        name=f"{fingertip}_touch",
+        type=mujoco.mjtSensor.mjSENS_TOUCH,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=fingertip,
+    )
 
 
 def mount_y(side: Side, options: Options) -> float:

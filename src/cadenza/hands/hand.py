@@ -12,7 +12,7 @@ import numpy as np
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import Body, Options, add_fingertip_site
+from cadenza.hands.body import Body, Options, add_fingertip_site, add_touch_sensor
 from cadenza.hands.faults import faults_of_body
 from cadenza.hands.jump import JumpTimes
 from cadenza.hands.reach import Reach
@@ -74,10 +74,14 @@ class Hand:
     def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> tuple[str, ...]:
         """Adds the hand of one side to a scene; returns the names of its fingertips' sites."""
         self.body.add_to(spec, side, options)
-        return tuple(
+        sites = tuple(
             add_fingertip_site(spec, side, finger.name, finger.links[-1], finger.tip)
             for finger in self.fingers
         )
+        if options.touch:
+            for site, finger in zip(sites, self.fingers, strict=True):
+                add_touch_sensor(spec, site, finger.tip_radius)
+        return sites
 
     def servo(self, name: str) -> Servo:
         """Of the hand or of its forearm, such as "FFJ3" or "forearm_tx"."""

@@ -8,7 +8,10 @@ from cadenza.registry import Entry, Registry
 KEYBOARDS = Registry(
     "keyboard",
     "cadenza.keyboards",
-    {"piano": Entry("cadenza.keyboards.piano:PIANO", "the 88 keys of a piano")},
+    {
+        "piano": Entry("cadenza.keyboards.piano:PIANO", "the 88 keys of a piano"),
+        "mini": Entry("cadenza.keyboards.mini:MINI", "25 mini keys"),
+    },
 )
 
 

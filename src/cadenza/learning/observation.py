@@ -27,7 +27,7 @@ from cadenza.tasks.view import TaskSpec
 Floats = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ObservationSpec:
     """The parts of an observation in their order, each with its size, whatever the song is."""
 
@@ -37,6 +37,8 @@ class ObservationSpec:
     key_state: int
     pedal: int
     joints: int
+    touch: int = 0
+    """Forces on the fingertips, where there are sensors."""
     previous_action: int
     previous_reward: int
     reference: int
@@ -78,7 +80,7 @@ class ObservationSpec:
         return Inputs(tuple(range(self.size)), self.size)
 
 
-_OF_THE_TASK = ("goal", "fingering", "key_state", "pedal", "joints")
+_OF_THE_TASK = ("goal", "fingering", "key_state", "pedal", "joints", "touch")
 
 
 @dataclass(frozen=True)

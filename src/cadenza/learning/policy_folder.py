@@ -56,6 +56,7 @@ _CHANGE_WHAT_IS_OBSERVED = (
     "hands",
     "reduced_action_space",
     "forearm_dofs",
+    "touch",
 )
 _EXPECTED_OF_ALL = {
     "reference/ctrl": ArrayOf(FLOATS, ("steps", "servos"), finite=True),

@@ -20,7 +20,7 @@ class SceneConfig:
     """The scene: the piano, the hands and the physics."""
 
     keyboard: str = "piano"
-    """The keyboard: piano, one of an installed package, or module:NAME."""
+    """The keyboard: piano, mini, one of an installed package, or module:NAME."""
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, or module:NAME."""
     hands: Hands = "both"
@@ -41,6 +41,8 @@ class SceneConfig:
     their shells."""
     hand_collisions: bool = True
     """Enable collisions between the hands, and between fingers of one hand."""
+    touch: bool = False
+    """Have touch sensors on the fingertips, and observe their normal forces."""
     sleeping_keys: bool = True
     """Skip the simulation of keys at rest, which is faster and moves the others by micrometres.
     Without it, recordings of the published system replay bit for bit."""

@@ -100,6 +100,11 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
     sides = _sides(config)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
+    if sides and config.hand_spacing > 2 * keyboard.half_length:
+        raise CadenzaError(
+            f"hand_spacing {config.hand_spacing} m: the keyboard {keyboard.name} is only "
+            f"{2 * keyboard.half_length:.2f} m long; choose less, for one hand 0"
+        )
     options = _options(config, keyboard)
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     try:
@@ -201,6 +206,7 @@ def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
         primitive_fingertips=config.primitive_fingertips,
         hand_collisions=config.hand_collisions,
         dry_friction=config.physics != "fast",
+        touch=config.touch,
         keyboard_half_length=keyboard.half_length,
     )
 

@@ -146,6 +146,8 @@ class MujocoSimulation:
         if self._watch_forearms:
             touched = self._is_forearm[:, data.contact.geom].any(axis=2)  # (2, contacts)
             out.forearm_contact[row] = touched.all(axis=0).any()
+        if scene.config.touch:
+            out.touch[row][scene.fingers_there] = data.sensordata
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
     def _follow(self, state: State) -> None:

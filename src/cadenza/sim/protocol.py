@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 class State(NamedTuple):
     """What the task may know about N simulations after a step.
 
-    Positions, velocities and contacts belong to the new state; actuator forces to the last physics
-    step that led there, as in the published system. K keys, J hand joints, A actuators,
+    Positions, velocities and contacts belong to the new state; forces to the last physics step that
+    led there, as in the published system. K keys, J hand joints, A actuators,
     F fingers of two hands.
     """
 
@@ -37,6 +37,8 @@ class State(NamedTuple):
     """(N, A) [m/s, rad/s]."""
     forearm_contact: NDArray[np.bool_]
     """(N,) whether the two forearms touch; always False unless it was asked for."""
+    touch: Array
+    """(N, F) normal forces on the fingertips [N]; zero without touch sensors."""
     unstable: NDArray[np.bool_]
     """(N,) whether the simulation has diverged since its last reset and is of no more use."""
 
@@ -54,6 +56,7 @@ class State(NamedTuple):
             actuator_force=np.zeros((*rows, actuators)),
             actuator_velocity=np.zeros((*rows, actuators)),
             forearm_contact=np.zeros(rows, bool),
+            touch=np.zeros((*rows, scene.fingers.count)),
             unstable=np.zeros(rows, bool),
         )
 

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PEDAL_DOWN = 0.5  # the pedal sounds from here on
+TOUCH_RANGE = 5.0
+"""Greatest force that is observed [N]; a key is held down with about one."""
 
 
 class Transition(NamedTuple):
@@ -162,6 +164,8 @@ class PianoTask:
         sizes |= {"key_state": keys, "pedal": 1}
         if self.scene.sides:
             sizes["joints"] = len(self.scene.hand_joint_names)
+        if self.scene.sides and self.scene.config.touch:
+            sizes["touch"] = len(self.scene.fingertip_sites)
         ends = np.cumsum(list(sizes.values()))
         return {
             name: slice(int(end) - size, int(end))
@@ -332,7 +336,8 @@ class PianoTask:
 
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
-        positions [m, rad].
+        positions [m, rad]; touch: normal forces on the fingertips that are there, from 0 to 1
+        where the sensors saturate, at `TOUCH_RANGE`.
         """
         layout = self.observation_layout
         result = np.empty((self.num_envs, self.observation_size), np.float32)
@@ -343,6 +348,10 @@ class PianoTask:
         result[:, layout["pedal"]] = self._pedal[:, None]
         if "joints" in layout:
             result[:, layout["joints"]] = self.state.hand_qpos
+        if "touch" in layout:
+            result[:, layout["touch"]] = np.minimum(
+                self.state.touch[:, self.scene.fingers_there] / TOUCH_RANGE, 1.0
+            )
         return result
 
     def view(self, playing: Mask | None = None) -> View:

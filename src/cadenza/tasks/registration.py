@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 
 from cadenza.music.libraries.bundled import songs
 
+_DRILLS = {"MiniNote": "notes-1", "MiniNotes": "notes-6", "MiniDyads": "dyads-3"}
+_NUM_DRILLS = 20
+_MINI = {"setup": "mini-allegro", "initial_buffer_time": 0.5}
+
 
 def register_envs() -> None:
-    """Registers `cadenza/<Song>-v0` for every bundled song and `cadenza/Piano-v0` for any."""
+    """Registers `cadenza/<Song>-v0` for every bundled song and `cadenza/Piano-v0` for any.
+
+    And `cadenza/MiniNote-v0`, `MiniNotes-v0` and `MiniDyads-v0`: drills for one hand with touch at
+    25 mini keys, of which each episode draws one.
+    """
     for piece in songs():
         _register(f"cadenza/{piece.name}-v0", {"song": piece.name})
     _register("cadenza/Piano-v0", {})
+    for name, drills in _DRILLS.items():
+        songs_of_it = [f"etudes/{drills}-{seed}" for seed in range(_NUM_DRILLS)]
+        _register(f"cadenza/{name}-v0", {"song": songs_of_it, **_MINI})
 
 
-def _register(env_id: str, kwargs: dict[str, str]) -> None:
+def _register(env_id: str, kwargs: dict[str, Any]) -> None:
     gymnasium.register(
         id=env_id,
         entry_point="cadenza.tasks.env:PianoEnv",

@@ -20,6 +20,9 @@ SETUPS = Registry(
     {
         "shadow": Entry("cadenza.tasks.setups:SHADOW", "two Shadow Hands at a piano"),
         "allegro": Entry("cadenza.tasks.setups:ALLEGRO", "two Allegro Hands at a piano"),
+        "mini-allegro": Entry(
+            "cadenza.tasks.setups:MINI_ALLEGRO", "an Allegro Hand with touch at 25 mini keys"
+        ),
     },
     otherwise="module:NAME",
 )
@@ -47,6 +50,9 @@ class NamedSetup:
 
 SHADOW = NamedSetup({"hand": "shadow"})
 ALLEGRO = NamedSetup({"hand": "allegro"})
+MINI_ALLEGRO = NamedSetup(
+    {"keyboard": "mini", "hand": "allegro", "hands": "right", "hand_spacing": 0.0, "touch": True}
+)
 
 
 def setup_named(name: str) -> NamedSetup:

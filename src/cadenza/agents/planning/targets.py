@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 # Where fingertips press and stay, towards the player from the middle of the white keys [m].
 _ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
+_FROM_FRONT = 0.004  # not nearer to the player's end of white keys
 _BEFORE_BLACK, _BESIDE_BLACK = 0.01, 0.0015  # in front of black keys; from them to the finger
 _OVER_KEYS = (-0.04, 0.066)  # idle ones
 
@@ -166,6 +167,7 @@ class _Writer:
         keyboard, key = self._keyboard, press.key
         finger = self._fingers[press.finger]
         centre, half = keyboard.centre[key], keyboard.half_size[key]
-        x = _ON_BLACK if keyboard.is_black[key] else finger.on_white
+        front = keyboard.white.centre_x + keyboard.white.half_size[0]
+        x = _ON_BLACK if keyboard.is_black[key] else min(finger.on_white, front - _FROM_FRONT)
         fall = np.tan(angle) * (x - centre[0] + half[0])
         return np.array([x, centre[1], centre[2] + half[2] - fall + finger.tip_radius])

@@ -15,6 +15,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.etudes.accompanied import alberti, leaps, trills
 from cadenza.music.etudes.chorale import chorale
 from cadenza.music.etudes.counterpoint import counterpoint
+from cadenza.music.etudes.drills import DRILLS, drill
 from cadenza.music.etudes.figures import arpeggios, broken_chords, repeated_notes
 from cadenza.music.etudes.keys import draw_key
 from cadenza.music.etudes.runs import hanon, scales
@@ -53,25 +54,31 @@ _KINDS = {
     "repeated-notes": _Kind("Repeated notes", repeated_notes, 1.5, 8),
 }
 KINDS = tuple(_KINDS)
+"""Of etudes for two hands; those for one are `DRILLS`."""
 _NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
 
 
 def make_etude(kind: str, difficulty: int, seed: int) -> Score:
-    """An etude of 15 to 40 s for two hands, without fingers; the same for the same arguments.
+    """An etude of 15 to 40 s for two hands, or a drill for one; the same for the same arguments.
+
+    No note has a finger.
 
     Args:
-        kind: one of `KINDS`.
-        difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once.
+        kind: one of `KINDS` or `DRILLS`.
+        difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once; of a drill,
+            how many notes or chords there are.
         seed: of all that is drawn: key, tempo, chords, lines.
 
     Raises:
         CadenzaError: there is no such kind, difficulty or seed.
     """
-    if kind not in _KINDS:
-        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(KINDS)}")
+    if kind not in (kinds := (*KINDS, *DRILLS)):
+        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(kinds)}")
     difficulty = whole_number(difficulty, "difficulty", 1, MOST_DIFFICULT)
     seed = whole_number(seed, "seed", 0, MOST_SEED)
     rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
+    if kind in DRILLS:
+        return drill(kind, difficulty, rng)
     sheet = _sheet(_KINDS[kind], difficulty, rng)
     notes = tuple(sheet.note(tone) for tone in _KINDS[kind].write(sheet))
     title = f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}"
