@@ -22,6 +22,7 @@ from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
 from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
@@ -76,9 +77,15 @@ class Noisy(Agent):
         return np.clip(self._agent.act(view) + noise, low, high)
 
 
-def troubled_task(score: Score, config: TaskConfig, trouble: Trouble, seed: int) -> PianoTask:
+def troubled_task(
+    score: Score,
+    config: TaskConfig,
+    trouble: Trouble,
+    seed: int,
+    options: SceneConfig | None = None,
+) -> PianoTask:
     """The task with hands and model that are amiss."""
-    scene = build_scene()
+    scene = build_scene(options)
     if trouble.model:
         scene = perturbed(scene, np.random.default_rng([seed, 0]), trouble.model)
     return PianoTask([score], replace(config, random_hand_position=trouble.start), scene)

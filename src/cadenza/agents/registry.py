@@ -50,6 +50,10 @@ AGENTS = Registry(
             "key presses optimised beforehand and tracked with LQR",
             TrackedPressesConfig,
         ),
+        "stitched": Entry(
+            f"{_BASELINES}.stitched.agent:Stitched",
+            "motions that are planned once, stitched together, and played open loop",
+        ),
         "zero": Entry("cadenza.agents.agent:ZeroAgent", "hands that stay where they are"),
         "random": Entry("cadenza.agents.agent:RandomAgent", "uniformly random actions"),
         PRETRAINED: Entry(

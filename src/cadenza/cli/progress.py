@@ -19,6 +19,7 @@ QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 
 _UNITS = {  # of stages that do not count steps
     "fingers": "notes",
+    "motions": "motions",
     "postures": "iterations",
     "practising": "%",
     "writing sound and page": "files",

@@ -28,7 +28,7 @@ from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import reaction, servos_of
+from cadenza.scene.servos import Servos, reaction, servos_of
 
 Array = NDArray[np.float64]
 
@@ -109,6 +109,45 @@ def nominal_plans(
         yield plan
 
 
+def forearm_places(scene: Scene, kinematics: Kinematics, rest: Array) -> Array:
+    """(K, F) where a forearm is when one of its fingers presses a key at ease; `let_go_in_time`.
+
+    `rest` is the posture (A,) in which fingers are at ease.
+    """
+    rest_y = np.zeros(scene.fingers.count)
+    rest_y[scene.fingers_there] = kinematics.fingers(rest[None])[0][0, :, TIP, 1]
+    return scene.keyboard.centre[:, 1, None] - rest_y
+
+
+def controls_along(
+    scene: Scene,
+    kinematics: Kinematics,
+    servos: Servos,
+    targets: Targets,
+    postures: Array,
+    earlier: Array,
+    start: Array,
+    dt: float,
+) -> tuple[Array, Tracking]:
+    """The fingertips (S, F, 3) along postures, and controls that lead along them.
+
+    Args:
+        scene: with one hand or two.
+        kinematics: of the scene.
+        servos: of the scene.
+        targets: which say what is pressed with.
+        postures: (S, A); the first is where the hands are.
+        earlier: (E, A) those before the first, if there are any.
+        start: (A, 2) positions and speeds of the servos.
+        dt: control step [s].
+    """
+    points, jacobian = kinematics.fingers(postures)
+    force = pressing(jacobian[1:, :, TIP, 2], targets.force[1:, scene.fingers_there])
+    moving = np.concatenate([earlier, postures])
+    force += reaction(scene, servos, moving, dt)[len(earlier) :]
+    return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)
+
+
 class _Hands:
     """What is planned for: the hands of a scene, in control steps of `dt` [s]."""
 
@@ -117,9 +156,7 @@ class _Hands:
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
         self._rest = rest_posture(scene.hand, self._servos)
-        rest_y = np.zeros(scene.fingers.count)
-        rest_y[scene.fingers_there] = self._kinematics.fingers(self._rest[None])[0][0, :, TIP, 1]
-        self._places = scene.keyboard.centre[:, 1, None] - rest_y  # (K, F), see `let_go_in_time`
+        self._places = forearm_places(scene, self._kinematics, self._rest)
 
     def at_rest(self, hand_qpos: Array, steps: int) -> Nominal:
         """Room for a plan of `steps` steps, which begins with hands that are still."""
@@ -175,14 +212,11 @@ class _Hands:
             self._dt,
             progress,
         )
-        points, jacobian = self._kinematics.fingers(postures)
-        force = pressing(jacobian[1:, :, TIP, 2], targets.force[1:, scene.fingers_there])
-        earlier = plan.postures[-2:-1]
-        moving = np.concatenate([earlier, postures])
-        force += reaction(scene, servos, moving, self._dt)[len(earlier) :]
-        start = plan.tracking.expected[-1]
-        tracking = track(servos, postures, start, force / servos.stiffness, self._dt)
-        return Nominal(presses, postures, points[:, :, TIP], tracking)
+        earlier, start = plan.postures[-2:-1], plan.tracking.expected[-1]
+        fingertips, tracking = controls_along(
+            scene, self._kinematics, servos, targets, postures, earlier, start, self._dt
+        )
+        return Nominal(presses, postures, fingertips, tracking)
 
     def _guess(self, plan: Nominal, presses: list[Press], first: int, last: int) -> Array:
         """(S, A) hands at rest over the keys that they press or will press next, from `first` on.

@@ -1,0 +1,215 @@
+"""The robots before and ours, on the same few pieces: the tables of docs/related.md.
+
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.related [--settings NAME ...] [--seeds N]
+    python -m benchmarks.related --tables
+
+The first plays what is missing in docs/results/related.csv, a row for each performance, and the
+second prints that file as tables in Markdown. To measure a setting anew, delete its rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.robustness import TROUBLES, Noisy, Trouble, troubled_task
+from cadenza.agents.agent import Agent, Array
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
+from cadenza.agents.baselines.stitched.agent import Stitched
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import play_episode
+from cadenza.files import write_atomically
+from cadenza.music.etudes.etude import etude
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import with_time_to_begin
+from cadenza.tasks.view import View
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "related.csv"
+SECONDS = 12.0  # of each piece, at most
+PIECES: dict[str, Callable[[], Score]] = {
+    "CMajorScaleOneHand": lambda: load_score("CMajorScaleOneHand"),
+    "TwinkleTwinkleLittleStar": lambda: load_score("TwinkleTwinkleLittleStar"),
+    "OdeToJoy": lambda: load_score("OdeToJoy"),
+    "MinuetInG": lambda: load_score("MinuetInG"),
+    "etudes/hanon-3-7": lambda: etude("etudes/hanon-3-7"),
+}
+_OF_A_ROW = "setting", "piece", "amiss", "seed"
+NOTHING, _, SLIGHT, STRONG, MODEL = TROUBLES
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A robot at a piano, and who moves it."""
+
+    about: str
+    agent: Callable[[], Agent]
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    open_loop: bool = False
+    """What the agent does when nothing is amiss is recorded and played back."""
+    troubles: tuple[Trouble, ...] = (NOTHING,)
+
+
+def _nominal() -> Agent:
+    return ScorePlanner(ScorePlannerConfig(method="none"))
+
+
+ALL = (NOTHING, SLIGHT, STRONG, MODEL)
+SETTINGS: dict[str, Setting] = {
+    "planner": Setting("Shadow hands, the song planned, refined", ScorePlanner, troubles=ALL),
+    "planner-played-back": Setting(
+        "the same, played back", ScorePlanner, open_loop=True, troubles=ALL
+    ),
+    "nominal": Setting("Shadow hands, the song planned, feedback", _nominal, troubles=ALL),
+    "nominal-played-back": Setting("the same, played back", _nominal, open_loop=True, troubles=ALL),
+    "stitched": Setting("Shadow hands, stitched motions, open loop", Stitched, troubles=ALL),
+    "predictive-sampling": Setting("Shadow hands, predictive sampling", PredictiveSampling),
+}
+
+
+class Timed(Agent):
+    """Another agent, with the seconds of CPU time that it takes.
+
+    Attributes:
+        prepare: until its first action.
+        total: in all.
+    """
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        agent.num_threads = 1
+        self.prepare = self.total = 0.0
+
+    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        self._agent.reset(env_ids, rngs)
+
+    def act(self, view: View) -> Array:
+        began = time.process_time()
+        action = self._agent.act(view)
+        self.total += time.process_time() - began
+        self.prepare = self.prepare or self.total
+        return action
+
+
+def played(
+    setting: Setting, score: Score, trouble: Trouble, seed: int, agent: Agent | None = None
+) -> tuple[dict[str, Any], Array]:
+    """How a performance went, and the actions (T, A)."""
+    task = troubled_task(score, with_time_to_begin(), trouble, seed, setting.scene)
+    timed = Timed(agent or setting.agent())
+    player = Noisy(timed, trouble.noise, seed) if trouble.noise else timed
+    with threadpool_limits(1):
+        result = play_episode(task, player, seed)
+    task.close()
+    dropped = task.tracks[0].with_found_fingers().fingered().dropped or ()
+    row = {name: result.metrics[name] for name in ("f1", "note_onset_f1", "precision", "recall")}
+    row |= {
+        "music_seconds": result.episode.num_steps * result.episode.dt,
+        "notes": len(score.notes),
+        "out_of_reach": len(dropped),
+        "prepare_cpu_seconds": timed.prepare,
+        "cpu_seconds": timed.total,
+    }
+    return row, result.episode["action"]
+
+
+def rows(name: str, seeds: int, known: Collection[tuple[str, ...]]) -> Iterator[dict[str, Any]]:
+    """Those of a setting that are not known yet."""
+    setting = SETTINGS[name]
+    for piece, load in PIECES.items():
+        score = load().beginning(SECONDS)
+        for seed in range(seeds):
+            plan: Agent | None = None
+            for trouble in setting.troubles:
+                of = name, piece, trouble.name, str(seed)
+                if of in known:
+                    continue
+                if setting.open_loop and plan is None:
+                    plan = Playback(played(setting, score, NOTHING, seed)[1])
+                row, _ = played(setting, score, trouble, seed, plan)
+                yield dict(zip(_OF_A_ROW, of, strict=True)) | row
+
+
+def read() -> list[dict[str, str]]:
+    """The rows that there are."""
+    if not RESULTS.exists():
+        return []
+    with RESULTS.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(table: Sequence[dict[str, Any]]) -> None:
+    """Replaces the file."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    with write_atomically(RESULTS) as file:
+        file.write(text.getvalue().encode())
+
+
+def _mean(table: Iterable[dict[str, str]], column: str) -> str:
+    values = [float(row[column]) for row in table]
+    return f"{mean(values):.3f}" if values else ""
+
+
+def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
+    """Each setting on each piece; and what is lost where something is amiss."""
+    names = [name for name in SETTINGS if any(row["setting"] == name for row in table)]
+    yield "| setting | " + " | ".join(PIECES) + " | F1 | note onsets | before it plays | in all |"
+    yield "| --- " * (len(PIECES) + 5) + "|"
+    for name in names:
+        mine = [r for r in table if r["setting"] == name and r["amiss"] == NOTHING.name]
+        cells = [_mean((r for r in mine if r["piece"] == piece), "f1") for piece in PIECES]
+        cells += [_mean(mine, "f1"), _mean(mine, "note_onset_f1")]
+        cells += [_ratio(mine, "prepare_cpu_seconds"), _ratio(mine, "cpu_seconds")]
+        yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
+    yield ""
+    yield "| setting | " + " | ".join(trouble.name for trouble in ALL) + " |"
+    yield "| --- " * (len(ALL) + 1) + "|"
+    for name in names:
+        if SETTINGS[name].troubles == ALL:
+            mine = [r for r in table if r["setting"] == name]
+            cells = [_mean((r for r in mine if r["amiss"] == t.name), "f1") for t in ALL]
+            yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
+
+
+def _ratio(table: Sequence[dict[str, str]], column: str) -> str:
+    music = sum(float(row["music_seconds"]) for row in table)
+    return f"{sum(float(row[column]) for row in table) / music:.2f}"
+
+
+def main() -> None:
+    """Measures what is missing, or prints what there is."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--tables", action="store_true", help="print what there is")
+    options = parser.parse_args()
+    if options.tables:
+        print(*tables(read()), sep="\n")
+        return
+    for name in options.settings:
+        known = {tuple(r[column] for column in _OF_A_ROW) for r in read()}
+        for row in rows(name, options.seeds, known):
+            write([*read(), row])
+            print(name, row["piece"], row["amiss"], row["seed"], f"{row['f1']:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Songs put together from motions that are planned once, and played open loop."""

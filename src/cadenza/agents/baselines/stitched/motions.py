@@ -1,0 +1,141 @@
+"""Motions of one hand from keys that it holds to others, each planned once for all octaves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.agent import Progress, silent
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
+from cadenza.agents.planning.nominal import forearm_places
+from cadenza.agents.planning.presses import Press
+from cadenza.agents.planning.targets import Targets, targets_of
+from cadenza.scene.kinematics import Kinematics
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+
+Array = NDArray[np.float64]
+
+Held = tuple[tuple[int, int], ...]
+"""Fingers that are down, by their numbers, and their keys."""
+
+_BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
+_AFTER = 0.15  # [s] after it, in which the others get off theirs
+_GAP = 0.2  # [s] from letting go to striking, at most
+_AT_LEISURE = 10.0  # [s] between postures that are far from each other in time
+_OCTAVE = 12
+
+
+class Change(NamedTuple):
+    """What a hand holds changes: it lets go of keys, and strikes others then or soon after."""
+
+    left: Held
+    still: Held
+    """What of it is still held when others are let go."""
+    struck: Held
+    """What is held when others have been struck, too."""
+    gap: int
+    """States from letting go to striking."""
+
+    def lowered(self, keys: int) -> Change:
+        """The same on keys so much lower."""
+        left, still, struck = (
+            tuple((finger, key - keys) for finger, key in held) for held in self[:3]
+        )
+        return Change(left, still, struck, self.gap)
+
+
+class Motions:
+    """Postures of one hand around each change of the keys that it holds.
+
+    A motion is planned when it is first asked for, by inverse kinematics of this change alone: the
+    hand is at rest before it. It is the same in every octave but for the place of the forearm, and
+    does not depend on what else was asked for.
+
+    Attributes:
+        before: states of a motion before the one in which keys have been let go.
+        after: states of a motion after the one in which others have been struck.
+        longest_gap: states between both, at most.
+    """
+
+    def __init__(self, scene: Scene, dt: float, progress: Progress = silent) -> None:
+        """Args:
+        scene: of a hand by itself.
+        dt: control step [s].
+        progress: is told of "motions", as many as have been planned.
+        """
+        self._scene, self._dt, self._keyboard = scene, dt, scene.keyboard
+        self._progress = progress
+        self._servos = servos_of(scene)
+        self._kinematics = Kinematics(scene, self._servos)
+        self._rest = rest_posture(scene.hand, self._servos)
+        self._places = forearm_places(scene, self._kinematics, self._rest)
+        (self._side,) = scene.sides
+        (self._slide,) = self._servos.along_keyboard
+        self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
+        self.longest_gap = steps_in(_GAP, dt)
+        self._known: dict[Change, Array] = {}
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def of(self, change: Change) -> Array:
+        """(N, A) from the keys that are held, in row 0, to others; they leave in row `before`."""
+        up = self._octaves([key for _, key in change.left + change.struck])
+        lowered = change.lowered(up)
+        if lowered not in self._known:
+            self._known[lowered] = self._planned(lowered)
+            self._progress("motions", len(self), len(self))
+        key, centre = (change.left + change.struck)[0][1], self._keyboard.centre[:, 1]
+        motion = self._known[lowered].copy()
+        motion[:, self._slide] += centre[key] - centre[key - up]
+        return motion
+
+    def _octaves(self, keys: list[int]) -> int:
+        """How far, in keys of whole octaves, they are above where their motion is planned.
+
+        That is about the middle of the keyboard.
+        """
+        lowest = min(keys)
+        room = self._keyboard.num_keys - (max(keys) - lowest)
+        first = lowest % _OCTAVE
+        return lowest - first - max((room // 2 - first) // _OCTAVE, 0) * _OCTAVE
+
+    def _planned(self, change: Change) -> Array:
+        left, still, struck, gap = change
+        leaves, strikes = self.before, self.before + gap
+        end = strikes + self.after + 1
+        here, there = self._place(left or struck), self._place(struck or left)
+        flies = gap > 0 and abs(there - here) > self._scene.hand.jump_times.within_reach
+        presses = []
+        for finger, key in left:
+            stays = (finger, key) in still
+            last = leaves if not stays else end if (finger, key) in struck else strikes
+            presses.append(Press(self._side, finger, key, 1, last, flies_off=flies))
+        for finger, key in struck:
+            if (finger, key) not in still:
+                flies_to = flies and len(struck) == 1
+                presses.append(Press(self._side, finger, key, strikes, end, flies_to=flies_to))
+        targets = targets_of(self._scene, presses, end, self._dt)
+        guess = np.tile(self._rest, (end, 1))
+        guess[:, self._slide] = np.interp(np.arange(end), [0, strikes], [here, there])
+        guess[0] = self._holding(left, guess[0])
+        return self._postures(targets, guess, self._dt)
+
+    def _holding(self, held: Held, guess: Array) -> Array:
+        """(A,) at rest with keys down."""
+        presses = [Press(self._side, finger, key, 1, 2) for finger, key in held]
+        targets = targets_of(self._scene, presses, 2, self._dt)
+        return self._postures(targets, np.stack([guess, guess]), _AT_LEISURE)[1]
+
+    def _postures(self, targets: Targets, guess: Array, dt: float) -> Array:
+        """(S, A) those of a hand that was still before; `dt` [s] between them."""
+        scene, kinematics, servos = self._scene, self._kinematics, self._servos
+        return solve_postures(scene, kinematics, servos, targets, guess, guess[0], dt)
+
+    def _place(self, held: Held) -> float:
+        """Where the forearm is when fingers press their keys at ease [m]."""
+        return float(np.mean([self._places[key, finger] for finger, key in held]))

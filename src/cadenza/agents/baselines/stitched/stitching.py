@@ -1,0 +1,69 @@
+"""Stitches motions together to what one hand does in a song."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.baselines.stitched.motions import Change, Held, Motions
+from cadenza.agents.planning.presses import Press
+
+Array = NDArray[np.float64]
+
+
+def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:
+    """(S, A) postures of a hand that begins at `start` (A,), and presses what it has to.
+
+    Between two changes, the end of one motion is blended with the beginning of the next.
+    """
+    postures = np.empty((num_states, len(start)))
+    ending, since = start[None], 0
+    for leaves, change in changes_of(presses, num_states, motions.longest_gap):
+        motion = motions.of(change)
+        states = np.arange(since, leaves)
+        blended = max(leaves - motions.before, min(since + motions.after, leaves - 1))
+        share = np.minimum((states - since) / max(blended - since, 1), 1.0)[:, None]
+        coming = motion[np.maximum(states - leaves + motions.before, 0)]
+        postures[states] = (1 - share) * _row(ending, states - since) + share * coming
+        since = leaves + change.gap
+        postures[leaves:since] = motion[motions.before :][: change.gap]
+        ending = motion[motions.before + change.gap :]
+    postures[since:] = _row(ending, np.arange(num_states - since))
+    return postures
+
+
+def _row(motion: Array, states: NDArray[np.intp]) -> Array:
+    """That of a motion in some states; it stays where it ends."""
+    return motion[np.minimum(states, len(motion) - 1)]
+
+
+def changes_of(
+    presses: Sequence[Press], num_states: int, longest_gap: int
+) -> Iterator[tuple[int, Change]]:
+    """The changes of what one hand holds down, and the states in which they begin, by time.
+
+    Letting go, and striking at most `longest_gap` states later, are one change.
+    """
+    held = list(_held(presses, num_states))
+    left: Held = ()
+    while held:
+        state, still = held.pop(0)
+        later, struck = state, still
+        if set(still) < set(left) and held and held[0][0] - state <= longest_gap:
+            later, struck = held.pop(0)
+        still = tuple(one for one in left if one in still)
+        yield state, Change(left, still, struck, later - state)
+        left = struck
+
+
+def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
+    """What one hand holds down, and from which state on, by time."""
+    before: Held = ()
+    for state in sorted({state for press in presses for state in (press.first, press.last)}):
+        down = (press for press in presses if press.first <= state < press.last)
+        held = tuple(sorted((press.finger, press.key) for press in down))
+        if held != before and state < num_states:
+            yield state, held
+        before = held
