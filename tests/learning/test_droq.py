@@ -19,8 +19,8 @@ from rl_examples import random_batches
 from scipy.stats import norm
 
 from cadenza.learning.algorithms.droq.config import DroQConfig
-from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, falling, weights_of
-from cadenza.learning.algorithms.on_jax import to_arrays
+from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, weights_of
+from cadenza.learning.algorithms.on_jax import falling, to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch
@@ -272,7 +272,7 @@ os.sched_setaffinity(0, set(map(int, sys.argv[1:])))
 import hashlib
 import numpy as np
 from cadenza.learning.config import preset
-from cadenza.learning.algorithms.on_jax import to_arrays
+from cadenza.learning.algorithms.on_jax import falling, to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.replay_buffer import Batch
 rng, size = np.random.default_rng(0), (3, 256)

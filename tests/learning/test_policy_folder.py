@@ -208,7 +208,7 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
         {"task": {"tempo": 3}},
         {"scene": []},
         {"score": {"notes": 3, "pedal": [], "title": "", "remarks": []}},
-        {"score": None},
+        {"score": []},
         {"observation": {"goal": 3}},
         {"inputs": {"kept": [1, 5], "total": 5}},
         {"inputs": {"kept": [2, 1], "total": 5}},

@@ -18,6 +18,7 @@ from typing import Any, NoReturn, TextIO, get_args
 from cadenza.cli import (
     about,
     bench,
+    clone,
     compare,
     dataset,
     etude,
@@ -49,6 +50,7 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "bench": (bench.Bench, bench.run),
     "results": (results.Results, results.results),
     "train": (train.Train, train.train),
+    "clone": (clone.Clone, clone.clone),
     "curves": (train.Curves, train.curves),
     "songs": (songs.Songs, songs.songs),
     "libraries": (songs.Libraries, songs.libraries),

@@ -35,7 +35,7 @@ from tyro.constructors import (
 
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
-from cadenza.learning.config import TrainingConfig
+from cadenza.learning.config import ImitationConfig, TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -71,6 +71,7 @@ COMMON: dict[type, tuple[str, ...]] = {
     SceneConfig: ("hands",),
     Variation: ("noise", "mirror", "excerpt"),
     TrainingConfig: ("num_steps", "residual", "seed"),
+    ImitationConfig: ("songs", "num_updates", "seed"),
 }
 """The fields that --help shows of configurations whose options have no prefix."""
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.learner import DROQ, LearnerConfig, Preset, learner_config
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -120,3 +121,41 @@ def check(config: TrainingConfig) -> None:
     """Raises: CadenzaError: an option makes no sense."""
     check_ranges(config, _RANGES)
     config.learner.check()
+
+
+@dataclass(frozen=True)
+class ImitationConfig:
+    """How a policy for many songs is trained on demonstrations."""
+
+    learner: CloningConfig = field(default_factory=CloningConfig)
+    songs: tuple[str, ...] = ()
+    """Learn from the demonstrations of these songs only; of all by default."""
+    num_updates: int = 20_000
+    """Updates of the run."""
+    held_out: int = 1
+    """Demonstrations of each song that are not learnt from, for the error on them."""
+    n_steps_lookahead: int = TaskConfig.n_steps_lookahead
+    """Lookahead of the goal observation, in control steps."""
+    previous_action: bool = False
+    """Also observe the previous action and its reward, as in reinforcement learning."""
+    checkpoint_interval: float = 60.0
+    """Time between checkpoints [s]."""
+    log_interval: int = 500
+    """Updates between logged metrics."""
+    seed: int = 0
+    """Random seed."""
+
+    def check(self) -> None:
+        """Raises: CadenzaError: an option makes no sense."""
+        check_ranges(
+            self,
+            {
+                "num_updates": (1, MOST_COUNT),
+                "held_out": (0, MOST_COUNT),
+                "n_steps_lookahead": (0, 10_000),
+                "checkpoint_interval": (0, math.inf),
+                "log_interval": (1, MOST_COUNT),
+                "seed": (0, MOST_COUNT),
+            },
+        )
+        self.learner.check()

@@ -228,6 +228,8 @@ class Observer:
         kept = np.array(self.inputs.kept)
         self._goal = kept[kept < size]
         self._fingers = kept[(kept >= size) & (kept < shown)] - size
+        others = kept[kept >= shown]
+        self._others = None if len(others) == spec.size - shown else others - shown
         self._proprioception = slice(shown, task.observation_size)
 
     def proprioception(self, shown: Floats) -> Floats:
@@ -262,12 +264,10 @@ class Observer:
         """
         action = previous_action * self._scale + self._centre
         before = np.concatenate([action, previous_reward[..., None]], axis=-1)
-        parts = [
-            self._goals.goals(rows, self._goal),
-            self._goals.fingers(rows, self._fingers),
-            proprioception,
-            np.where(first[..., None], np.float32(0), before),
-        ]
+        others = [proprioception, np.where(first[..., None], np.float32(0), before)]
         if self._reference is not None:
-            parts.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
-        return np.concatenate(parts, axis=-1)
+            others.append(self._reference[np.minimum(rows, len(self._reference) - 1)])
+        if self._others is not None:
+            others = [np.concatenate(others, axis=-1)[..., self._others]]
+        goals = self._goals.goals(rows, self._goal), self._goals.fingers(rows, self._fingers)
+        return np.concatenate([*goals, *others], axis=-1)

@@ -87,7 +87,7 @@ class _Facts:
     inputs: Inputs
     task: TaskConfig
     scene: SceneConfig
-    score: WrittenScore
+    score: WrittenScore | None
     about: dict[str, Any]
 
 
@@ -119,8 +119,8 @@ class LearntPolicy:
     """On whose scale it sees and acts, if not on the task's."""
     task: TaskConfig
     scene: SceneConfig
-    score: Score
-    """What it was trained to play."""
+    score: Score | None
+    """What it was trained to play, None for one that plays any."""
     learner: str | None = None
     """By whose name the policy is read, if it is no `Perceptron`."""
 
@@ -135,7 +135,9 @@ class LearntPolicy:
         return self.reference is not None
 
     def has_learnt(self, score: Score) -> bool:
-        """Whether it was trained to play the notes and the pedal of `score`."""
+        """Whether it was trained to play the notes and the pedal of `score`, or those of any."""
+        if self.score is None:
+            return True
         notes = score.without_fingers().notes
         return (notes, score.pedal) == (self.score.without_fingers().notes, self.score.pedal)
 
@@ -177,7 +179,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         "inputs": asdict(learnt.inputs),
         "task": asdict(learnt.task),
         "scene": asdict(learnt.scene),
-        "score": asdict(WrittenScore.of(learnt.score)),
+        "score": None if learnt.score is None else asdict(WrittenScore.of(learnt.score)),
     }
     try:
         parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
@@ -192,10 +194,11 @@ def load_policy(folder: Path) -> LearntPolicy:
     """Raises:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
-    if (folder / "best").is_dir():
-        raise CadenzaError(
-            f"{folder}: is the folder of a training run; its best policy is {folder / 'best'}"
-        )
+    for name, which in ("best", "best"), ("last", "latest"):
+        if (folder / name).is_dir():
+            raise CadenzaError(
+                f"{folder}: is the folder of a training run; its {which} policy is {folder / name}"
+            )
     plain, arrays = read_sealed(folder, _KIND)
     where = folder / "facts.json"
     if is_old_policy(folder, plain):
@@ -210,7 +213,7 @@ def load_policy(folder: Path) -> LearntPolicy:
     facts: _Facts = checked(plain, _OtherFacts if of_others else _PerceptronFacts, where)
     check_modules(facts.scene, where)
     try:
-        score = facts.score.score
+        score = None if facts.score is None else facts.score.score
     except CadenzaError as error:
         raise CadenzaError(f"{where}: {error}; use another copy") from error
     try:
@@ -235,7 +238,9 @@ def _with(prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any
     return {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
 
 
-def _learnt(facts: _Facts, score: Score, arrays: dict[str, NDArray[Any]]) -> LearntPolicy | None:
+def _learnt(
+    facts: _Facts, score: Score | None, arrays: dict[str, NDArray[Any]]
+) -> LearntPolicy | None:
     """None where arrays of the reference or of the ranges are missing."""
     reference, ranges = _with(_REFERENCE, arrays), _with(_RANGES, arrays)
     for found, kind in ((reference, Reference), (ranges, Ranges)):

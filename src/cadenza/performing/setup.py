@@ -118,9 +118,7 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
                 f"{song}: plays its song as it was trained; leave out --tracks and --reduce"
             )
         practised = practised_plan(song)
-        return (
-            load_policy(Path(song)).score if practised is None else practised_song(practised).score
-        )
+        return _own_song(Path(song)) if practised is None else practised_song(practised).score
     score = arrangement.score(str(song))
     for remark in score.remarks:
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
@@ -130,6 +128,15 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
             f'them, see "cadenza info" and use --tracks 1 3, or use --reduce melody-bass',
             CadenzaWarning,
             stacklevel=2,
+        )
+    return score
+
+
+def _own_song(policy: Path) -> Score:
+    score = load_policy(policy).score
+    if score is None:
+        raise CadenzaError(
+            f"{policy}: plays any song; name one: cadenza play SONG --agent {policy}"
         )
     return score
 
@@ -215,7 +222,7 @@ def is_policy_folder(agent: str) -> bool:
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """In the task and scene that it has learnt in."""
-    if not learnt.has_learnt(selection.score):
+    if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.residual:
             raise CadenzaError(f"{what} with residual learning, so it can play nothing else")

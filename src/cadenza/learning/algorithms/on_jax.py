@@ -1,4 +1,4 @@
-"""What learners in JAX share: how it is started, and their states as arrays."""
+"""What learners in JAX share: how it is started, learning rates, and their states as arrays."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.learning.learner import Ends
 
 State = TypeVar("State")  # of named tuples, tuples and dictionaries of arrays
 
@@ -56,6 +58,24 @@ def _name(thread: Path) -> str:
         return (thread / "comm").read_text().strip()
     except OSError:  # it has just ended
         return ""
+
+
+def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
+    """A learning rate that falls evenly from `rate` to its share `last`, by updates.
+
+    `ends` is since which update at which one it is to have fallen; the first is since 0. From each
+    of the others on it falls from what it is then.
+    """
+    if last == 1:
+        return rate
+    (since, end), *moved = ends
+    falls = [optax.linear_schedule(rate, rate * last, end)]
+    share = 1.0
+    for begin, new_end in moved:
+        share = last + (share - last) * max(1 - (begin - since) / max(end - since, 1), 0.0)
+        since, end = begin, new_end
+        falls.append(optax.linear_schedule(rate * share, rate * last, max(end - begin, 1)))
+    return optax.join_schedules(falls, [begin for begin, _ in moved])
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
-from cadenza.learning.algorithms.on_jax import from_arrays, start_jax, to_arrays
+from cadenza.learning.algorithms.on_jax import falling, from_arrays, start_jax, to_arrays
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
@@ -41,24 +41,6 @@ class DroQState(NamedTuple):
     actor_optimiser: Any
     critic_optimiser: Any
     temperature_optimiser: Any
-
-
-def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
-    """A learning rate that falls evenly from `rate` to its share `last`, by updates.
-
-    `ends` is since which update at which one it is to have fallen; the first is since 0. From each
-    of the others on it falls from what it is then.
-    """
-    if last == 1:
-        return rate
-    (since, end), *moved = ends
-    falls = [optax.linear_schedule(rate, rate * last, end)]
-    share = 1.0
-    for begin, new_end in moved:
-        share = last + (share - last) * max(1 - (begin - since) / max(end - since, 1), 0.0)
-        since, end = begin, new_end
-        falls.append(optax.linear_schedule(rate * share, rate * last, max(end - begin, 1)))
-    return optax.join_schedules(falls, [begin for begin, _ in moved])
 
 
 def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:

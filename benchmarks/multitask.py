@@ -1,0 +1,215 @@
+"""One network for n songs, cloned from the planner: F1 on songs that it has learnt and on others.
+
+    python -m benchmarks.multitask -o multitask
+
+The experiment of the paper (Zakka et al., CoRL 2023) on multitask behaviour cloning, with the
+planner as the expert. The songs are the beginnings of the bundled pieces, in an order that is drawn
+once and begins with Für Elise; sets of songs grow, so that a larger one holds the smaller ones. The
+last eight are never learnt from. All that is finished is kept: the same command goes on.
+
+The folder then holds multitask.csv, a row for each policy and song, and multitask.svg.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import html
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cadenza.agents.rollout import play_episode
+from cadenza.cli import main as cadenza
+from cadenza.evaluation.statistics import mean_interval
+from cadenza.learning.algorithms.cloning.config import CloningConfig
+from cadenza.learning.config import ImitationConfig
+from cadenza.learning.imitation import Imitation
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.library import load_score
+from cadenza.tasks.piano_task import PianoTask
+
+FIRST = "FurEliseOpening"
+SECONDS = 8.0  # of each piece
+NOT_LEARNT = 8  # songs
+FIGURES = ("f1", "precision", "recall", "note_onset_f1")
+# Always the song itself, from somewhat different places and with strong noise.
+HOW = ["--no-mirror", "--random-stretch", "0", "--random-pitch-shift", "0", "--noise", "0.4"]
+
+
+class Policy(NamedTuple):
+    """One that was trained."""
+
+    learnt_from: tuple[str, ...]
+    seed: int
+    learnt: LearntPolicy
+
+
+def order() -> list[str]:
+    """The bundled pieces as they are learnt, one after the other."""
+    others = [piece.name for piece in songs() if piece.name != FIRST]
+    return [FIRST, *np.random.default_rng(0).permutation(others).tolist()]
+
+
+def write_songs(folder: Path, names: Sequence[str]) -> None:
+    """Writes the beginnings of these pieces."""
+    for name in names:
+        write_midi(load_score(name).beginning(SECONDS), folder / f"{name}.mid")
+
+
+def train(folder: Path, config: ImitationConfig) -> Policy:
+    """A policy of the songs of `config`."""
+    run = folder / "runs" / f"{len(config.songs)}-{config.seed}"
+    run.mkdir(parents=True, exist_ok=True)
+    Imitation(config, folder / "demonstrations", run).run(lambda: True)
+    return Policy(config.songs, config.seed, load_policy(run / "last"))
+
+
+def play(folder: Path, song: str, policies: Sequence[Policy]) -> Iterator[dict[str, object]]:
+    """Rows of the table: how each of the policies plays a song."""
+    first = policies[0].learnt
+    (file,) = (folder / "songs").rglob(f"{song}.mid")
+    score = load_score(file)
+    with closing(PianoTask([score], first.task, first.scene)) as task:
+        for policy in policies:
+            metrics = play_episode(task, policy.learnt.agent, 0).metrics
+            yield {
+                "songs": len(policy.learnt_from),
+                "seed": policy.seed,
+                "song": song,
+                "learnt": song in policy.learnt_from,
+                **{name: metrics[name] for name in FIGURES},
+            }
+
+
+class Mean(NamedTuple):
+    """F1 on songs, with its 95 % interval over seeds."""
+
+    songs: int
+    learnt: bool
+    f1: float
+    low: float
+    high: float
+
+
+def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
+    """Of each number of songs, on those learnt and on those that nobody has learnt."""
+    found = []
+    for learnt, count in sorted({(bool(r["learnt"]), int(str(r["songs"]))) for r in rows}):
+        of = [r for r in rows if r["songs"] == count and r["learnt"] == learnt]
+        if not learnt:  # the same songs for all numbers
+            of = [r for r in of if r["song"] in order()[-NOT_LEARNT:]]
+        seeds = sorted({str(r["seed"]) for r in of})
+        f1 = [np.mean([float(str(r["f1"])) for r in of if str(r["seed"]) == s]) for s in seeds]
+        found.append(Mean(count, learnt, *(float(v[0]) for v in mean_interval(np.array([f1]).T))))
+    return found
+
+
+# The picture, in the style of that of the results
+
+_WIDTH, _HEIGHT, _LEFT, _TOP = 640, 300, 56, 40  # [px]
+_STYLE = """
+  svg { --card: #ffffff; --ink: #14181f; --soft: #566070; --line: #e2e5ea; --one: #2f5bd7;
+    --other: #c2571a; font: 13px system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+  @media (prefers-color-scheme: dark) { svg {
+    --card: #161a21; --ink: #e9edf3; --soft: #a0aab9; --line: #2b323d; --one: #86a8ff;
+    --other: #ff9f6b; } }
+  .card { fill: var(--card); } .grid { stroke: var(--line); } text { fill: var(--soft); }
+  path { fill: none; } .learnt { color: var(--one); } .others { color: var(--other); }
+  .learnt, .others { stroke: currentColor; stroke-width: 2; } circle { fill: currentColor; }
+  g text { fill: currentColor; stroke: none; font-weight: 600; } .end { text-anchor: end; }
+"""
+
+
+def drawn(found: Sequence[Mean]) -> Iterator[str]:
+    """An SVG picture of F1 by the number of songs learnt from, which doubles from left to right."""
+    most = math.log2(max(mean.songs for mean in found)) or 1.0
+    width = _WIDTH - _LEFT - 180
+
+    def x(count: int) -> float:
+        return _LEFT + width * math.log2(count) / most
+
+    def y(f1: float) -> float:
+        return _TOP + _HEIGHT * (1 - min(max(f1, 0.0), 1.0))
+
+    total = _TOP + _HEIGHT + 50
+    words = "F1 by the number of songs that one network has learnt from"
+    yield (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {total}" role="img">'
+        f"<title>{html.escape(words)}</title><style>{_STYLE}</style>"
+        f'<rect class="card" width="{_WIDTH}" height="{total}" rx="10"/>'
+        f'<text x="{_LEFT}" y="22">F1</text>'
+        f'<text x="{_LEFT}" y="{total - 10}">songs that one network has learnt from</text>'
+    )
+    for tick in (0, 0.25, 0.5, 0.75, 1):
+        yield f'<path class="grid" d="M{_LEFT} {y(tick):g}h{width}"/>'
+        yield f'<text class="end" x="{_LEFT - 8}" y="{y(tick) + 4:g}">{tick:g}</text>'
+    for count in sorted({mean.songs for mean in found}):
+        yield f'<text x="{x(count) - 4:g}" y="{_TOP + _HEIGHT + 18}">{count}</text>'
+    for learnt, kind, name in (True, "learnt", "songs learnt"), (False, "others", "other songs"):
+        line = [mean for mean in found if mean.learnt == learnt]
+        path = "L".join(f"{x(m.songs):.1f} {y(m.f1):.1f}" for m in line)
+        yield f'<g class="{kind}"><path d="M{path}"/>'
+        for m in line:
+            yield f'<circle cx="{x(m.songs):.1f}" cy="{y(m.f1):.1f}" r="3"/>'
+            if not math.isnan(m.low):
+                yield f'<path d="M{x(m.songs):.1f} {y(m.low):.1f}V{y(m.high):.1f}"/>'
+        last = line[-1]
+        at = f'x="{x(last.songs) + 10:.1f}" y="{y(last.f1) + 4:.1f}"'
+        yield f"<text {at}>{last.f1:.2f} {name}</text></g>"
+    yield "</svg>\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))
+    parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--episodes", type=int, default=3, help="demonstrations of each song")
+    parser.add_argument("--updates", type=int, default=3_000)
+    options = parser.parse_args()
+    folder, names = options.output, order()
+    to_learn = names[:-NOT_LEARNT]
+    write_songs(folder / "songs" / "seen", to_learn)
+    write_songs(folder / "songs" / "unseen", names[-NOT_LEARNT:])
+    demonstrations = ["-o", str(folder / "demonstrations"), "--episodes", str(options.episodes)]
+    cadenza(["dataset", "collect", "--songs", str(folder / "songs/seen"), *demonstrations, *HOW])
+    policies = [
+        train(
+            folder,
+            ImitationConfig(
+                learner=CloningConfig(),
+                songs=tuple(to_learn[:count]),
+                num_updates=options.updates,
+                seed=seed,
+            ),
+        )
+        for seed in options.seeds
+        for count in options.songs
+    ]
+    rows = [row for song in names for row in play(folder, song, policies)]
+    summed_up(folder, rows)
+
+
+def summed_up(folder: Path, rows: Sequence[dict[str, object]]) -> None:
+    """Writes the table and the picture, and prints the means."""
+    with open(folder / "multitask.csv", "w", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+    found = means(rows)
+    (folder / "multitask.svg").write_text("\n".join(drawn(found)))
+    print("| songs | | F1 | 95 % interval |\n| --- | --- | --- | --- |")
+    for mean in found:
+        kind = "learnt" if mean.learnt else "others"
+        print(f"| {mean.songs} | {kind} | {mean.f1:.3f} | {mean.low:.3f} to {mean.high:.3f} |")
+
+
+if __name__ == "__main__":
+    main()

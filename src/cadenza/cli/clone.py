@@ -1,0 +1,69 @@
+"""`cadenza clone`, where a policy learns many songs from demonstrations."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from cadenza.cli.arguments import Quiet
+from cadenza.cli.output import check_writable
+from cadenza.cli.progress import progress
+from cadenza.cli.stopping import asked_to_stop
+from cadenza.errors import CadenzaError
+from cadenza.learning.config import ImitationConfig
+
+if TYPE_CHECKING:
+    from cadenza.learning.imitation import Imitation
+
+
+@dataclass(frozen=True)
+class Clone:
+    """Train one policy for many songs on demonstrations, by behaviour cloning. Ctrl-C stops it;
+    the same command goes on.
+
+    Example: cadenza clone demonstrations -o clone; cadenza play OdeToJoy --agent clone/last
+    """
+
+    demonstrations: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
+    """A folder of "cadenza dataset collect"."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/clone")
+    """Folder of the run."""
+    quiet: Quiet = False
+    imitation: tyro.conf.OmitArgPrefixes[ImitationConfig] = field(default_factory=ImitationConfig)
+
+
+def clone(command: Clone) -> None:
+    from cadenza.files import locked
+    from cadenza.learning.imitation import Imitation
+
+    check_writable(command.output)
+    with locked(command.output) as ours:
+        if not ours:
+            raise CadenzaError(f"{command.output}: another process is training this run")
+        run = Imitation(command.imitation, command.demonstrations, command.output)
+        _train(run)
+    if not run.finished:
+        raise KeyboardInterrupt
+    policy = command.output / "last"
+    print(f"learnt {len(run.songs)} songs; cadenza play SONG --agent {policy}")
+
+
+def _train(run: Imitation) -> None:
+    """Until all is done, or until someone asks to stop."""
+    first, began = run.update, time.perf_counter()
+    with progress("cloning", "updates", 30.0) as advance, asked_to_stop("a checkpoint") as stop:
+        stop()  # from now on
+
+        def goes_on() -> bool:
+            remark = f"{(run.update - first) / (time.perf_counter() - began):.0f} a second"
+            if run.rows:
+                remark += f", error {run.rows[-1]['train/error']:.5f}"
+            advance(run.update, run.config.num_updates, remark)
+            return not stop()
+
+        run.run(goes_on)
+        goes_on()

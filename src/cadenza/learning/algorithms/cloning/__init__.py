@@ -1,0 +1,1 @@
+"""Behaviour cloning: a perceptron that does what demonstrators did."""

@@ -1,0 +1,310 @@
+"""Trains a policy for many songs on demonstrations, to be stopped and resumed at any moment.
+
+RUN/run.json            what was asked for, and which episodes are learnt from
+RUN/checkpoint/         the learner and the random generator after so many updates
+RUN/metrics.jsonl       metrics, a row a line
+RUN/last/               the policy of the checkpoint
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.demonstrations.dataset import Batch, Dataset, kept
+from cadenza.demonstrations.recorded import Recorded
+from cadenza.errors import CadenzaError
+from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked, read_json, write_atomically, write_json
+from cadenza.learning.config import ImitationConfig
+from cadenza.learning.observation import Floats, Inputs, ObservationSpec
+from cadenza.learning.policy_folder import LearntPolicy, save_policy
+from cadenza.learning.ranges import Ranges
+from cadenza.learning.run_folder import read_rows
+from cadenza.learning.sealed_folder import read_sealed, write_sealed
+from cadenza.tasks import reward
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import from_range
+
+_KIND = "checkpoint of imitation"
+_EXPECTED = {
+    "learner:*": ArrayOf(NUMBERS, None),
+    "errors": ArrayOf(FLOATS, ("updates",), needed=True),
+}
+_AT_ONCE = 20  # updates between two looks at whether to go on
+_MOST_HELD_OUT = 5_000  # steps that the error on what is held out is measured on
+_LEAST_RANGE = 0.05  # of what a joint or a servo has, where demonstrations hardly move it
+
+
+class Examples(NamedTuple):
+    """What was observed and what was to be done; arrays (..., D) and (..., A)."""
+
+    observation: Floats
+    action: Floats
+
+
+@dataclass(frozen=True)
+class _About:
+    """What run.json holds."""
+
+    config: ImitationConfig
+    demonstrations: str
+    learnt_from: tuple[str, ...]
+    """Names of episodes."""
+    held_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What a checkpoint has beside arrays."""
+
+    update: int
+    seconds: float
+    rng: dict[str, Any]
+
+
+class Imitation:
+    """A run of training on demonstrations.
+
+    Attributes:
+        update: updates so far.
+        rows: metrics so far, oldest first.
+    """
+
+    def __init__(self, config: ImitationConfig, demonstrations: Path, folder: Path) -> None:
+        """Goes on with the run in `folder`, if there is one.
+
+        Args:
+            config: of the run.
+            demonstrations: a folder of `cadenza dataset collect`.
+            folder: where the run is kept; no other process works in it.
+
+        Raises:
+            CadenzaError: an option makes no sense, there are no such demonstrations or they do not
+                go together, or the folder holds a run with other options.
+        """
+        config.check()
+        self.config, self._folder = config, folder
+        about = _begun(config, demonstrations, folder)
+        episodes = {episode.folder.name: episode for episode in kept(demonstrations)}
+        if lost := {*about.learnt_from, *about.held_out} - episodes.keys():
+            raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
+        self._dataset = Dataset([episodes[name] for name in about.learnt_from])
+        self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
+        first = self._dataset.episodes[0]
+        self._task = replace(first.about.task, n_steps_lookahead=config.n_steps_lookahead)
+        with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
+            self._spec = ObservationSpec.of(task.spec)
+            limits = np.stack([task.spec.action_low, task.spec.action_high])
+        self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
+        self._ranges = _ranges(self._dataset, limits)
+        self._held_out: Examples | None = None
+        if about.held_out:
+            held_out = Dataset([episodes[name] for name in about.held_out])
+            every = -(-held_out.num_steps // _MOST_HELD_OUT)
+            self._held_out = self._examples(held_out, np.arange(0, held_out.num_steps, every))
+        self._learner = config.learner.make(
+            self._inputs, limits.shape[1], ((0, config.num_updates),)
+        )
+        self.update, self._seconds = 0, 0.0
+        self._rng = np.random.default_rng(config.seed)
+        self._state = self._learner.init(config.seed)
+        self._errors = np.zeros(0, np.float32)
+        self.rows: list[dict[str, Any]] = []
+        if (folder / "checkpoint").exists():
+            self._restore()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all updates are done."""
+        return self.update >= self.config.num_updates
+
+    def run(self, goes_on: Callable[[], bool]) -> None:
+        """Trains until all is done, or `goes_on` is false, which is asked every few updates."""
+        config, first = self.config, self.update
+        began = saved = time.perf_counter()
+        before = self._seconds
+        while not self.finished and goes_on():
+            to_log = config.log_interval - self.update % config.log_interval
+            self._learn(min(_AT_ONCE, to_log, config.num_updates - self.update))
+            self._seconds = before + time.perf_counter() - began
+            if self.finished or self.update % config.log_interval == 0:
+                self._log()
+            if time.perf_counter() - saved > config.checkpoint_interval:
+                self._save()
+                saved = time.perf_counter()
+        if self.update > first:
+            self._save()
+
+    def _learn(self, updates: int) -> None:
+        shape = updates, self.config.learner.batch_size
+        steps = self._dataset.sample(self._rng, updates * shape[1])
+        flat = self._examples(self._dataset, steps)
+        examples = Examples._make(array.reshape(*shape, -1) for array in flat)
+        self._state, metrics = self._learner.update(self._state, examples)
+        self._errors = np.concatenate([self._errors, np.asarray(metrics["error"])])
+        self.update += updates
+
+    def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
+        batch = dataset.batch(steps, self.config.n_steps_lookahead)
+        travel = dataset.scene.keyboard.travel
+        observation = observed(batch, travel, self._ranges)[:, list(self._inputs.kept)]
+        action = from_range(batch.action, *self._ranges.actions)
+        return Examples(observation, action.astype(np.float32))
+
+    def _log(self) -> None:
+        row: dict[str, Any] = {"step": self.update, "seconds": round(self._seconds, 3)}
+        row["train/error"] = float(self._errors.mean())
+        if self._held_out is not None:
+            row["held_out/error"] = self._learner.error(self._state, self._held_out)
+        self._errors = self._errors[:0]
+        self.rows.append(row)
+        self._write_rows()
+
+    def _write_rows(self) -> None:
+        with write_atomically(self._folder / "metrics.jsonl") as file:
+            file.write("".join(json.dumps(row) + "\n" for row in self.rows).encode())
+
+    def _save(self) -> None:
+        facts = _Facts(self.update, self._seconds, dict(self._rng.bit_generator.state))
+        learner = self._learner.to_arrays(self._state)
+        arrays = {f"learner:{name}": array for name, array in learner.items()}
+        write_sealed(
+            self._folder / "checkpoint", _KIND, asdict(facts), arrays | {"errors": self._errors}
+        )
+        self._save_policy()
+
+    def _save_policy(self) -> None:
+        learnt = LearntPolicy(
+            policy=self._learner.policy(self._state),
+            observation=self._spec,
+            inputs=self._inputs,
+            reference=None,
+            ranges=self._ranges,
+            task=self._task,
+            scene=self._dataset.episodes[0].about.scene,
+            score=None,
+        )
+        save_policy(self._folder / "last", learnt, {"step": self.update, "songs": self.songs})
+
+    def _restore(self) -> None:
+        plain, arrays = read_sealed(self._folder / "checkpoint", _KIND, _EXPECTED)
+        facts = checked(plain, _Facts, self._folder / "checkpoint" / "facts.json")
+        learner = {n.removeprefix("learner:"): a for n, a in arrays.items() if n != "errors"}
+        self._state = self._learner.from_arrays(learner)
+        self.update, self._seconds = facts.update, facts.seconds
+        self._rng.bit_generator.state = facts.rng
+        self._errors = arrays["errors"]
+        self.rows = [row for row in read_rows(self._folder) if row["step"] <= facts.update]
+        self._save_policy()  # a kill may have come before it
+
+
+def observed(batch: Batch, travel: NDArray[np.float64], ranges: Ranges) -> Floats:
+    """(B, D) what a policy without a reference observes, see `ObservationSpec`.
+
+    Args:
+        batch: of steps.
+        travel: (K,) of the keys [rad].
+        ranges: on whose scale joints and the previous action are.
+    """
+    count = len(batch.goal)
+    first = ~batch.previous_action.any(axis=1, keepdims=True)  # nothing was played before
+    played = np.where(first, 0.0, from_range(batch.previous_action, *ranges.actions))
+    low, high = ranges.joints
+    parts = (
+        batch.goal.reshape(count, -1),
+        batch.fingering[:, 0],
+        reward.key_state(batch.key_qpos.astype(np.float64), travel),
+        batch.previous_action[:, -1:],  # the pedal
+        (batch.hand_qpos - (low + high) / 2) / ((high - low) / 2),
+        played,
+        batch.previous_reward[:, None],
+    )
+    return np.concatenate([part.astype(np.float32) for part in parts], axis=1)
+
+
+def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> Inputs:
+    """Without goals of keys that no demonstration asks for, of which nothing can be learnt.
+
+    What was done and rewarded before is there only if it is asked for.
+    """
+    goals = [dataset.goals(number) for number in range(len(dataset.episodes))]
+    wanted = np.any(
+        [np.append(some.keys.any(axis=0), some.sustain.any()) for some in goals], axis=0
+    )
+    goal = np.flatnonzero(np.tile(wanted, spec.goal // spec.goals_of_a_step))
+    end = spec.size if previous_action else spec.layout["previous_action"].start
+    return Inputs((*goal.tolist(), *range(spec.goal, end)), spec.size)
+
+
+def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
+    """Where demonstrations go, within which differences count.
+
+    `limits` (2, A) are those of the actions.
+    """
+    scene = dataset.scene
+    joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
+    steps = [episode.steps for episode in dataset.episodes]
+    return Ranges(
+        _used([some["hand_qpos"] for some in steps], joints),
+        _used([some["action"][:-1] for some in steps], limits),
+    )
+
+
+def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, N) least and most in arrays (..., N), as far apart as a little of the limits (2, N)."""
+    low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
+    high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
+    missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
+    return np.stack([low - missing, high + missing])
+
+
+def _begun(config: ImitationConfig, demonstrations: Path, folder: Path) -> _About:
+    """What the run is, written down if it is new."""
+    where, place = folder / "run.json", str(demonstrations.resolve())
+    if where.exists():
+        about: _About = read_json(where, _About)
+        if (about.config, about.demonstrations) != (config, place):
+            raise CadenzaError(
+                f"{folder}: holds a run with other options; give the same to continue it, or "
+                "choose another folder with --output"
+            )
+        return about
+    learnt_from, held_out = _divided(_of_songs(kept(demonstrations), config.songs), config.held_out)
+    about = _About(config, place, learnt_from, held_out)
+    write_json(where, asdict(about))
+    return about
+
+
+def _of_songs(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, list[Recorded]]:
+    """Those of each song, all if none are `wanted`."""
+    found = defaultdict[str, list[Recorded]](list)
+    for episode in episodes:
+        found[episode.about.song].append(episode)
+    if not wanted:
+        return found
+    names = {Path(song).stem: song for song in found} | {song: song for song in found}
+    if lost := [name for name in wanted if name not in names]:
+        raise CadenzaError(f"songs: no demonstration of {lost[0]}; there is {', '.join(names)}")
+    return {names[name]: found[names[name]] for name in wanted}
+
+
+def _divided(
+    songs: dict[str, list[Recorded]], held_out: int
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the episodes that are learnt from, at least one of each song, and of the others."""
+    learnt_from, others = [], []
+    for episodes in songs.values():
+        names = [episode.folder.name for episode in episodes]
+        at = max(len(names) - held_out, 1)
+        learnt_from += names[:at]
+        others += names[at:]
+    return tuple(learnt_from), tuple(others)

@@ -1,0 +1,187 @@
+"""A policy of many songs, learnt from demonstrations: stopped, resumed, and what it plays."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import cadenza
+from cadenza.cli import main
+from cadenza.demonstrations.dataset import open_dataset
+from cadenza.demonstrations.transitions import transitions
+from cadenza.errors import CadenzaError
+from cadenza.evaluation.collecting.variation import Variation
+from cadenza.learning.algorithms.cloning.config import CloningConfig
+from cadenza.learning.config import ImitationConfig
+from cadenza.learning.imitation import Imitation, observed
+from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.ranges import Ranges
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.view import to_range
+from demonstrations.made import SCORE, collected
+
+CONFIG = ImitationConfig(
+    learner=CloningConfig(hidden_sizes=(32,), batch_size=32),
+    num_updates=120,
+    log_interval=50,
+    n_steps_lookahead=4,
+)
+OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 50)), title="other")
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of a song."""
+    folder = tmp_path_factory.mktemp("made") / "demonstrations"
+    same = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
+    collected(folder, Variation(noise=0.2, mirror=False), episodes=2, **same)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(demonstrations: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    trained(CONFIG, demonstrations, folder)
+    return folder
+
+
+def trained(
+    config: ImitationConfig,
+    demonstrations: Path,
+    folder: Path,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> Imitation:
+    run = Imitation(config, demonstrations, folder)
+    run.run(goes_on)
+    return run
+
+
+def times(count: int) -> Callable[[], bool]:
+    """What is true so many times."""
+    asked = iter(range(count))
+    return lambda: next(asked, None) is not None
+
+
+def test_the_error_falls(demonstrations: Path, tmp_path: Path) -> None:
+    rows = trained(replace(CONFIG, log_interval=20), demonstrations, tmp_path / "run").rows
+    assert [row["step"] for row in rows] == [20, 40, 60, 80, 100, 120]
+    for error in "train/error", "held_out/error":
+        assert rows[-1][error] < rows[0][error] / 2
+
+
+def test_observes_what_the_environments_show(demonstrations: Path) -> None:
+    dataset = open_dataset(demonstrations)
+    shown = transitions(dataset, 0)
+    count = len(shown.chosen)
+    joints = np.repeat([[-1.0], [1.0]], shown.joints.shape[1], axis=1)
+    ranges = Ranges(joints, np.stack([dataset.scene.action_low, dataset.scene.action_high]))
+    batch = dataset.batch(dataset.first[0] + np.arange(count))
+    seen = observed(batch, dataset.scene.keyboard.travel, ranges)
+    size = shown.observation.shape[1]
+    assert_array_equal(seen[:, :size], shown.observation[:-1])
+    assert_allclose(seen[:, size:-1], shown.played[:-1], atol=1e-6)
+    assert_array_equal(seen[1:, -1], shown.reward[:-1])
+
+
+@pytest.mark.parametrize("previous_action", [False, True])
+def test_sees_in_a_performance_what_it_has_learnt_from(
+    demonstrations: Path, tmp_path: Path, previous_action: bool
+) -> None:
+    """Demonstrations begin in the state in which the performance does."""
+    trained(replace(CONFIG, previous_action=previous_action), demonstrations, tmp_path / "run")
+    learnt = load_policy(tmp_path / "run" / "last")
+    assert learnt.ranges is not None
+    dataset = open_dataset(demonstrations)
+    batch = dataset.batch(np.zeros(1, np.intp), CONFIG.n_steps_lookahead)
+    seen = observed(batch, dataset.scene.keyboard.travel, learnt.ranges)
+    done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
+    performance = cadenza.play(SCORE, tmp_path / "run" / "last")
+    expected = to_range(done, *learnt.ranges.actions)
+    assert_allclose(performance.episode["action"][:1], expected, atol=1e-5)
+
+
+def test_resumed_it_ends_with_the_same_bits(
+    demonstrations: Path, run: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "run"
+    for asked in 2, 1, 100:  # stops between two rows of metrics, and twice
+        ended = trained(CONFIG, demonstrations, other, times(asked))
+    assert ended.finished
+    for name in "last", "checkpoint":
+        arrays = "arrays.safetensors"
+        assert (other / name / arrays).read_bytes() == (run / name / arrays).read_bytes()
+    rows, expected = (Imitation(CONFIG, demonstrations, at).rows for at in (other, run))
+    assert [row | {"seconds": 0} for row in rows] == [row | {"seconds": 0} for row in expected]
+
+
+def test_a_policy_of_many_songs_plays_any(run: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        performance = cadenza.play(OTHER, run / "last")
+    assert performance.score.title == "other"
+    assert np.isfinite(performance.episode["action"]).all()
+
+
+def test_it_cannot_play_with_another_hand(run: Path) -> None:
+    with pytest.raises(CadenzaError, match=r"trained with hand shadow, .* allegro") as error:
+        cadenza.play(OTHER, run / "last", scene=SceneConfig(hand="allegro"))
+    assert "\n" not in str(error.value)
+
+
+def test_its_folder_names_no_song(run: Path) -> None:
+    with pytest.raises(CadenzaError, match="plays any song; name one"):
+        cadenza.play(run / "last")
+    with pytest.raises(CadenzaError, match=r"its latest policy is .*last"):
+        cadenza.play("OdeToJoy", run)
+
+
+def test_another_run_in_its_folder_is_refused(demonstrations: Path, run: Path) -> None:
+    with pytest.raises(CadenzaError, match="holds a run with other options"):
+        Imitation(replace(CONFIG, seed=1), demonstrations, run)
+
+
+def test_songs_are_chosen_by_name(demonstrations: Path, tmp_path: Path) -> None:
+    chosen = Imitation(replace(CONFIG, songs=("song",)), demonstrations, tmp_path / "run")
+    assert [Path(song).stem for song in chosen.songs] == ["song"]
+    with pytest.raises(CadenzaError, match="no demonstration of nothing; there is song"):
+        Imitation(replace(CONFIG, songs=("nothing",)), demonstrations, tmp_path / "other")
+
+
+def test_the_command_trains_and_says_how_to_play(
+    demonstrations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = ["--num-updates", "20", "--hidden-sizes", "8", "--batch-size", "8"]
+    main(["clone", str(demonstrations), "-o", str(tmp_path / "run"), *small])
+    assert f"--agent {tmp_path / 'run' / 'last'}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("nothing",), "nothing: holds no demonstrations"),
+        (("nothing", "--num-updates", "0"), "num_updates 0"),
+        (("nothing", "--learning-rate", "0"), "learning_rate 0"),
+        (("nothing", "--hidden-sizes", "0"), "hidden_sizes (0,)"),
+        ((), "DATASET is missing"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(
+    words: tuple[str, ...],
+    what: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["clone", *words])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert what in line
