@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.robustness import TROUBLES, Noisy, Trouble, troubled_task
+from benchmarks.robustness import TROUBLES, Trouble, troubled_task
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.agents.baselines.stitched.agent import Stitched
@@ -110,9 +110,8 @@ def played(
     """How a performance went, and the actions (T, A)."""
     task = troubled_task(score, with_time_to_begin(), trouble, seed, setting.scene)
     timed = Timed(agent or setting.agent())
-    player = Noisy(timed, trouble.noise, seed) if trouble.noise else timed
     with threadpool_limits(1):
-        result = play_episode(task, player, seed)
+        result = play_episode(task, timed, seed)
     task.close()
     dropped = task.tracks[0].with_found_fingers().fingered().dropped or ()
     row = {name: result.metrics[name] for name in ("f1", "note_onset_f1", "precision", "recall")}

@@ -9,7 +9,7 @@ loop: what it plays when nothing is amiss, recorded and replayed.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,8 @@ from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.perturbation import perturbed
-from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
-from cadenza.tasks.view import View
 
 AGENTS: dict[str, Callable[[], Agent]] = {
     "refined": ScorePlanner,
@@ -58,46 +55,29 @@ TROUBLES = (
 )
 
 
-class Noisy(Agent):
-    """Another agent's actions with noise on all but the pedal."""
-
-    def __init__(self, agent: Agent, noise: float, seed: int) -> None:
-        """`noise` is its standard deviation in units of half the control range."""
-        self._agent, self._noise, self._seed = agent, noise, seed
-
-    def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
-        self._agent.reset(env_ids, rngs)
-        self._rng = np.random.default_rng([self._seed, 1])  # not that of starts and models
-
-    def act(self, view: View) -> Array:
-        low, high = view.task.action_low, view.task.action_high
-        sigma = self._noise * (high - low) / 2
-        sigma[-1] = 0.0
-        noise = sigma * self._rng.standard_normal(len(sigma))
-        return np.clip(self._agent.act(view) + noise, low, high)
-
-
 def troubled_task(
     score: Score,
     config: TaskConfig,
     trouble: Trouble,
     seed: int,
-    options: SceneConfig | None = None,
+    scene: SceneConfig | None = None,
 ) -> PianoTask:
-    """The task with hands and model that are amiss."""
-    scene = build_scene(options)
-    if trouble.model:
-        scene = perturbed(scene, np.random.default_rng([seed, 0]), trouble.model)
-    return PianoTask([score], replace(config, random_hand_position=trouble.start), scene)
+    """The task with hands, controls and model that are amiss."""
+    amiss = replace(
+        config,
+        random_hand_position=trouble.start,
+        control_noise=trouble.noise,
+        model_error=trouble.model,
+        model_seed=seed,
+    )
+    return PianoTask([score], amiss, scene)
 
 
 def f1_in_trouble(
     score: Score, config: TaskConfig, trouble: Trouble, agent: Agent, seed: int
 ) -> tuple[float, Array]:
-    """F1, and the actions (T, A) that the agent chose and noise changed."""
-    task = troubled_task(score, config, trouble, seed)
-    player = Noisy(agent, trouble.noise, seed) if trouble.noise else agent
-    performance = play_episode(task, player, seed)
+    """F1, and the actions (T, A) that the agent chose."""
+    performance = play_episode(troubled_task(score, config, trouble, seed), agent, seed)
     return performance.metrics["f1"], performance.episode.arrays["action"]
 
 

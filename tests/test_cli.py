@@ -497,6 +497,11 @@ def test_a_plan_made_with_other_options(
     assert f"{path}: was planned with {message}; use the same value" in said
 
 
+def test_a_plan_is_tried_against_noise_and_another_model() -> None:
+    disturbed = TaskConfig(control_noise=0.1, model_error=0.1, model_seed=3)
+    assert options_of(disturbed, SceneConfig(), 0) == options_of(TaskConfig(), SceneConfig(), 0)
+
+
 def test_a_plan_is_an_npz_file(
     tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

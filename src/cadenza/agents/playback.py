@@ -44,6 +44,7 @@ _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "sustain_term",
     "forearm_term",
 }
+_DISTURB = {"control_noise", "model_error", "model_seed"}  # what plans are tried against
 _TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
 _ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
 _ABOUT = {
@@ -115,7 +116,7 @@ def options_of(task: TaskConfig, scene: SceneConfig, seed: int, **of_song: Any) 
 
     `of_song` says what of the song is played.
     """
-    options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING}
+    options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING | _DISTURB}
     drawn = any(value for name, value in options.items() if name.startswith("random_"))
     options |= {n: v for n, v in asdict(scene).items() if n not in _TAKEN_FROM_PLAN}
     options |= of_song | ({"seed": seed} if drawn else {})

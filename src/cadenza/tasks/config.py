@@ -45,6 +45,14 @@ class TaskConfig:
     random_hand_position: float = 0.0
     """Randomise the initial position of both hands along the keyboard, up to this far either way
     [m]."""
+    control_noise: float = 0.0
+    """Noise on the controls of the servos, normal and drawn anew at each step: its standard
+    deviation, as a fraction of half the range of each."""
+    model_error: float = 0.0
+    """Scale masses, damping, friction, springs and gains of what is simulated by 1 - e to 1 + e,
+    each by another factor. Planners do not know of it unless they copy the simulation."""
+    model_seed: int = 0
+    """Random seed of these factors."""
     random_stretch: float = 0.0
     """Randomise the tempo per episode: times are scaled by a factor between 1 - r and 1 + r."""
     random_pitch_shift: int = 0

@@ -18,6 +18,7 @@ from cadenza.errors import CadenzaError
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
@@ -104,6 +105,9 @@ class PianoTask:
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.tracks = music.prepare(scores, self.config, self.scene, progress)
+        if self.config.model_error:
+            factors = np.random.default_rng(self.config.model_seed)
+            self.scene = perturbed(self.scene, factors, self.config.model_error)
         self._offset_joints = self._find_offset_joints()
         self.simulation = make_simulation(
             scene=self.scene,
@@ -130,6 +134,7 @@ class PianoTask:
         self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
         self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
+        self._rngs: dict[int, np.random.Generator] = {}
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
         self._look()
@@ -221,6 +226,7 @@ class PianoTask:
         pitches = self.scene.keyboard.pitches
         for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
             self.sheets.put(env, music.draw(self.tracks, self.config, pitches, rng, song))
+            self._rngs[env] = rng
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
@@ -245,9 +251,9 @@ class PianoTask:
         """
         sheets = self.sheets
         goal, fingers, row = sheets.goal, sheets.fingers, sheets.row
-        self.simulation.step(ctrl[:, :-1], env_ids)
-        self._look()
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
+        self.simulation.step(self._as_they_arrive(ctrl[:, :-1], moving), env_ids)
+        self._look()
         self._pedal[moving] = np.fmax(ctrl[moving, -1], 0.0)  # up where it is not a number
         here = self._env_ids[moving], row[moving]
         self._played[*here, :-1] = self.sounding[moving]
@@ -267,6 +273,17 @@ class PianoTask:
             truncated=(sheets.steps_done >= sheets.num_steps) > terminated,
             unstable=self.state.unstable,
         )
+
+    def _as_they_arrive(self, ctrl: Array, moving: slice | NDArray[np.intp]) -> Array:
+        """(N, A - 1) the controls of the servos, with noise if there is any."""
+        if not self.config.control_noise:
+            return ctrl
+        low, high = self.action_low[:-1], self.action_high[:-1]
+        sigma = self.config.control_noise * (high - low) / 2
+        noisy = ctrl.copy()
+        for env in self._env_ids[moving].tolist():
+            noisy[env] += sigma * self._rngs[env].standard_normal(len(sigma))
+        return np.clip(noisy, low, high)
 
     def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
         config, state, keys = self.config, self.state, goal[:, :-1]
