@@ -259,8 +259,8 @@ def test_planning_can_be_interrupted() -> None:
 
 @pytest.fixture
 def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nominal, "_WINDOW", 3.0)
-    monkeypatch.setattr(nominal, "_FIRST", 2.5)
+    monkeypatch.setattr(nominal, "_FIRST", 1.0)
+    monkeypatch.setattr(nominal, "_MOST", 1.5)
     monkeypatch.setattr(nominal, "_OVERLAP", 1.5)
 
 
@@ -330,8 +330,8 @@ def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
         plans = nominal_plans(scene, keys, fingers, start, dt)
         return [plan.num_steps * dt for plan in plans]
 
-    assert ends(30.0) == pytest.approx([30.0])
-    assert ends(40.0) == pytest.approx([6.0, 32.0, 40.0])
+    assert ends(6.0) == pytest.approx([6.0])
+    assert ends(60.0) == pytest.approx([2.0, 6.0, 18.0, 44.0, 60.0])
 
 
 @pytest.mark.usefixtures("first_guess")

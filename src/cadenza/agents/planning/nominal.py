@@ -4,8 +4,9 @@ Presses, fingertips, postures, controls: inverse kinematics of the song, and wha
 follow. No simulation is needed for it; `refinement` makes up for what is not modelled.
 
 A song is planned in windows, one after the other, so that the first action does not wait for the
-last note. A window begins with the posture, the motion and the presses that the one before has
-come to, and looks further ahead than it is kept.
+last note. The first is short, and each is longer than the one before, so that whoever plays has the
+more in hand the longer the next one takes. A window begins with the posture, the motion and the
+presses that the one before has come to, and looks further ahead than it is kept.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ Array = NDArray[np.float64]
 
 _LEAD = 0.15  # [s] before a press in which the first guess has the hand there
 _SMOOTH = 0.1  # [s] standard deviation of the filter that smooths the first guess
-_WINDOW = 30.0  # [s] that are planned at once: all bundled pieces fit
-_FIRST = 10.0  # [s] of a song that does not: less to wait for before the first action
-_OVERLAP = 4.0  # [s] of these that the next window plans again
+_FIRST = 2.0  # [s] that the first window plans
+_MORE = 2.0  # times what has been planned is what the next one plans
+_MOST = 26.0  # [s] that a window plans
+_OVERLAP = 4.0  # [s] that it plans besides, and the next one plans again
 _SETTLED = 0.5  # [s] before a window in which presses have ended that do not matter to it
 
 
@@ -182,10 +184,10 @@ class _Hands:
             progress: is told of "postures".
         """
         first, dt = plan.num_steps, self._dt
-        most = steps_in(_WINDOW, dt)
-        size = most if first or len(asked) <= most else steps_in(_FIRST, dt)
-        last = min(first + size, len(asked))
-        kept = last - first if last == len(asked) else size - steps_in(_OVERLAP, dt)
+        kept = min(max(round(_MORE * first), steps_in(_FIRST, dt)), steps_in(_MOST, dt))
+        last = min(first + kept + steps_in(_OVERLAP, dt), len(asked))
+        if last == len(asked):
+            kept = last - first
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
         wanted = presses_of(asked[since:last] >= 0, asked[since:last], self._scene.fingers)
         presses = let_go_in_time(wanted, self._places, dt, self._scene.hand)
