@@ -15,12 +15,16 @@ from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.studio import reading, shelf
-from cadenza.studio.request import PlayRequest, read_request
+from cadenza.studio.request import AGENTS, PlayRequest, read_request
 from cadenza.studio.shelf import Kept, Shelf, Upload
 
 
+def read(content: object) -> PlayRequest:
+    return read_request(content, AGENTS, ["shadow"])
+
+
 def test_a_request_says_what_is_to_be_played() -> None:
-    request = read_request({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2]})
+    request = read({"song": "OdeToJoy", "tempo": 2, "tracks": [1, 2]})
     assert request == PlayRequest("OdeToJoy", tempo=2.0, tracks=(1, 2))
 
 
@@ -30,6 +34,7 @@ def test_a_request_says_what_is_to_be_played() -> None:
         {},
         {"song": 1},
         {"song": "OdeToJoy", "agent": "os:system"},
+        {"song": "OdeToJoy", "agent": "policy/../../etc"},
         {"song": "OdeToJoy", "hand": "os:system"},
         {"song": "OdeToJoy", "tempo": 0},
         {"song": "OdeToJoy", "transpose": 1000},
@@ -40,7 +45,7 @@ def test_a_request_says_what_is_to_be_played() -> None:
 )
 def test_what_cannot_be_asked_for_is_refused_in_a_line(content: dict[str, object]) -> None:
     with pytest.raises(CadenzaError) as refused:
-        read_request(content)
+        read(content)
     assert "\n" not in str(refused.value)
 
 

@@ -23,6 +23,7 @@ from cadenza.music.score import Note, Score
 from cadenza.studio import jobs
 from cadenza.studio.request import PlayRequest
 from cadenza.studio.server import Studio
+from cadenza.studio.trainings import Trainings
 
 ADDRESS = "http://127.0.0.1:8000"
 SAME = {"origin": ADDRESS}
@@ -35,7 +36,7 @@ def client(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClie
 
     monkeypatch.setattr(jobs.Jobs, "warm", nothing)
     monkeypatch.setattr(jobs.Jobs, "_pump", lambda _: None)  # jobs stay in the queue
-    app = Studio(tmp_path / "studio").app("TOKEN", "127.0.0.1")
+    app = Studio(tmp_path / "studio", tmp_path / "runs").app("TOKEN", "127.0.0.1")
     with TestClient(app, base_url=ADDRESS) as client:
         yield client
 
@@ -143,9 +144,10 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
     """With players that do nothing but wait."""
 
     async def run() -> None:
-        queue = jobs.Jobs(tmp_path)
+        queue = jobs.Jobs(tmp_path, Trainings(tmp_path))
         first, second = (
-            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False) for _ in range(2)
+            queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+            for _ in range(2)
         )
         assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
         queue.cancel(first.id)  # before its process has even started
@@ -162,5 +164,5 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
         command = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
-    monkeypatch.setattr(jobs, "_started", waiting)
+    monkeypatch.setattr(jobs, "started", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))

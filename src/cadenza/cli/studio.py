@@ -25,6 +25,8 @@ class StudioCommand:
 
     folder: Path = Path("played/studio")
     """Where songs and performances are kept."""
+    runs: Path = Path("runs")
+    """Where policies learn, and those lie that have learnt."""
     port: int = 0
     """Port to listen on; any free one by default."""
     host: Advanced[str] = "127.0.0.1"
@@ -45,7 +47,7 @@ def run(command: StudioCommand) -> None:
     need_server()
     from cadenza.studio.server import Studio, announce, serve
 
-    studio = Studio(command.folder, jobs, command.video)
+    studio = Studio(command.folder, command.runs, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
         serve(studio, command.host, port, partial(announce, browser=command.browser))
 

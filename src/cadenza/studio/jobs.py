@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import secrets
 import shutil
-import sys
-from asyncio.subprocess import PIPE, Process
+from asyncio.subprocess import Process
 from collections import deque
-from collections.abc import AsyncIterator
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
-from cadenza.studio.limits import READING_SECONDS
-from cadenza.studio.messages import HEADER, JSON, MOST_BYTES, ROWS, TONE
-from cadenza.studio.request import Order, PlayRequest, performance_folder
+from cadenza.studio.messages import JSON, ROWS, TONE
+from cadenza.studio.practice import PracticeRoom
+from cadenza.studio.processes import kill, messages, started, tell
+from cadenza.studio.request import PRACTISED, Order, PlayRequest, performance_folder
+from cadenza.studio.trainings import Trainings
 
 MOST_WAITING = 8
 _MOST_WRITING = 2  # that write their files while others play
@@ -93,11 +91,20 @@ class Job:
 
 
 class Jobs:
-    """The queue. `at_once` play at the same time."""
+    """The queue. `at_once` play at the same time; while any does, nobody practises or learns.
 
-    def __init__(self, folder: Path, at_once: int = 1, video: bool = True) -> None:
+    Attributes:
+        jobs: those that wait or play, and the last ones.
+        practice: where a song goes on being practised whose player asked for that.
+        trainings: where policies learn.
+    """
+
+    def __init__(
+        self, folder: Path, trainings: Trainings, at_once: int = 1, video: bool = True
+    ) -> None:
         self._folder, self._at_once, self._video = folder, at_once, video
         self.jobs: dict[str, Job] = {}
+        self.practice, self.trainings = PracticeRoom(), trainings
         self._tones: dict[bytes, bytes] = {}
         self._waiting: deque[Job] = deque()
         self._spare: Process | None = None
@@ -107,14 +114,16 @@ class Jobs:
     async def warm(self) -> None:
         """Has a process ready, so that the first song begins soon."""
         if self._spare is None and not self._closed:
-            self._spare = await _started("cadenza.studio.worker")
+            self._spare = await started("cadenza.studio.worker")
 
-    def submit(self, request: PlayRequest, title: str, source: str, uploaded: bool) -> Job:
+    def submit(
+        self, request: PlayRequest, title: str, source: str, uploaded: bool, agent: str
+    ) -> Job:
         """Raises: CadenzaError: too many wait already."""
         if len(self._waiting) >= MOST_WAITING:
             raise CadenzaError(f"{MOST_WAITING} songs wait already; cancel one, or wait")
         id, folder = secrets.token_hex(8), str(self._folder)
-        order = Order(request, title, source, uploaded, id, folder, self._video)
+        order = Order(request, title, source, uploaded, id, folder, self._video, agent)
         job = Job(order, known=self._tones)
         self.jobs[job.id] = job
         self._waiting.append(job)
@@ -130,7 +139,7 @@ class Jobs:
         if job in self._waiting:
             self._waiting.remove(job)
         if job.process is not None:
-            _kill(job.process)
+            kill(job.process)
         job.tell()
         self._pump()
 
@@ -140,8 +149,10 @@ class Jobs:
         for job in list(self.jobs.values()):
             self.cancel(job.id)
         if self._spare is not None:
-            _kill(self._spare)
+            kill(self._spare)
             await self._spare.wait()
+        await self.practice.close()
+        await self.trainings.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _pump(self) -> None:
@@ -160,14 +171,17 @@ class Jobs:
         over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
         for job in over[:-_FINISHED_KEPT]:
             del self.jobs[job.id]
+        playing = any(job.is_busy for job in self.jobs.values())
+        self.practice.pause(playing)
+        self.trainings.pause(playing)
 
     async def _run(self, job: Job, process: Process | None) -> None:
         try:
             if process is None or process.returncode is not None:
-                process = await _started("cadenza.studio.worker")
+                process = await started("cadenza.studio.worker")
             job.process = process
             if job.is_over:  # cancelled in between
-                _kill(process)
+                kill(process)
             await self._listen(job, process)
         finally:
             job.process, job.is_busy = None, False
@@ -175,65 +189,21 @@ class Jobs:
             await self.warm()
 
     async def _listen(self, job: Job, process: Process) -> None:
-        assert process.stdin is not None
         assert process.stdout is not None
-        with suppress(ConnectionError):
-            process.stdin.write(json.dumps(asdict(job.order)).encode() + b"\n")
-            await process.stdin.drain()
+        await tell(process, job.order)
         job.tell()
         async for kind, content in messages(process.stdout):
             was = job.status["state"]
             if was != "cancelled":
                 job.hear(kind, content)
             if job.status["state"] != was:
+                if job.status["state"] == "kept" and job.order.request.agent == PRACTISED:
+                    self.practice.begin(job.order)
                 self._pump()
-        _kill(process)
+        kill(process)
         await process.wait()
         if not job.is_over:
             job.status = {"state": "failed", "error": "the player ended unexpectedly"}
         if job.status["state"] != "kept":
             shutil.rmtree(performance_folder(self._folder, job.id), ignore_errors=True)
         job.tell()
-
-
-async def messages(stream: asyncio.StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
-    """Kind and content of each, until there are no more; see `cadenza.studio.messages`."""
-    with suppress(asyncio.IncompleteReadError):
-        while True:
-            kind, length = HEADER.unpack(await stream.readexactly(HEADER.size))
-            if length > MOST_BYTES:
-                return
-            yield kind, await stream.readexactly(length)
-
-
-async def _started(module: str, *arguments: str) -> Process:
-    """A process of ours, which imports nothing from the working folder."""
-    command = [sys.executable, "-P", "-m", module, *arguments]
-    return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
-
-
-def _kill(process: Process) -> None:
-    with suppress(ProcessLookupError):
-        process.kill()
-
-
-async def read_upload(path: Path) -> dict[str, Any]:
-    """What a file holds, found out by a process with limits.
-
-    Raises:
-        CadenzaError: it is no music, or more than the studio takes.
-    """
-    process = await _started("cadenza.studio.reading", os.fspath(path))
-    try:
-        out, _ = await asyncio.wait_for(process.communicate(), READING_SECONDS)
-        answer = json.loads(out)
-    except TimeoutError:
-        answer = {"error": "it takes too long to read"}
-    except ValueError:  # killed by a limit
-        answer = {"error": "the file is damaged, or needs too much memory or time"}
-    finally:
-        _kill(process)
-        await process.wait()
-    if "error" in answer:
-        raise CadenzaError(answer["error"])
-    return answer

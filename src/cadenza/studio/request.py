@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,18 @@ from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
 
+PRACTISED, SIGHT = "practised", "sight"
+PLANNERS = PRACTISED, SIGHT
+"""Agents of `AGENTS` that are the planner under another name."""
 AGENTS = {
     "planner": "Planner",
-    "sight": "Planner, without refinement",
+    PRACTISED: "Planner that goes on practising",
+    SIGHT: "Planner, without refinement",
     "pretrained": "Learnt policy (Twinkle only)",
     "predictive-sampling": "Predictive sampling, for contrast",
 }
-"""Those who play, and what they are called on the page. "sight" follows the plan as it is."""
-HANDS = ("shadow", "allegro")
+"""Those who play anywhere, and what they are called on the page. "sight" follows the plan as it is;
+"practised" plays what has been practised before, and goes on practising afterwards."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +34,7 @@ class PlayRequest:
     song: str
     """The name of a bundled piece, or the id of an upload."""
     agent: str = "planner"
-    """One of `AGENTS`, any on the command line."""
+    """One of those that the studio offers, any on the command line."""
     tempo: float = 1.0
     """2 is twice as fast as written."""
     transpose: int = 0
@@ -36,7 +42,7 @@ class PlayRequest:
     tracks: tuple[int, ...] = ()
     """Numbers of those to be played, all where none is given."""
     hand: str = "shadow"
-    """One of `HANDS`, any on the command line."""
+    """The same."""
     seed: int = 0
 
 
@@ -54,16 +60,21 @@ class Order:
     folder: str
     """Where it is kept."""
     video: bool = True
+    agent: str = "planner"
+    """Who plays, as `cadenza.performing.setup.select` takes it."""
 
 
-def read_request(content: Any) -> PlayRequest:
-    """Raises: CadenzaError: it is something else, or asks for what cannot be."""
+def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
+    """What is asked for, of these agents and hands.
+
+    Raises:
+        CadenzaError: it is something else, or asks for what cannot be.
+    """
     try:
         request = checked(content, PlayRequest, "request")
     except CadenzaError as error:
         raise CadenzaError(str(error).rpartition(";")[0]) from error
-    known: Collection[str]
-    for name, known in ("agent", AGENTS), ("hand", HANDS):
+    for name, known in ("agent", agents), ("hand", hands):
         if getattr(request, name) not in known:
             raise CadenzaError(f"{name}: choose from {', '.join(known)}")
     ranges: dict[str, tuple[float, float]] = {
@@ -80,3 +91,9 @@ def read_request(content: Any) -> PlayRequest:
 def performance_folder(root: Path, name: str) -> Path:
     """Where a performance is written until it is whole; nobody lists it."""
     return root / f".{name}"
+
+
+def practice_folder(root: Path, request: PlayRequest) -> Path:
+    """Where what is asked for is practised."""
+    wanted = json.dumps(asdict(request), sort_keys=True)
+    return root / "practised" / hashlib.sha256(wanted.encode()).hexdigest()[:16]

@@ -23,22 +23,30 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from cadenza.agents.registry import AGENTS as REGISTERED
+from cadenza.agents.registry import PLANNER
+from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
+from cadenza.hands.named import HANDS
 from cadenza.report.asset import asset
 from cadenza.studio.guard import Guard
-from cadenza.studio.jobs import Job, Jobs, read_upload
+from cadenza.studio.jobs import Job, Jobs
 from cadenza.studio.limits import MOST_BYTES
 from cadenza.studio.messages import ROWS
-from cadenza.studio.request import AGENTS, read_request
+from cadenza.studio.processes import read_upload, write_comparison
+from cadenza.studio.request import AGENTS, PLANNERS, PlayRequest, read_request
 from cadenza.studio.shelf import FILES, Shelf, Upload
+from cadenza.studio.trainings import Trainings
 
 _MOST_JSON = 1 << 14  # bytes of a request
 _READING_AT_ONCE = 2
 _SHARED = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js")
-_OWN = ("instrument.js", "stream.js", "studio.js")
+_OWN = ("instrument.js", "keyboard.js", "stream.js", "studio.js")
 _MOST_SENT = 1 << 18  # bytes of rows in a frame
 _WATCHERS = 16  # at once
+# Pages that were written bring their own policy; here they may not reach the studio.
+_ALONE = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -115,11 +123,27 @@ class Watchable:
 class Studio(Watchable):
     """All that the server of the studio knows."""
 
-    def __init__(self, folder: Path, at_once: int = 1, video: bool = True) -> None:
-        """Raises: OSError: the folder cannot be made."""
+    def __init__(
+        self, folder: Path, runs: Path = Path("runs"), at_once: int = 1, video: bool = True
+    ) -> None:
+        """Args:
+            folder: where songs and performances are kept.
+            runs: where policies learn, and those lie that have learnt.
+            at_once: how many songs are played at the same time.
+            video: whether one is made of each performance.
+
+        Raises:
+            OSError: the folder cannot be made.
+        """
         super().__init__()
         self.shelf = Shelf(folder)
-        self.jobs = Jobs(self.shelf.folder, at_once, video)
+        self.jobs = Jobs(self.shelf.folder, Trainings(runs), at_once, video)
+        self._hands = {name: entry.about for name, entry in HANDS.entries().items()}
+        self._added = {
+            name: f"{name} ({entry.about})"
+            for name, entry in REGISTERED.entries().items()
+            if name not in REGISTERED.own
+        }
         self._reading = asyncio.Semaphore(_READING_AT_ONCE)
 
     @property
@@ -136,9 +160,15 @@ class Studio(Watchable):
             Route("/api/songs/{id}", _plainly(self.forget), methods=["DELETE"]),
             Route("/api/jobs", _plainly(self.play), methods=["POST"]),
             Route("/api/jobs/{id}", _plainly(self.cancel), methods=["DELETE"]),
+            Route("/api/background", _plainly(self.background)),
+            Route("/api/practice", _plainly(self.stop_practice), methods=["DELETE"]),
+            Route("/api/trainings", _plainly(self.train), methods=["POST"]),
+            Route("/api/trainings/{name}/resume", _plainly(self.resume), methods=["POST"]),
+            Route("/api/trainings/{name}/stop", _plainly(self.stop_training), methods=["POST"]),
             Route("/api/performances", _plainly(self.performances)),
             Route("/api/performances/{id}", _plainly(self.remove), methods=["DELETE"]),
             Route("/performances/{id}/{name}", _plainly(self.file)),
+            Route("/comparisons/{first}/{second}", _plainly(self.compare)),
         ]
 
     @asynccontextmanager
@@ -153,7 +183,13 @@ class Studio(Watchable):
     async def songs(self, _: Request) -> Response:
         """What can be played, and who plays."""
         found = await run_in_threadpool(self.shelf.songs)
-        return JSONResponse({"songs": found, "agents": AGENTS})
+        agents = await run_in_threadpool(self._agents)
+        return JSONResponse({"songs": found, "agents": agents, "hands": self._hands})
+
+    def _agents(self) -> dict[str, str]:
+        """Who can play, and what they are called on the page."""
+        learnt = {agent: agent.replace("/", ": ", 1) for agent in self.jobs.trainings.policies()}
+        return AGENTS | self._added | learnt
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
@@ -179,14 +215,50 @@ class Studio(Watchable):
     async def play(self, request: Request) -> Response:
         """Has a song played."""
         content = await _body(request, _MOST_JSON, "the request")
-        wanted = read_request(parsed_json(content, dict[str, Any], "request"))
+        wanted = self._wanted(parsed_json(content, dict[str, Any], "request"))
         title, source, uploaded = await run_in_threadpool(self.shelf.source, wanted.song)
-        job = self.jobs.submit(wanted, title, source, uploaded)
+        agent = PLANNER if wanted.agent in PLANNERS else wanted.agent
+        if (policy := self.jobs.trainings.policies().get(agent)) is not None:
+            agent = str(policy)
+        job = self.jobs.submit(wanted, title, source, uploaded, agent)
         return JSONResponse(job.summary, 201)
+
+    def _wanted(self, content: dict[str, Any]) -> PlayRequest:
+        return read_request(content, self._agents(), self._hands)
 
     async def cancel(self, request: Request) -> Response:
         """Ends a job."""
         self.jobs.cancel(request.path_params["id"])
+        return Response(status_code=204)
+
+    async def background(self, _: Request) -> Response:
+        """What is practised, and who learns."""
+        runs = await run_in_threadpool(self.jobs.trainings.runs)
+        return JSONResponse({"practice": self.jobs.practice.summary, "trainings": runs})
+
+    async def stop_practice(self, _: Request) -> Response:
+        """Ends practice."""
+        self.jobs.practice.stop()
+        return Response(status_code=204)
+
+    async def train(self, request: Request) -> Response:
+        """Has a policy learn a song, in so many `steps`."""
+        content = await _body(request, _MOST_JSON, "the request")
+        asked = parsed_json(content, dict[str, Any], "request")
+        steps = whole_number(asked.pop("steps", None), "steps", 1, MOST_COUNT)
+        wanted = self._wanted(asked)
+        title, source, _ = await run_in_threadpool(self.shelf.source, wanted.song)
+        name = await self.jobs.trainings.begin(wanted, title, source, steps)
+        return JSONResponse({"name": name}, 201)
+
+    async def resume(self, request: Request) -> Response:
+        """Has a run go on."""
+        await self.jobs.trainings.go_on(request.path_params["name"])
+        return Response(status_code=204)
+
+    async def stop_training(self, request: Request) -> Response:
+        """Has a run end after a checkpoint."""
+        self.jobs.trainings.stop(request.path_params["name"])
         return Response(status_code=204)
 
     async def performances(self, _: Request) -> Response:
@@ -202,10 +274,17 @@ class Studio(Watchable):
         """A file of a performance."""
         name = request.path_params["name"]
         path = await run_in_threadpool(self.shelf.file, request.path_params["id"], name)
-        # The report brings its own policy; here it may not reach the studio.
-        policy = "sandbox allow-scripts allow-downloads; connect-src 'none'"
-        headers = {"content-security-policy": policy} if name == "report.html" else {}
+        headers = _ALONE if name == "report.html" else None
         return FileResponse(path, media_type=FILES[name], headers=headers)
+
+    async def compare(self, request: Request) -> Response:
+        """Two performances of a song on one page, which is made when it is first asked for."""
+        ids = request.path_params["first"], request.path_params["second"]
+        folders, page = await run_in_threadpool(self.shelf.comparison, *ids)
+        if not page.exists():
+            async with self._reading:
+                await write_comparison(folders, page)
+        return FileResponse(page, media_type="text/html; charset=utf-8", headers=_ALONE)
 
 
 async def _tell(job: Job, socket: WebSocket) -> None:

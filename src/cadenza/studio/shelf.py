@@ -2,6 +2,7 @@
 
     FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, what it holds
     FOLDER/ID/report.html ...   a performance, and studio.json, what the list says of it
+    FOLDER/compared/ID-ID.html  two performances on a page
 
 Ids are ours. What a visitor calls something is shown and never part of a path.
 """
@@ -12,6 +13,8 @@ import hashlib
 import re
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,9 +22,11 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
 from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.imported import imported, imported_libraries
+from cadenza.music.libraries.songs import Song
 
 _ID = re.compile(r"[0-9a-f]{16}")
-_ABOUT = "studio.json"
+_ABOUT, _COMPARED = "studio.json", "compared"
 _MOST_UPLOADS = 200
 _LONGEST_TITLE = 100
 _LEFT_OVER = 3600.0  # [s] after which a performance that nobody finished is given up
@@ -81,7 +86,7 @@ class Shelf:
     # Songs
 
     def songs(self) -> list[dict[str, Any]]:
-        """What can be played: uploads, the newest first, and the bundled pieces."""
+        """What can be played: uploads, the newest first, bundled pieces, imported libraries."""
         uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
         bundled = [
             {
@@ -94,7 +99,18 @@ class Shelf:
             }
             for piece in songs()
         ]
-        return uploaded + bundled
+        imported = [
+            {
+                "id": song.name,
+                "title": song.title or song.name,
+                "composer": song.composer,
+                "grade": song.difficulty,
+                "seconds": song.seconds or 0.0,
+                "uploaded": False,
+            }
+            for song in _imported()
+        ]
+        return uploaded + bundled + imported
 
     def source(self, song: str) -> tuple[str, str, bool]:
         """Title, name or path, and whether it is an upload.
@@ -105,6 +121,9 @@ class Shelf:
         for piece in songs():
             if piece.name == song:
                 return piece.title, piece.name, False
+        for other in _imported():
+            if other.name == song:
+                return other.title or song, song, False
         if _ID.fullmatch(song) and (about := self.uploads / f"{song}.json").is_file():
             upload = read_json(about, Upload)
             return upload.title, str(self.uploads / f"{song}{upload.ending}"), True
@@ -175,12 +194,33 @@ class Shelf:
     def remove(self, id: str) -> None:
         """Raises: CadenzaError: there is no such performance."""
         shutil.rmtree(self._performance(id))
+        for page in (self.folder / _COMPARED).glob(f"*{id}*.html"):
+            page.unlink(missing_ok=True)
+
+    def comparison(self, *ids: str) -> tuple[list[Path], Path]:
+        """The folders of performances, and the page that compares them, if it is there.
+
+        Raises:
+            CadenzaError: one is not there, or they are of different songs.
+        """
+        folders = [self._performance(id) for id in ids]
+        requests = [read_json(folder / _ABOUT, Kept).request for folder in folders]
+        if len({(request.get("song"), request.get("tempo")) for request in requests}) > 1:
+            raise CadenzaError("compare performances of one song at one tempo")
+        return folders, self.folder / _COMPARED / f"{'-'.join(ids)}.html"
 
     def _performance(self, id: str) -> Path:
         path = self.folder / id
         if not _ID.fullmatch(id) or not (path / _ABOUT).is_file():
             raise CadenzaError("there is no such performance")
         return path
+
+
+def _imported() -> Iterator[Song]:
+    """The songs of the libraries that the user has imported, but of those that are damaged."""
+    for name in imported_libraries():
+        with suppress(CadenzaError):
+            yield from imported(name).songs
 
 
 def _ending(content: bytes) -> str:

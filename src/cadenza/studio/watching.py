@@ -16,7 +16,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from cadenza.files import parsed_json
-from cadenza.studio.jobs import Job, messages
+from cadenza.studio.jobs import Job
+from cadenza.studio.processes import messages
 from cadenza.studio.request import Order
 from cadenza.studio.server import Watchable, serve
 
@@ -43,7 +44,7 @@ class Watching(Watchable):
 
     async def songs(self, _: Request) -> Response:
         """None but the one."""
-        return JSONResponse({"songs": [], "agents": {}, "only": self._job.id})
+        return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._job.id})
 
     async def performances(self, _: Request) -> Response:
         """Whoever plays says where the files are."""

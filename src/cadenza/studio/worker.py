@@ -1,7 +1,8 @@
 """Plays one song, as a process of its own: `python -m cadenza.studio.worker`.
 
-It loads all that is needed, then waits for an order (see `cadenza.studio.request.Order`) as a line
-of JSON on stdin, and tells on stdout what happens, as `cadenza.studio.messages` has it.
+It loads all that is needed and warms up, then waits for an order (see
+`cadenza.studio.request.Order`) as a line of JSON on stdin, and tells on stdout what happens, as
+`cadenza.studio.messages` has it.
 """
 
 from __future__ import annotations
@@ -12,24 +13,27 @@ import signal
 import sys
 import time
 import warnings
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from cadenza.agents.agent import Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner  # loaded before it is needed
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.score import Score
+from cadenza.music.score import Note, Score
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.setup import Selection, select, set_up
+from cadenza.performing.setup import PRACTISED as PLAN
+from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Live, Send, as_json
 from cadenza.studio.messages import Message
 from cadenza.studio.reading import check_size, without_path
-from cadenza.studio.request import Order, performance_folder
+from cadenza.studio.request import PRACTISED, SIGHT, Order, performance_folder, practice_folder
 
 __all__ = ["ScorePlanner", "main"]
 
@@ -41,6 +45,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
     with os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)  # what others print is no message
+        warm_up()
         line = sys.stdin.buffer.readline()
         if not line:
             return
@@ -65,15 +70,17 @@ def main() -> None:
             send(as_json(state="failed", error="it needs more memory than a player may use"))
 
 
+def warm_up() -> None:
+    """Takes a step, so that what a first step loads and computes is there for the next."""
+    with set_up(select(Score((Note(0.0, 0.1, 60),)), PLANNER)) as setup:
+        perform(setup, stop=lambda: True)
+
+
 def play(order: Order, send: Send) -> Performance:
     """Plays, telling every step."""
     began = time.monotonic()
-    selection = _selected(order)
-    request = order.request
-    task = replace(selection.task, transpose=request.transpose, stretch=1 / request.tempo)
-    scene = replace(selection.scene, hand=request.hand)
-    told = _Told(send)
-    with set_up(selection, task, scene, request.seed, told.stage) as setup:
+    told = Told(send)
+    with _as_practised(order) or set_up_as_asked(order, told.stage) as setup:
         live = Live(setup.task, send)
         live.begin()
 
@@ -89,29 +96,46 @@ def play(order: Order, send: Send) -> Performance:
         return performance
 
 
+def set_up_as_asked(order: Order, tell: Progress) -> AbstractContextManager[Setup]:
+    """The song, whoever plays it, and how."""
+    request, selection = order.request, _selected(order)
+    task, scene = selection.task, selection.scene
+    if selection.learnt is None:
+        scene = replace(scene, hand=request.hand)
+    transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
+    task = replace(task, transpose=transpose, stretch=stretch)
+    return set_up(selection, task, scene, request.seed, tell)
+
+
+def _as_practised(order: Order) -> AbstractContextManager[Setup] | None:
+    """What has been practised, where that is wanted and there is any."""
+    folder = practice_folder(Path(order.folder), order.request)
+    if order.request.agent != PRACTISED or not (folder / PLAN).exists():
+        return None
+    return set_up(select(str(folder)), seed=order.request.seed)
+
+
 def _selected(order: Order) -> Selection:
     """The song and who plays it, called as the visitor calls it."""
-    request = order.request
-    agent = PLANNER if request.agent == "sight" else request.agent
-    config = {PLANNER: ScorePlannerConfig(method="none")} if request.agent == "sight" else None
+    request, agent = order.request, order.agent
+    config = {PLANNER: ScorePlannerConfig(method="none")} if request.agent == SIGHT else None
     arrangement = Arrangement(tracks=request.tracks)
-    if not order.uploaded:
-        return select(order.source, agent, arrangement=arrangement, configs=config)
-    score = _score(order, arrangement)
-    return select(score, agent, arrangement=arrangement, configs=config)
+    song = _score(order, arrangement) if order.uploaded else order.source
+    selection = select(song, agent, arrangement=arrangement, configs=config)
+    check_size(selection.score)
+    return selection
 
 
 def _score(order: Order, arrangement: Arrangement) -> Score:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         score = arrangement.score(order.source)
-    check_size(score)
     return replace(score, title=order.title)
 
 
 def keep(performance: Performance, order: Order, send: Send) -> None:
     """Writes what `cadenza play` leaves; the folder appears when all of it is there."""
-    root, told = Path(order.folder), _Told(send, "writing")
+    root, told = Path(order.folder), Told(send, "writing")
     folder = performance_folder(root, order.id)
     about: dict[str, Any] = {
         "title": order.title,
@@ -129,7 +153,7 @@ def keep(performance: Performance, order: Order, send: Send) -> None:
     send(as_json(state="kept", performance=order.id))
 
 
-class _Told:
+class Told:
     """Tells how far a stage is, not too often."""
 
     def __init__(self, send: Send, state: str = "preparing") -> None:

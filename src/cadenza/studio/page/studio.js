@@ -41,11 +41,18 @@ let songs = [], chosen = null, only = null; // the one performance that can be w
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 
 async function listSongs() {
-  const { songs: found, agents, only: one = null } = await ask("api/songs");
+  const { songs: found, agents, hands, only: one = null } = await ask("api/songs");
   [songs, only] = [found, one];
   document.body.classList.toggle("one", only !== null);
-  if (!$("agent").options.length) for (const [value, name] of Object.entries(agents)) $("agent").append(make("option", name, { value }));
+  offer("agent", agents);
+  offer("hand", hands);
   showSongs();
+}
+/** Lets the visitor choose among values by their names. */
+function offer(id, names) {
+  const { value } = $(id);
+  $(id).replaceChildren(...Object.entries(names).map(([value, name]) => make("option", name, { value })));
+  if (value in names) $(id).value = value;
 }
 function showSongs() {
   const words = $("search").value.toLowerCase().split(/\s+/);
@@ -63,7 +70,7 @@ function showSongs() {
 }
 function choose(id) {
   chosen = songs.find((song) => song.id === id) ?? null;
-  $("start").disabled = $("link").disabled = !chosen;
+  for (const id of ["start", "link", "train"]) $(id).disabled = !chosen;
   $("start").textContent = chosen ? `Play ${chosen.title}` : "Play";
   const tracks = chosen?.tracks ?? [];
   $("tracks").hidden = tracks.length < 2;
@@ -119,9 +126,8 @@ async function begin() {
 // What is played now
 
 const instrument = createInstrument();
-// [s] ahead before it plays; less where planning is so many times faster than the music. A song that
-// the planner does not plan at once is interrupted early, for the second part.
-const LEAD = 2.5, SHORT_LEAD = 1, FAST = 1.4, LONG = 30, LONG_LEAD = 5;
+// [s] ahead before it plays; less where planning is so many times faster than the music.
+const LEAD = 2.5, SHORT_LEAD = 1, FAST = 1.4;
 const AHEAD = 0.35; // [s] that sounds are scheduled ahead
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
 let job = null, socket = null, live = null, stage = null, roll = null, status = { state: "idle" };
@@ -208,7 +214,10 @@ function setStatus(said) {
   }
   if (said.state === "cancelled") say("Cancelled.");
   $("cancel").disabled = over() || complete();
-  if (said.state === "kept") listKept();
+  if (said.state === "kept") {
+    listKept();
+    listBackground();
+  }
   cadenza.state = said.state;
 }
 
@@ -262,9 +271,7 @@ function pace() {
   return first === last ? Infinity : ((last[1] - first[1]) * live.dt) / (last[0] - first[0]);
 }
 function lead() {
-  if (cadenza.waits || position > LONG_LEAD) return LEAD;
-  if (live.steps * live.dt > LONG) return LONG_LEAD;
-  return came.length > 5 && pace() > FAST ? SHORT_LEAD : LEAD;
+  return !cadenza.waits && came.length > 5 && pace() > FAST ? SHORT_LEAD : LEAD;
 }
 
 /** Plays while there is something planned ahead, and says what it waits for. */
@@ -384,6 +391,9 @@ async function listKept() {
     const again = make("button", "Settings", { type: "button" });
     again.setAttribute("aria-label", `Settings of ${each.title}`);
     again.addEventListener("click", () => { set(each.request); $("more").open = true; });
+    const beside = make("button", "Compare", { type: "button" });
+    beside.setAttribute("aria-label", `Compare ${each.title}`);
+    beside.addEventListener("click", () => compare(each));
     const remove = make("button", "Delete", { type: "button" });
     remove.setAttribute("aria-label", `Delete ${each.title}`);
     remove.addEventListener("click", async () => {
@@ -391,16 +401,109 @@ async function listKept() {
       await ask(`api/performances/${each.id}`, "DELETE");
       await listKept();
     });
-    links.append(again, remove);
+    links.append(again, beside, remove);
     item.append(make("b", each.title), make("small", about), links);
     return item;
   }));
+}
+
+/** The second performance is compared with the first. */
+let compared = null;
+function compare(each) {
+  const first = compared;
+  compared = first === null ? each : null;
+  $("comparing").hidden = compared === null;
+  $("comparing").textContent = compared && `Choose another performance to compare with that of ${compared.title}, F1 ${compared.f1.toFixed(3)}.`;
+  if (first && first.id !== each.id) window.open(`comparisons/${first.id}/${each.id}`, "_blank", "noopener");
+}
+
+// What goes on in the background
+
+const f1 = (value) => `F1 ${value.toFixed(3)}`;
+/** Shows it, and again soon where something goes on. */
+async function listBackground() {
+  clearTimeout(listBackground.again);
+  const { practice, trainings } = await ask("api/background");
+  const works = trainings.map(training);
+  if (practice.title) works.unshift(practised(practice));
+  $("works").replaceChildren(...works);
+  $("background").hidden = !works.length;
+  const active = trainings.some(({ state }) => state === "learning") || ["preparing", "practising"].includes(practice.status.state);
+  $("resting").hidden = !(active && practice.paused);
+  const learnt = trainings.map(({ name, f1: best }) => name + (best !== null)).join();
+  if (listBackground.learnt !== learnt) await listSongs(); // there may be another policy
+  listBackground.learnt = learnt;
+  cadenza.background = { practice, trainings };
+  if (active) listBackground.again = setTimeout(listBackground, 2000);
+}
+function work(title, about, points, acts) {
+  const item = make("li"), nav = make("nav");
+  for (const [name, act] of acts) {
+    const button = make("button", name, { type: "button" });
+    button.setAttribute("aria-label", `${name}: ${title}`);
+    button.addEventListener("click", async () => {
+      calm();
+      await act();
+      await listBackground();
+    });
+    nav.append(button);
+  }
+  item.append(make("b", title), make("small", about));
+  if (points.length > 1) item.append(curve(points));
+  item.append(nav);
+  return item;
+}
+/** Of F1 between 0 and 1, from the first point to the last. */
+function curve(points) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const draw = (name, attributes) => {
+    const drawn = document.createElementNS(svg.namespaceURI, name);
+    for (const [key, value] of Object.entries(attributes)) drawn.setAttribute(key, value);
+    svg.append(drawn);
+  };
+  const [first, last] = [points[0][0], points.at(-1)[0]];
+  for (const [key, value] of [["viewBox", "0 0 100 44"], ["preserveAspectRatio", "none"], ["role", "img"], ["aria-label", `F1 from ${points[0][1].toFixed(3)} to ${points.at(-1)[1].toFixed(3)}`]]) svg.setAttribute(key, value);
+  draw("path", { d: "M0 2H100M0 42H100" });
+  draw("polyline", { points: points.map(([x, y]) => `${(100 * (x - first)) / (last - first || 1)},${42 - 40 * y}`).join(" ") });
+  return svg;
+}
+function practised({ title, request: wanted, status: { state, f1: values = [], share = 0, error } }) {
+  const active = ["preparing", "practising"].includes(state);
+  const far = { preparing: "getting ready", practising: `${Math.floor(100 * share)} %`, done: "done" }[state] ?? error ?? state;
+  const gained = values.length ? ` · ${[...new Set([values[0], Math.max(...values)].map((value) => value.toFixed(3)))].join(" → ")}` : "";
+  const acts = [["Play", () => { set(wanted); return begin(); }]];
+  if (active) acts.push(["Stop", () => ask("api/practice", "DELETE")]);
+  return work(`Practising ${title}`, `${far}${gained && ` · F1${gained.slice(2)}`}`, values.map((value, i) => [i, value]), acts);
+}
+function training({ name, state, step, steps, f1: best, points, error }) {
+  const url = `api/trainings/${encodeURIComponent(name)}`;
+  const about = [state, `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${f1(best)}`, error];
+  const acts = state === "learning" ? [["Stop", () => ask(`${url}/stop`, "POST")]] : state === "stopped" ? [["Resume", () => ask(`${url}/resume`, "POST")]] : [];
+  if (best !== null) acts.push(["Choose", () => { $("agent").value = `policy/${name}`; $("more").open = true; }]);
+  return work(`Learning ${name}`, about.filter(Boolean).join(" · "), points, acts);
+}
+async function train() {
+  calm();
+  await ask("api/trainings", "POST", JSON.stringify({ ...request(), agent: "planner", steps: Number($("steps").value) }));
+  await listBackground();
 }
 
 // What the visitor does
 
 $("search").addEventListener("input", showSongs);
 $("start").addEventListener("click", begin);
+$("train").addEventListener("click", train);
+let stopListening = null;
+$("keyboard").hidden = !navigator.requestMIDIAccess;
+$("keyboard").addEventListener("click", async () => {
+  calm();
+  const told = (notes) => say(`Listening: ${notes} ${notes === 1 ? "note" : "notes"}`, null, null, Boolean(live));
+  const phrase = (bytes) => upload(new File([bytes], `Played at ${new Date().toLocaleTimeString()}.mid`));
+  if (stopListening) stopListening();
+  stopListening = stopListening ? null : await listenToKeyboards(told, phrase);
+  press($("keyboard"), Boolean(stopListening));
+  if (stopListening && !job) say("Play something. When you pause, the hands play it after you.");
+});
 $("file").addEventListener("change", () => { if ($("file").files[0]) upload($("file").files[0]); });
 $("cancel").addEventListener("click", () => ask(`api/jobs/${job}`, "DELETE"));
 $("play").addEventListener("click", toggle);
@@ -451,6 +554,7 @@ document.addEventListener("keydown", (event) => {
 
 await listSongs();
 await listKept();
+if (!only) await listBackground();
 const asked = fromHash();
 if (asked.job || only) {
   const [id, time] = JSON.parse(sessionStorage.getItem("cadenza") ?? "[null, 0]");

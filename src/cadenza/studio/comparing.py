@@ -1,0 +1,37 @@
+"""Compares two performances: `python -m cadenza.studio.comparing FOLDER FOLDER PAGE`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+from cadenza.episode import load_episode
+from cadenza.files import read_json
+from cadenza.report.comparison import COLUMNS, Run, write_comparison
+from cadenza.studio.limits import READING, limit
+
+
+def run_of(folder: Path, number: int) -> Run:
+    """What is compared of a performance."""
+    metrics = read_json(folder / "metrics.json", dict[str, Any])
+    settings = read_json(folder / "settings.json", dict[str, Any])
+    episode = load_episode(folder / "episode.npz")
+    planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
+    known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
+    figures = {name: math.nan if value is None else value for name, value in known.items()}
+    name = f"{number}. {settings['agent']}, {settings['scene']['hand']}"
+    return Run(name, settings["seed"], figures, episode)
+
+
+def main() -> None:
+    """See above."""
+    limit(READING._replace(cpu=600))
+    *folders, page = map(Path, sys.argv[1:])
+    page.parent.mkdir(exist_ok=True)
+    write_comparison(page, [run_of(folder, i) for i, folder in enumerate(folders, start=1)])
+
+
+if __name__ == "__main__":
+    main()

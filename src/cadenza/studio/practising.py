@@ -1,0 +1,89 @@
+"""Practises one song, as a process of its own: `python -m cadenza.studio.practising`.
+
+It is told what on stdin, as the process that plays is, and tells on stdout how far it has got:
+`state` practising, done or failed, `f1` at first sight and after every sweep, and what `share` of
+all practice has been made. Whenever the song is played better, its folder has the plan for it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from cadenza.errors import CadenzaError
+from cadenza.files import locked, parsed_json
+from cadenza.performing.practising import Practising
+from cadenza.performing.setup import PRACTISED
+from cadenza.studio.limits import PLAYING, limit
+from cadenza.studio.live import Send, as_json
+from cadenza.studio.messages import Message
+from cadenza.studio.reading import without_path
+from cadenza.studio.request import Order, practice_folder
+from cadenza.studio.worker import Told, set_up_as_asked
+
+_EFFORT = 10.0
+_TOLD = 1.0  # [s] between two times that it tells how far it is
+_SAVED = 20.0  # [s] between two times that practice is kept
+
+
+def main() -> None:
+    """See above."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
+    os.nice(10)
+    with os.fdopen(os.dup(1), "wb") as out:
+        os.dup2(2, 1)  # what others print is no message
+        limit(PLAYING)
+        order = parsed_json(sys.stdin.buffer.readline(), Order, "order")
+
+        def send(message: Message) -> None:
+            try:
+                message.write(out)
+            except BrokenPipeError:  # the server has gone
+                os._exit(1)
+
+        try:
+            practise(order, send)
+        except (CadenzaError, OSError) as error:
+            send(as_json(state="failed", error=without_path(error, Path(order.source))))
+
+
+def practise(order: Order, send: Send) -> None:
+    """Practises, and keeps what is better."""
+    folder = practice_folder(Path(order.folder), order.request)
+    with locked(folder) as ours, set_up_as_asked(order, Told(send).stage) as setup:
+        if not ours:
+            raise CadenzaError("another studio practises this song already")
+        practising = Practising(setup, folder, Told(send).stage)
+        practice, told, saved = practising.practice, 0.0, time.monotonic()
+        known = len(practice.history) if (folder / PRACTISED).exists() else 0
+
+        def tell(state: str) -> None:
+            f1 = [f1 for _, f1, _ in practice.history]
+            send(as_json(state=state, f1=f1, share=practice.share_made(_EFFORT)))
+
+        def goes_on() -> bool:
+            nonlocal told, saved
+            now = time.monotonic()
+            if now - told > _TOLD:
+                tell("practising")
+                told = now
+            if now - saved > _SAVED:
+                practising.save()
+                saved = time.monotonic()
+            return len(practice.history) == known
+
+        finished = False
+        while not finished:
+            finished = practice.run(_EFFORT, goes_on)
+            if len(practice.history) > known:
+                known = len(practice.history)
+                practising.save()
+                practising.plan().save(folder / PRACTISED)
+        tell("done")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""Runs of training in a folder, begun on the page or by `cadenza train`, and their policies."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import signal
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cadenza.errors import CadenzaError
+from cadenza.files import folder_name
+from cadenza.learning.run_folder import RunFolder, read_rows
+from cadenza.studio.processes import kill
+from cadenza.studio.request import PlayRequest
+
+_MOST_AT_ONCE = 1
+_MOST_POINTS = 200  # of a curve
+_PATIENCE = 20.0  # [s] for a checkpoint, before a run that was asked to stop is killed
+POLICY = "policy/"  # what the agent begins with that is the best policy of a run
+
+
+@dataclass(frozen=True)
+class _Learning:
+    process: Process
+    errors: list[str] = field(default_factory=list)
+    """The last line of them."""
+
+
+class Trainings:
+    """One run learns at a time; it stands still while songs are played."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.absolute()
+        self._learning: dict[str, _Learning] = {}
+        self._errors: dict[str, str] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._known: dict[Path, tuple[int, dict[str, Any]]] = {}
+        self._paused = False
+
+    def runs(self) -> list[dict[str, Any]]:
+        """All that can be read, the newest first, with the points of their curves."""
+        found = []
+        for path in self._paths():
+            try:
+                figures = self._figures(path)
+            except CadenzaError:  # of another version, or damaged
+                continue
+            finished = figures["step"] >= figures["steps"]
+            state = "finished" if finished else "stopped"
+            state = "learning" if path.name in self._learning else state
+            error = self._errors.get(path.name, "")
+            found.append({**figures, "name": path.name, "state": state, "error": error})
+        return found
+
+    def policies(self) -> dict[str, Path]:
+        """Agent -> the folder of its policy."""
+        best = {POLICY + path.name: path / "best" for path in self._paths()}
+        return {agent: path for agent, path in best.items() if path.is_dir()}
+
+    async def begin(self, request: PlayRequest, title: str, source: str, steps: int) -> str:
+        """Has a policy learn a song; the name of the run.
+
+        Raises:
+            CadenzaError: another run is learning.
+        """
+        self._check_room()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        stem, taken = folder_name(title)[:40], {path.name for path in self.folder.iterdir()}
+        name = next(n for i in range(1, 10_000) if (n := f"{stem} {i}") not in taken)
+        options: dict[str, float | str] = {
+            "num-steps": steps,
+            "seed": request.seed,
+            "hand": request.hand,
+            "transpose": request.transpose,
+            "stretch": 1 / request.tempo,
+        }
+        flags = [f"--{option}={value}" for option, value in options.items()]
+        tracks = ["--tracks", *map(str, request.tracks)] if request.tracks else []
+        await self._train(name, source, "--output", str(self.folder / name), *flags, *tracks)
+        return name
+
+    async def go_on(self, name: str) -> None:
+        """Raises: CadenzaError: another run is learning, or there is no such run."""
+        self._check_room()
+        await self._train(name, "--resume", str(self._path(name)))
+
+    def stop(self, name: str) -> None:
+        """After a checkpoint.
+
+        Raises:
+            CadenzaError: it is not learning.
+        """
+        if name not in self._learning:
+            raise CadenzaError("this run is not learning")
+        process = self._learning[name].process
+        for number in signal.SIGCONT, signal.SIGINT:
+            with suppress(ProcessLookupError):
+                process.send_signal(number)
+
+    def pause(self, paused: bool) -> None:
+        """Stands still, or goes on."""
+        if paused != self._paused:
+            self._paused = paused
+            for learning in self._learning.values():
+                self._hold(learning.process)
+
+    async def close(self) -> None:
+        """Ends all, after a checkpoint if that does not take long."""
+        for name in list(self._learning):
+            self.stop(name)
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=_PATIENCE)
+        for learning in self._learning.values():
+            kill(learning.process)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _paths(self) -> list[Path]:
+        found = [path.parent for path in self.folder.glob("*/run.json")]
+        return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+
+    def _path(self, name: str) -> Path:
+        for path in self._paths():
+            if path.name == name:
+                return path
+        raise CadenzaError("there is no such run")
+
+    def _figures(self, run: Path) -> dict[str, Any]:
+        """What is known of a run; read again when there is more."""
+        metrics = run / "metrics.jsonl"
+        size = metrics.stat().st_size if metrics.exists() else 0
+        if self._known.get(run, (-1, {}))[0] != size:
+            config, _ = RunFolder(run).description()
+            rows = read_rows(run) if size else []
+            points = [(row["eval_step"], f1) for row in rows if (f1 := row.get("eval/f1"))]
+            figures = {
+                "step": max((row["step"] for row in rows), default=0),
+                "steps": config.num_steps,
+                "f1": max((f1 for _, f1 in points), default=None),
+                "points": points[:: len(points) // _MOST_POINTS + 1],
+            }
+            self._known[run] = size, figures
+        return self._known[run][1]
+
+    def _check_room(self) -> None:
+        if len(self._learning) >= _MOST_AT_ONCE:
+            raise CadenzaError("a policy is learning already; stop it, or wait")
+
+    async def _train(self, name: str, *arguments: str) -> None:
+        """As `cadenza train` does, in a session of its own: Ctrl-C is for the server."""
+        command = [sys.executable, "-P", "-m", "cadenza", "train", *arguments]
+        process = await asyncio.create_subprocess_exec(
+            *command, "--no-video", "--quiet",
+            stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, start_new_session=True,
+        )  # fmt: skip
+        self._errors.pop(name, None)
+        learning = self._learning[name] = _Learning(process)
+        self._hold(process)
+        task = asyncio.create_task(self._listen(name, learning))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _listen(self, name: str, learning: _Learning) -> None:
+        process, last = learning.process, ""
+        assert process.stderr is not None
+        while line := await process.stderr.readline():
+            last = line.decode(errors="replace").strip() or last
+        code = await process.wait()
+        del self._learning[name]
+        if code not in (0, 130, -signal.SIGINT, -signal.SIGKILL):
+            self._errors[name] = re.sub(r"^\w*error: ", "", last, flags=re.IGNORECASE)[:300]
+
+    def _hold(self, process: Process) -> None:
+        with suppress(ProcessLookupError):
+            process.send_signal(signal.SIGSTOP if self._paused else signal.SIGCONT)

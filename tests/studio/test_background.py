@@ -1,0 +1,138 @@
+"""What goes on while nothing is played: practice and training."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+from asyncio.subprocess import PIPE
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.learning.config import preset
+from cadenza.learning.run_folder import RunFolder
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.performing.performance import perform
+from cadenza.studio import practice, practising, worker
+from cadenza.studio.messages import JSON, Message
+from cadenza.studio.request import PRACTISED, Order, PlayRequest
+from cadenza.studio.trainings import Trainings
+
+SCORE = Score(tuple(Note(0.4 * i, 0.4 * i + 0.3, 60 + i) for i in range(3)), title="Three")
+
+
+def order(song: str = "OdeToJoy", folder: Path = Path("/nowhere")) -> Order:
+    return Order(PlayRequest(song, PRACTISED), "Three", song, True, "0" * 16, str(folder))
+
+
+def state_of(pid: int) -> str:
+    """T is that of a process that stands still."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs Linux")
+def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a process that does nothing but wait."""
+    begun = []
+
+    async def waiting(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
+        begun.append(await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE))
+        return begun[-1]
+
+    async def until(condition: Any) -> None:
+        while not condition():
+            await asyncio.sleep(0.01)
+
+    async def run() -> None:
+        room = practice.PracticeRoom()
+        room.pause(True)
+        room.begin(order("OdeToJoy"))
+        await until(lambda: begun and state_of(begun[0].pid) == "T")
+        room.pause(False)
+        await until(lambda: state_of(begun[0].pid) != "T")
+        room.begin(order("OdeToJoy"))  # it goes on
+        assert len(begun) == 1
+        room.begin(order("JingleBells"))  # another takes its place
+        await until(lambda: len(begun) == 2)
+        assert begun[0].returncode is not None
+        room.stop()
+        await until(lambda: begun[1].returncode is not None)
+        assert room.summary["status"]["state"] == "stopped"
+        await room.close()
+
+    monkeypatch.setattr(practice, "started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+@pytest.mark.slow
+def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    song, told = tmp_path / "three.mid", list[Message]()
+    write_midi(SCORE, song)
+    monkeypatch.setattr(practising, "_EFFORT", 0.2)
+    practising.practise(order(str(song), tmp_path), told.append)
+    said = [json.loads(message.content) for message in told if message.kind == JSON]
+    assert said[-1]["state"] == "done"
+    played = worker.play(order(str(song), tmp_path), lambda _: None)
+    assert played.settings["agent"] == "playback"
+    assert played.metrics["f1"] == pytest.approx(max(said[-1]["f1"]))
+    with worker.set_up_as_asked(order(str(song), tmp_path), lambda *_: None) as setup:
+        assert perform(setup).metrics["f1"] == pytest.approx(said[-1]["f1"][0])  # at first sight
+
+
+def run_of(folder: Path, steps: int = 2000) -> None:
+    folder.mkdir(parents=True)
+    run = RunFolder(folder)
+    run.begin(preset("fast"), SCORE)
+    for step in range(1000, steps + 1, 1000):
+        run.add_row({"step": step, "seconds": 1.0, "eval_step": step, "eval/f1": step / 10_000})
+
+
+def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
+    found = Trainings(tmp_path)
+    assert found.runs() == []
+    run_of(tmp_path / "three 1")
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "run.json").write_text("{")
+    (run,) = found.runs()
+    assert (run["name"], run["state"], run["step"], run["f1"]) == ("three 1", "stopped", 2000, 0.2)
+    assert run["points"] == [(1000, 0.1), (2000, 0.2)]
+    assert found.policies() == {}
+    (tmp_path / "three 1" / "best").mkdir()
+    assert found.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}
+
+
+def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a command that waits, and remarks how it was called."""
+    script = "import sys, time; print(sys.argv[1:], file=sys.stderr, flush=True); time.sleep(60)"
+    fake = tmp_path / "python"
+    fake.write_text(f"#!{sys.executable}\n{script}\n")
+    fake.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(fake))
+
+    async def run() -> None:
+        found = Trainings(tmp_path / "runs")
+        name = await found.begin(PlayRequest("OdeToJoy", seed=3), "../Ode", "OdeToJoy", 5000)
+        assert name == "_Ode 1"
+        with pytest.raises(CadenzaError, match="learning already"):
+            await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        run_of(tmp_path / "runs" / name)
+        assert found.runs()[0]["state"] == "learning"
+        time.sleep(0.3)
+        found.stop(name)
+        while found.runs()[0]["state"] == "learning":
+            await asyncio.sleep(0.01)
+        for wrong in "no such", "../runs":
+            with pytest.raises(CadenzaError, match="no such run"):
+                await found.go_on(wrong)
+        await found.go_on(name)
+        assert found.runs()[0]["state"] == "learning"
+        await found.close()
+        assert found.runs()[0]["state"] == "stopped"
+
+    asyncio.run(asyncio.wait_for(run(), 60))
