@@ -37,7 +37,9 @@ def page_of(*command: str) -> Iterator[str]:
 
 
 def studio(folder: Path) -> AbstractContextManager[str]:
-    return page_of("studio", "--folder", str(folder), "--no-video", "--no-browser")
+    runs = str(folder / "runs")
+    command = ("studio", "--folder", str(folder), "--runs", runs, "--no-video", "--no-browser")
+    return page_of(*command)
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +98,9 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     browser: Browser, address: str, folder: Path, tmp_path: Path
 ) -> None:
     visit(browser, address)
-    drop(browser, song(tmp_path / "a.mid"), "My <b>song.mid")
+    drop(browser, song(tmp_path / "a.mid"), "../My <b>song.mid")
     wait(browser, "cadenza.began")
-    assert text(browser, "title") == "My <b>song"
+    assert text(browser, "title") == "../My <b>song"
     wait(browser, "cadenza.time > 1.2")
     wait(browser, "cadenza.finished")
     f1, precision, recall = browser.evaluate("cadenza.live.scores")
@@ -158,6 +160,77 @@ def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
     assert text(browser, "error")
     assert "\n" not in text(browser, "error")
     assert text(browser, "doing") == "Drop another file, or choose a piece."
+
+
+def test_what_is_played_on_a_keyboard_is_played_after(browser: Browser, address: str) -> None:
+    fake = (
+        "navigator.requestMIDIAccess = async () => ({ inputs: new Map([[1, window.piano = {}]]) })"
+    )
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=fake)
+    visit(browser, address)
+    browser.call("Page.removeScriptToEvaluateOnNewDocument", **added)
+    browser.evaluate("document.getElementById('keyboard').click()")
+    wait(browser, "piano.onmidimessage")
+    browser.evaluate("""[60, 64, 67].forEach((pitch, i) => {
+        piano.onmidimessage({ data: [0xb0, 1, 5], timeStamp: 0 });
+        piano.onmidimessage({ data: [0x90, pitch, 80], timeStamp: 1000 + 500 * i });
+        piano.onmidimessage({ data: [i ? 0x80 : 0x90, pitch, 0], timeStamp: 1400 + 500 * i });
+    })""")
+    wait(browser, "cadenza.began")
+    assert text(browser, "title").startswith("Played at")
+    (song,) = browser.evaluate("""(async () => (await (await fetch("api/songs")).json()).songs
+        .filter((song) => song.title.startsWith("Played at")))()""")
+    assert song["notes"] == 3
+    assert song["seconds"] == pytest.approx(1.4, abs=0.002)
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+
+
+def test_two_users_take_turns(
+    browser: Browser, address: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    other = Browser(tmp_path_factory.mktemp("other"))
+    try:
+        for who, name in (browser, "first.mid"), (other, "second.mid"):
+            visit(who, address)
+            drop(who, song(tmp_path / name, 4 if who is browser else 5), name)
+            wait(who, "cadenza.state !== 'idle'")
+        for who, name in (browser, "first"), (other, "second"):
+            wait(who, "cadenza.finished")
+            assert text(who, "title") == name
+            assert who.problems() == []
+    finally:
+        other.close()
+
+
+def test_half_an_hour_begins_at_once_and_more_is_refused(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    for minutes in 30, 33:
+        notes = (Note(60.0 * i, 60.0 * i + 2, 60 + i % 12) for i in range(minutes))
+        steady = (Note(0.5 * i, 0.5 * i + 0.4, 72) for i in range(120 * minutes - 119))
+        path = tmp_path / f"{minutes}.mid"
+        write_midi(Score(tuple(sorted((*notes, *steady), key=lambda note: note.start))), path)
+        visit(browser, address)
+        drop(browser, path.read_bytes(), path.name)
+        wait(browser, "cadenza.began || cadenza.error")
+        if minutes == 30:
+            assert browser.evaluate("cadenza.error") is None
+            assert browser.evaluate("cadenza.live.steps * cadenza.live.dt") > 1700
+            browser.evaluate("document.getElementById('cancel').click()")
+            wait(browser, "cadenza.state === 'cancelled'")
+    assert "half an hour" in text(browser, "error")
+
+
+def test_a_server_that_ends_is_noticed(browser: Browser, tmp_path: Path) -> None:
+    with studio(tmp_path / "short") as short:
+        visit(browser, short)
+        drop(browser, song(tmp_path / "e.mid", 60), "e.mid")
+        wait(browser, "cadenza.live")
+    wait(browser, "cadenza.error !== null || cadenza.state === 'cancelled'")
+    if browser.evaluate("cadenza.state") != "cancelled":
+        assert "does not answer" in text(browser, "error")
+    assert not list((tmp_path / "short").glob(".*"))
 
 
 def test_kept_performances_and_settings_are_found_after_a_restart(

@@ -29,7 +29,7 @@ from cadenza.report.sound import SAMPLE_RATE, Samples
 
 _SCRIPTS = (
     *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
-    *("chart.js", "roll.js", "rewards.js", "page.js"),
+    *("chart.js", "roll.js", "rewards.js", "controls.js", "page.js"),
 )
 
 Parts = Mapping[str, str | Iterable[str]]

@@ -41,7 +41,10 @@ from cadenza.studio.trainings import Trainings
 
 _MOST_JSON = 1 << 14  # bytes of a request
 _READING_AT_ONCE = 2
-_SHARED = ("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js")
+_SHARED = (
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
+    "controls.js",
+)
 _OWN = ("instrument.js", "keyboard.js", "stream.js", "studio.js")
 _MOST_SENT = 1 << 18  # bytes of rows in a frame
 _WATCHERS = 16  # at once

@@ -1,6 +1,5 @@
 // Puts the parts together: the audio element is the clock, everything else follows it.
 
-const $ = (id) => document.getElementById(id);
 const cadenza = window.cadenza = { ready: false, error: null, duration: 0, time: 0, playing: false };
 function fail(message) {
   cadenza.error = String(message);
@@ -9,8 +8,6 @@ function fail(message) {
 }
 window.addEventListener("error", (event) => fail(event.message));
 window.addEventListener("unhandledrejection", (event) => fail(event.reason));
-
-const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).padStart(4, "0")}`;
 
 const data = await readRecording();
 const duration = cadenza.duration = data.steps * data.dt;
@@ -34,7 +31,9 @@ function now() {
 
 const colours = VERDICTS.map((name) => css("--" + name));
 const stage = data.scene.keys ? createStage($("view"), data, colours) : null;
-if (!stage) $("picture").hidden = true;
+const looks = createLooks();
+if (stage) looks.show(stage);
+else $("picture").hidden = true;
 const roll = createRoll($("roll"), data, seek), rewards = createRewards($("rewards"), data, seek);
 
 function seek(time) {
@@ -79,41 +78,15 @@ function frame() {
   if (time !== drawn) show(drawn = time);
   if (time >= duration && !audio.paused) looping ? seek(0) : audio.pause();
   stage?.draw();
-  measurePace();
+  looks.measure(!audio.paused);
   requestAnimationFrame(frame);
 }
-
-// Where 3D turns out slow over the first second of playing, the flat view takes over.
-const SLOWEST = 20; // [frames/s]
-let measured = { frames: 0, spent: 0, last: 0 };
-function measurePace() {
-  if (!measured || audio.paused || !stage || stage.flat) return;
-  const at = performance.now();
-  if (measured.last) {
-    measured.frames++;
-    measured.spent += Math.min(at - measured.last, 300); // a hidden page draws no frames
-  }
-  measured.last = at;
-  if (measured.spent < 1000) return;
-  if (measured.frames / (measured.spent / 1000) < SLOWEST) chooseFlat(true, "Flat view: 3D is slow here.");
-  measured = null;
-}
-
-function chooseFlat(flat, note = "") {
-  const isFlat = stage.setFlat(flat);
-  if (!flat && isFlat) note = "This browser cannot draw in 3D.";
-  press($("solid"), !isFlat);
-  $("flat-note").textContent = note;
-  $("flat-note").hidden = !note;
-}
-const press = (button, pressed) => button.setAttribute("aria-pressed", pressed);
 
 for (const sound of sounds) {
   for (const event of ["play", "pause", "ended"]) {
     sound.addEventListener(event, () => {
       cadenza.playing = !audio.paused;
-      $("play").classList.toggle("active", !audio.paused);
-      $("play").setAttribute("aria-label", audio.paused ? "Play" : "Pause");
+      showPlaying(!audio.paused);
     });
   }
   sound.addEventListener("error", () => fail("the sound cannot be played (" + sound.error.message + ")"));
@@ -126,29 +99,14 @@ $("speed").addEventListener("change", () => { for (const sound of sounds) sound.
 
 let looping = false;
 $("loop").addEventListener("click", () => press($("loop"), looping = !looping));
-function mute() {
-  const muted = !audio.muted;
-  for (const sound of sounds) sound.muted = muted;
-  $("mute").classList.toggle("active", muted);
-  press($("mute"), muted);
-}
-$("mute").addEventListener("click", mute);
-$("volume").addEventListener("input", () => { for (const sound of sounds) sound.volume = Number($("volume").value); });
+const mute = loudness(
+  (muted) => { for (const sound of sounds) sound.muted = muted; },
+  (volume) => { for (const sound of sounds) sound.volume = volume; },
+);
 const fullScreen = () => (document.fullscreenElement ? document.exitFullscreen() : $("performance").requestFullscreen());
 $("full").hidden = !document.fullscreenEnabled;
 $("full").addEventListener("click", fullScreen);
 
-/** Buttons of which one is pressed: `chosen` is told the value of the attribute of the new one. */
-function choice(attribute, chosen) {
-  const buttons = [...document.querySelectorAll(`[${attribute}]`)];
-  for (const button of buttons) {
-    button.addEventListener("click", () => {
-      chosen(button.getAttribute(attribute));
-      for (const other of buttons) press(other, other === button);
-    });
-  }
-}
-choice("data-view", (name) => stage.look(name));
 $("listen").hidden = sounds.length < 2;
 choice("data-sound", (name) => {
   const before = audio, time = now(), playing = !audio.paused;
@@ -157,20 +115,6 @@ choice("data-sound", (name) => {
   seek(time);
   if (playing) play();
 });
-if (stage) {
-  $("falling").addEventListener("click", () => {
-    const visible = $("falling").getAttribute("aria-pressed") === "false";
-    press($("falling"), visible);
-    stage.showNotes(visible);
-  });
-  $("solid").hidden = !stage.solid;
-  $("solid").addEventListener("click", () => {
-    measured = null; // who chooses keeps what was chosen
-    chooseFlat(!stage.flat);
-  });
-  chooseFlat(stage.flat, stage.flat ? "Flat view: this browser would draw 3D without a graphics card." : "");
-}
-
 const BEFORE_A_MISS = 0.7; // [s]
 $("misses")?.addEventListener("click", (event) => {
   const row = event.target.closest("[data-time]");

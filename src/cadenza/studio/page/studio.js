@@ -1,9 +1,6 @@
 // The studio's page: what can be played, and what is played now.
 
-const $ = (id) => document.getElementById(id);
 const cadenza = window.cadenza = { ready: false, error: null, state: "idle", time: 0, strikes: [], waits: 0 };
-const minutes = (time) => `${Math.floor(time / 60)}:${(time % 60).toFixed(1).padStart(4, "0")}`;
-const press = (button, pressed) => button.setAttribute("aria-pressed", pressed);
 function make(name, text = "", attributes = {}) {
   const element = Object.assign(document.createElement(name), attributes);
   element.textContent = text;
@@ -125,7 +122,7 @@ async function begin() {
 
 // What is played now
 
-const instrument = createInstrument();
+const instrument = createInstrument(), looks = createLooks();
 // [s] ahead before it plays; less where planning is so many times faster than the music.
 const LEAD = 2.5, SHORT_LEAD = 1, FAST = 1.4;
 const AHEAD = 0.35; // [s] that sounds are scheduled ahead
@@ -258,10 +255,7 @@ function createPicture() {
   canvas.setAttribute("aria-label", "The hands over the keyboard: drag to turn, wheel to zoom after a click");
   $("stage").prepend(canvas);
   stage = createStage(canvas, live, VERDICTS.map((name) => css("--" + name)));
-  stage.showNotes($("falling").getAttribute("aria-pressed") === "true");
-  $("solid").hidden = !stage.solid;
-  press($("solid"), !stage.flat);
-  stage.look(document.querySelector('[data-view][aria-pressed="true"]').dataset.view);
+  looks.show(stage);
   stage.move(0);
 }
 
@@ -360,8 +354,8 @@ function frame() {
     $("planned").style.transform = `scaleX(${(live.rows * live.dt) / whole})`;
     $("heard").style.transform = `scaleX(${time / whole})`;
     $("play").disabled = !live.rows;
-    $("play").classList.toggle("active", active);
-    if ($("play").getAttribute("aria-label") !== (active ? "Pause" : "Play")) $("play").setAttribute("aria-label", active ? "Pause" : "Play");
+    showPlaying(active);
+    looks.measure(active);
   }
   requestAnimationFrame(frame);
 }
@@ -512,26 +506,7 @@ $("link").addEventListener("click", async () => {
   $("link").textContent = "Copied";
   setTimeout(() => { $("link").textContent = "Copy link"; }, 1500);
 });
-$("volume").addEventListener("input", () => { instrument.volume = Number($("volume").value); });
-function mute() {
-  const muted = $("mute").getAttribute("aria-pressed") !== "true";
-  instrument.muted = muted;
-  press($("mute"), muted);
-  $("mute").classList.toggle("active", muted);
-}
-$("mute").addEventListener("click", mute);
-for (const button of document.querySelectorAll("[data-view]")) {
-  button.addEventListener("click", () => {
-    for (const other of document.querySelectorAll("[data-view]")) press(other, other === button);
-    stage?.look(button.dataset.view);
-  });
-}
-$("falling").addEventListener("click", () => {
-  const shown = $("falling").getAttribute("aria-pressed") !== "true";
-  press($("falling"), shown);
-  stage?.showNotes(shown);
-});
-$("solid").addEventListener("click", () => press($("solid"), !stage.setFlat(!stage.flat)));
+const mute = loudness((muted) => { instrument.muted = muted; }, (volume) => { instrument.volume = volume; });
 for (const name of ["dragenter", "dragover", "dragleave", "drop"]) {
   document.addEventListener(name, (event) => {
     event.preventDefault();
