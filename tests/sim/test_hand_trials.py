@@ -42,6 +42,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
                 np.testing.assert_allclose(fingertips, tips, atol=1e-3)
                 touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[trials.keys]).any())
             assert not trials.unstable()
+            np.testing.assert_array_equal(trials.fingertips(), fingertips)
         whole.step(actions[step][None])
     assert touched
 

@@ -89,6 +89,11 @@ class HandTrials:
         data, first = self._hand.data[place], self._hand.keys.stop
         return data.qpos[first:], data.qvel[first:]
 
+    def fingertips(self, place: int = 0) -> Array:
+        """(F, 3) those in the trial there [m]."""
+        hand = self._hand
+        return hand.data[place].site_xpos[hand.fingertips]
+
     def unstable(self, place: int = 0) -> bool:
         """Whether the last trial there has diverged."""
         return bool(self._hand.data[place].warning.number[UNSTABLE].any())

@@ -34,6 +34,11 @@ Mask = NDArray[np.bool_]
 _IDLE_FINGER = 0.3  # of a servo's noise, for fingers that do not play within the horizon
 _SPARSE = 0.3  # half of the candidates change this share of the servos
 _LIFTED = (0.05, 0.1)  # [s] for which a hand lifts itself where it is caught between keys
+_CAUGHT = 0.012  # [m] that a finger is astray if the next steps will not free it
+_STUCK = 0.005  # [m] that it moves in them if it is there to stay
+_DETOURS = (0.1, 0.2, 0.3)  # [s] for which it or the hand is lifted
+_UP = 0.1  # [s] of them, straight up: what pushes against a key is kept from rising by friction
+_FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys that it holds
 _HALVED = 0.05  # [s] in which half of the correction to the nominal plan fades
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
@@ -141,7 +146,9 @@ class HandRefinement:
         uses = [scene.hand.servo(name) for name in self._servos.names]
         self._sigma = np.array([use.noise for use in uses])
         self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
-        self._lifts = _lifts(np.array([use.lift for use in uses]), self._horizon, dt)
+        self._lift = np.array([use.lift for use in uses])
+        self._lifts = _lifts(self._lift, _LIFTED, self._horizon, dt)
+        self._further = max(self._horizon, steps_in(_FREED, dt))
         self._twin = PlanningSimulation(scene, 1, dt)
         self._trials = HandTrials(scene, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
@@ -167,7 +174,7 @@ class HandRefinement:
     @property
     def steps_seen(self) -> int:
         """How many steps of the plan a step looks at, and of those who press soon after."""
-        return self._horizon + steps_in(_ABOUT_TO_PRESS, self._dt)
+        return self._further + steps_in(_ABOUT_TO_PRESS, self._dt)
 
     def follow(self, part: HandPart, tracking: Tracking) -> None:
         """From now on, by a plan that goes further than the one before."""
@@ -201,21 +208,79 @@ class HandRefinement:
         self._step += 1
 
     def _plan(self) -> Array:
-        steps = len(self._tracking.ctrl)
-        rows = np.minimum(np.arange(self._step, self._step + self._horizon), steps - 1)
-        nominal = self._tracking.ctrl[rows]
-        nominal[0] -= self._feedback()
+        rows, nominal = self._nominal(self._horizon)
         if self._update is None:
             return self._clip(nominal[0])
         best = self._clip(nominal + self._correction)
         self._begin_trials(rows)
         trial = self._try(best)
         self._note(trial)
+        here = self._twin.state.fingertip_xpos[0, self._part.fingers]
         if trial.mistakes:
-            best = self._search(self._clip(nominal), best, trial.cost, rows)
-        self._correction[:-1] = self._kept * (best - nominal)[1:]
+            caught, affordable = self._caught(), self._savings > 0
+            best = self._search(nominal, best, trial.cost, rows, caught)
+            if caught.any() and affordable:
+                best = self._free_for_good(best, here)
+        # What is on its way back to the plan goes on as it has begun.
+        kept = 1.0 if self._astray(here, self._step).any() else self._kept
+        self._correction[:-1] = kept * (best - nominal)[1:]
         self._correction[-1] = 0.0
         return best[0]
+
+    def _nominal(self, horizon: int) -> tuple[NDArray[np.intp], Array]:
+        """(H,) the steps from here on, and (H, A) the plan's controls, with feedback."""
+        steps = len(self._tracking.ctrl)
+        rows = np.minimum(np.arange(self._step, self._step + horizon), steps - 1)
+        nominal = self._tracking.ctrl[rows]
+        nominal[0] -= self._feedback()
+        return rows, nominal
+
+    def _astray(self, fingertips: Array, state: int) -> Mask:
+        """(F,) which of `fingertips` (F, 3) [m] should play in a state, but not there."""
+        offset = (fingertips - self._part.fingertips[state])[:, :2]
+        return self._part.playing[state] & (np.linalg.norm(offset, axis=1) > _CAUGHT)
+
+    def _caught(self) -> Mask:
+        """(F,) which fingers are astray when the last trial ends."""
+        last = min(self._step + self._horizon, len(self._tracking.ctrl))
+        return self._astray(self._trials.fingertips(), last)
+
+    def _free_for_good(self, best: Array, here: Array) -> Array:
+        """A detour, if fingers stay where they are caught by `best` and it pays in the long run.
+
+        `here` (F, 3) is where they are [m].
+        """
+        trial = self._try(best)
+        self._note(trial)
+        stays = np.linalg.norm(self._trials.fingertips() - here, axis=1) < _STUCK
+        caught = self._caught()
+        if not (trial.mistakes and (caught & stays).any()):
+            return best
+        rows, nominal = self._nominal(self._further)
+        unchanged = self._clip(nominal)
+        unchanged[: len(best)] = best
+        detours = [self._detours(nominal, caught, up) for up in (0.0, _UP)]
+        candidates = np.concatenate([unchanged[None], *detours])
+        self._begin_trials(rows)
+        costs, _ = self._try_all(candidates, np.inf)
+        return candidates[int(np.argmin(costs)), : len(best)]
+
+    def _detours(self, nominal: Array, caught: Mask, up: float = 0.0) -> Array:
+        """(D, H, A) ways around what fingers are caught by: they, or the hand, are lifted.
+
+        Args:
+            nominal: (H, A) controls of the plan.
+            caught: (F,) which fingers.
+            up: how long what is lifted goes nowhere else [s].
+        """
+        here = self._to_posture.T @ self._twin.state.hand_qpos[0]
+        fingers, hand = np.append(caught, False)[self._finger], self._finger < 0
+        detours = []
+        for lifted in (fingers, fingers | hand, np.ones_like(hand)):
+            way = nominal.copy()
+            way[: round(up / self._dt), lifted] = here[lifted]
+            detours.append(way + _lifts(self._lift * lifted, _DETOURS, len(way), self._dt))
+        return self._clip(np.concatenate(detours))
 
     def _feedback(self) -> Array:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
@@ -223,7 +288,9 @@ class HandRefinement:
         here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
         return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
-    def _search(self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp]) -> Array:
+    def _search(
+        self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp], caught: Mask
+    ) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
 
         Stops when a plan makes no mistakes. Another round must leave savings for the first rounds
@@ -237,7 +304,9 @@ class HandRefinement:
             candidates = self._draw(around)
             candidates[: len(self._lifts)] = self._clip(around.mean + self._lifts)
             if iteration == 0:
-                candidates[len(self._lifts)] = nominal
+                candidates[len(self._lifts)] = self._clip(nominal)
+                if caught.any():
+                    candidates = np.concatenate([candidates, self._detours(nominal, caught)])
             costs, mistakes = self._try_all(candidates, self._most(cost))
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
@@ -433,7 +502,7 @@ def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
     return rng
 
 
-def _lifts(lift: Array, horizon: int, dt: float) -> Array:
-    """(L, H, A) what is added to the controls for each time of `_LIFTED`; `lift` is (A,)."""
-    until = np.array([steps_in(seconds, dt) for seconds in _LIFTED])[:, None, None]
+def _lifts(lift: Array, times: tuple[float, ...], horizon: int, dt: float) -> Array:
+    """(L, H, A) what is added to the controls for each of L `times` [s]; `lift` is (A,)."""
+    until = np.array([steps_in(seconds, dt) for seconds in times])[:, None, None]
     return lift * (np.arange(horizon)[None, :, None] < until)

@@ -41,7 +41,7 @@ _SERVOS = {
     "WRJ2": Servo(0.0, 0.3, 40.0, noise=0.03, correction=0.1),
     "WRJ1": Servo(-0.05, 0.3, 40.0, noise=0.03, correction=0.1, lift=-0.35),
     "THJ5": _stiff(_THUMB),
-    "THJ4": Servo(0.72, finger=_THUMB),
+    "THJ4": Servo(0.72, lift=-0.6, finger=_THUMB),
     "THJ3": Servo(0.15, finger=_THUMB),
     "THJ2": Servo(0.38, finger=_THUMB),
     "THJ1": _stiff(_THUMB),
