@@ -671,7 +671,7 @@ def test_options_that_make_no_sense(
         (["play", "OdeToJoy", "--seed"], "--seed needs a value"),
         (["play", "OdeToJoy", "--n-seconds-lookahead", "x"], "lookahead x: give a number"),
         (["play", "OdeToJoy", "--agent", "pianist"], "no agent 'pianist'"),
-        (["play", "OdeToJoy", "--hands", "three"], "three: choose from both, right, left, none"),
+        (["play", "OdeToJoy", "--hands", "three"], "three: choose from both, apart, right"),
         (["play", "OdeToJoy", "--xyzzy"], "--xyzzy; cadenza play --help-all lists them"),
         (["play", "OdeToJoy", "-x"], "there is no option -x"),
         (["play", "--sed", "1"], "there is no option --sed; did you mean --seed?"),

@@ -88,6 +88,8 @@ _EXPECTED = {
     "goal_sustain": ArrayOf(FLAGS, ("T",)),
     "key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "key_activation": ArrayOf(FLAGS, ("T", "K")),
+    "right_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
+    "left_key_qpos": ArrayOf(NUMBERS, ("T", "K")),
     "sustain_activation": ArrayOf(FLAGS, ("T",)),
     "hand_qpos": ArrayOf(NUMBERS, ("T", "J")),
     "hand_qvel": ArrayOf(NUMBERS, ("T", "J")),
@@ -118,6 +120,8 @@ class Episode:
     - `goal_sustain` (T,) bool, whether the pedal should be down
     - `key_qpos` (T, K) [rad]
     - `key_activation` (T, K) bool, the keys that sound
+    - `right_key_qpos`, `left_key_qpos` (T, K) [rad], of hands that play apart: what each does with
+      the keys, of which `key_qpos` is the larger
     - `sustain_activation` (T,) bool, whether the pedal is down
     - `hand_qpos`, `hand_qvel` (T, J) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (T, F, 3) [m]

@@ -274,7 +274,7 @@ class TestPianoThatPlaysItself:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"hands": "three"}, "hands 'three': choose from both, right, left, none"),
+        ({"hands": "three"}, "hands 'three': choose from both, apart, right, left, none"),
         ({"physics": "magic"}, "physics 'magic': choose from published, fast"),
         ({"forearm_dofs": ("tx", "tx")}, "at most once"),
         (

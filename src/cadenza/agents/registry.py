@@ -12,6 +12,7 @@ from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from cadenza.agents.planning.config import (
+    ICPConfig,
     ILQGConfig,
     PredictiveSamplingConfig,
     ScorePlannerConfig,
@@ -53,6 +54,11 @@ AGENTS = Registry(
         "stitched": Entry(
             f"{_BASELINES}.stitched.agent:Stitched",
             "motions that are planned once, stitched together, and played open loop",
+        ),
+        "icp": Entry(
+            f"{_BASELINES}.icp:ICP",
+            "fingers by iterative closest points, inverse kinematics, all planned offline",
+            ICPConfig,
         ),
         "zero": Entry("cadenza.agents.agent:ZeroAgent", "hands that stay where they are"),
         "random": Entry("cadenza.agents.agent:RandomAgent", "uniformly random actions"),

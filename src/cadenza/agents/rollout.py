@@ -18,6 +18,7 @@ from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
 from cadenza.scene.drawing import body_poses, drawing
+from cadenza.sim.hands_apart import HandsApart
 from cadenza.tasks.piano_task import PianoTask, Transition
 from cadenza.tasks.view import View
 
@@ -31,7 +32,7 @@ class EpisodeResult:
     """Those of `cadenza.music.metrics.playing_metrics`, None for one that is not defined; `return`
     and ``reward/<term>`` summed over the episode; `steps`, `planning_seconds` spent by the agent,
     from its reset on, `playing_seconds` by the simulation, and whether the simulation became
-    `unstable`."""
+    `unstable`; `combined`, of hands that play apart."""
 
 
 def play_episode(
@@ -157,6 +158,9 @@ class _Record:
         if task.scene.config.touch:
             row["touch"] = state.touch[env]
         row |= {f"reward_{name}": values[env] for name, values in transition.terms.items()}
+        if isinstance(task.simulation, HandsApart):
+            parts = {side: task.simulation.part(side) for side in task.scene.sides}
+            row |= {f"{side}_key_qpos": part.key_qpos[env] for side, part in parts.items()}
         self._unstable = bool(transition.unstable[env])
         for name, value in {**row, **self._of_the_score(observation)}.items():
             if name not in self._rows:
@@ -175,6 +179,8 @@ class _Record:
             "playing_seconds": self.playing_seconds,
             "unstable": self._unstable,
         }
+        if isinstance(self._task.simulation, HandsApart):
+            metrics["combined"] = True
         return EpisodeResult(self._episode(metrics), metrics)
 
     def _sums(self) -> dict[str, float]:

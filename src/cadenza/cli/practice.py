@@ -42,8 +42,7 @@ class PracticeCommand(Performing):
     """
 
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for practice, the plan and the results of playing it; played/SONG/practised by
-    default."""
+    """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
     """Practise until this effort has been made, in all: 1 is 100 simulated control steps for each
     of the song and each hand. 10 by default. The same effort plays the same."""

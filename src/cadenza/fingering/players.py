@@ -130,7 +130,12 @@ def is_within(distance: Array, least: Array, most: Array) -> NDArray[np.bool_]:
 
 
 def seated(
-    reach: Reach, keyboard: Keyboard, sides: Collection[Side], hand_spacing: float, slides: bool
+    reach: Reach,
+    keyboard: Keyboard,
+    sides: Collection[Side],
+    hand_spacing: float,
+    slides: bool,
+    arm: Forearm | None = None,
 ) -> Players:
     """Hands on these `sides` of a keyboard.
 
@@ -140,12 +145,15 @@ def seated(
         sides: of the hands that are there.
         hand_spacing: between the mounts of their forearms [m].
         slides: whether the forearms slide along the whole keyboard.
+        arm: where the right hand is brought by an arm, instead of a forearm that slides.
     """
     end = round(float(np.abs(keyboard.grid_y).max()) + _BEYOND, 2)
 
     def forearm(side: Side) -> Forearm | None:
         if side not in sides:
             return None
+        if arm is not None:
+            return arm if side == "right" else arm.mirrored
         home = (1 if side == "right" else -1) * hand_spacing / 2
         return Forearm(home, -end, end) if slides else Forearm(home, home, home)
 

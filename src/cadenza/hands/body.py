@@ -109,6 +109,8 @@ class Actuator:
     """A joint or a coupling."""
     kp: float
     force: float
+    kv: float = 0.0
+    """What of its force it takes back for each unit of speed [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -131,15 +133,33 @@ class Options:
     gravity_compensation: bool
     primitive_fingertips: bool
     hand_collisions: bool
+    apart: bool
     dry_friction: bool
     touch: bool
     keyboard_half_length: float
     """[m]"""
 
 
+@dataclass(frozen=True)
+class Mount:
+    """Where the first link of an arm stands, which does not slide. Of the right arm.
+
+    It turns with the left one's mirror image if its frame's x axis runs along the keyboard.
+    """
+
+    pos: Vector
+    quat: Quaternion
+    home: float
+    """Where along the keyboard the hand is while all servos are at rest [m]."""
+    low: float
+    """The least such place that the arm brings its hand to, in the same posture [m]."""
+    high: float
+    """The greatest [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
-    """All of a right hand with its forearm, the first link."""
+    """All of a right hand with its forearm, the first link; or with an arm on a `mount`."""
 
     links: tuple[Link, ...]
     actuators: tuple[Actuator, ...]
@@ -150,6 +170,10 @@ class Body:
     """Joints that the reduced action space is without."""
     reduced_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Of joints, in the reduced action space."""
+    mount: Mount | None = None
+    """Where an arm stands; None for a forearm that slides."""
+    mirrored_masses: bool = False
+    """Whether the left hand's masses lie as in a mirror. Those of the published hands do not."""
     armature: float = 0.0002
     """Of every joint [kg m^2], of the forearm's slides [kg]."""
     friction_loss: float = 0.01
@@ -192,6 +216,9 @@ def mount_y(side: Side, options: Options) -> float:
     return sign * options.hand_spacing / 2
 
 
+_ONE_HAND: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
+
+
 class _Builder:
     """Builds one hand into a scene."""
 
@@ -199,6 +226,9 @@ class _Builder:
         self._body, self._spec, self._side, self._options = body, spec, side, options
         self._prefix = prefix(side)
         self._locked = body.locked if options.reduced_action_space else ()
+        # Hands that play apart collide with themselves and with keys.
+        self._own = _ONE_HAND[side] if options.apart and options.hand_collisions else 0
+        self._forearm_dofs = () if body.mount else options.forearm_dofs
 
     def build(self) -> None:
         for link in self._body.links:
@@ -230,14 +260,15 @@ class _Builder:
         quat = _mirror_quat(link.quat, self._side)
         if self._side == "left" and link.left_quat:
             quat = link.left_quat
+        mass_side = self._side if self._body.mirrored_masses else "right"
         return parent.add_body(
             name=self._prefix + link.name,
             pos=_mirror(link.pos, self._side),
             quat=quat,
             mass=link.mass,
-            ipos=link.com,
+            ipos=_mirror(link.com, mass_side),
             inertia=link.inertia,
-            iquat=link.inertia_quat,
+            iquat=_mirror_quat(link.inertia_quat, mass_side),
             explicitinertial=True,
             gravcomp=float(self._options.gravity_compensation),
         )
@@ -245,13 +276,17 @@ class _Builder:
     def _mount(self, body: mujoco.MjsBody) -> None:
         """Places the forearm and gives it the degrees of freedom that were asked for."""
         sign = 1.0 if self._side == "right" else -1.0
+        if (mount := self._body.mount) is not None:
+            x, y, z = mount.pos
+            body.pos, body.quat = (x, sign * y, z), mount.quat
+            return
         x, z = forearm.MOUNT_XZ
         yaw = sign * np.deg2rad(self._options.attachment_yaw)
         turn, final = np.zeros(4), np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0, 1]), yaw)
         mujoco.mju_mulQuat(final, turn, np.array(forearm.MOUNT_QUAT))
         body.pos, body.quat = (x, mount_y(self._side, self._options), z), final
-        for name in self._options.forearm_dofs:
+        for name in self._forearm_dofs:
             dof = forearm.JOINTS[name]
             mirrored = dof.mirrored and self._side == "left"
             body.add_joint(
@@ -290,8 +325,8 @@ class _Builder:
                 body, geom,
                 group=COLLIDING_GROUP if link.drawn else DRAWN_GROUP,
                 rgba=link.rgba,
-                contype=1,
-                conaffinity=int(self._options.hand_collisions),
+                contype=1 | self._own,
+                conaffinity=self._own or int(self._options.hand_collisions),
                 solref=self._body.contact_solref,
                 solimp=self._body.contact_solimp,
             )  # fmt: skip
@@ -326,8 +361,9 @@ class _Builder:
                     kp=actuator.kp,
                     ctrlrange=(coupled | ranges)[actuator.target],
                     force=actuator.force,
+                    kv=actuator.kv,
                 )
-        for name in self._options.forearm_dofs:
+        for name in self._forearm_dofs:
             self._add_servo(
                 name=f"{forearm.FOREARM}_{name}",
                 tendon=False,
@@ -343,6 +379,7 @@ class _Builder:
         kp: float,
         ctrlrange: tuple[float, float],
         force: float | None,
+        kv: float = 0.0,
     ) -> None:
         actuator = self._spec.add_actuator(
             name=f"{self._prefix}{SERVO}{name}",
@@ -350,7 +387,7 @@ class _Builder:
             trntype=mujoco.mjtTrn.mjTRN_TENDON if tendon else mujoco.mjtTrn.mjTRN_JOINT,
             ctrlrange=ctrlrange,
         )
-        actuator.set_to_position(kp=kp)
+        actuator.set_to_position(kp=kp, kv=kv)
         if force is not None:
             actuator.forcerange = (-force, force)
 

@@ -17,8 +17,10 @@ _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 
 def faults_of_body(body: Body) -> Iterator[str]:
     links = [link.name for link in body.links]
-    if links[:1] != [forearm.FOREARM] or body.links[0].parent:
+    if (body.mount is None and links[:1] != [forearm.FOREARM]) or body.links[0].parent:
         yield f"the first link must be {forearm.FOREARM!r}, and have no parent"
+    if forearm.FOREARM not in links:
+        yield f"the link of the arm that carries the hand must be named {forearm.FOREARM!r}"
     for name in _repeated(links):
         yield f"two links are named {name!r}; give each a name of its own"
     for place, link in enumerate(body.links):

@@ -23,6 +23,7 @@ from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import performed_score, with_loudness_of
 from cadenza.music.score import Score
+from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
 from cadenza.report.page import write_report
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
@@ -102,6 +103,8 @@ class Performance:
             played = with_loudness_of(played, self.goal)
         lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         self.episode.save(folder / "episode.npz")
+        for side, part in parts_of(self.episode, self.scene).items():
+            part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         write_json(folder / "settings.json", self.settings)
         if self.misses is not None:

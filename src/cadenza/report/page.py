@@ -131,6 +131,8 @@ def _facts(episode: Episode, settings: Mapping[str, Any]) -> list[tuple[str, str
     named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
     shown = (name for name in ("agent", "seed") if named.get(name) is not None)
     facts = [(name, _plain(named[name])) for name in shown]
+    if named.get("hands") == "apart":
+        facts.append(("recordings", "of each hand by itself, combined"))
     seconds = episode.num_steps * episode.dt
     return [*facts, ("length", f"{seconds:.1f} s"), ("control steps", str(episode.num_steps))]
 

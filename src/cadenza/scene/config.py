@@ -11,7 +11,7 @@ from cadenza.errors import CadenzaError
 from cadenza.registry import module_of
 
 ForearmDof = Literal["tx", "ty", "tz", "roll", "pitch", "yaw"]
-Hands = Literal["both", "right", "left", "none"]
+Hands = Literal["both", "apart", "right", "left", "none"]
 Physics = Literal["published", "fast"]
 
 
@@ -24,7 +24,8 @@ class SceneConfig:
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, or module:NAME."""
     hands: Hands = "both"
-    """Which hands play. With none, the piano plays itself."""
+    """Which hands play. Apart: both, each in a scene of its own, and then combined. With none, the
+    piano plays itself."""
     reduced_action_space: bool = True
     """Lock thumb joints 5 and 1 and little finger joint 5, as in the paper."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")

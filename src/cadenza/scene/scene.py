@@ -95,9 +95,9 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     config = as_config(config, SceneConfig)
     _check(config)
     spec = mujoco.MjSpec()
-    _set_options(spec, config)
-    add_cameras(spec)
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
+    _set_options(spec, config, hand)
+    add_cameras(spec)
     sides = _sides(config)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
     if sides and config.hand_spacing > 2 * keyboard.half_length:
@@ -112,7 +112,7 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     except ValueError as error:  # only a hand of somebody else's can be wrong
         said = " ".join(str(error).split())
         raise CadenzaError(f"hand {hand.name}: MuJoCo cannot build it: {said}") from error
-    _damp_forearms_critically(model, sides, config)
+    _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
 
 
@@ -166,7 +166,7 @@ def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.Mj
         parts: of the hands that are there beside the fingers.
     """
     spec = mujoco.MjSpec()
-    _set_options(spec, scene.config)
+    _set_options(spec, scene.config, scene.hand)
     scene.keyboard.add_to(spec, keys, actuated=False)
     for geom in spec.geoms:
         geom.conaffinity = _ON_KEYS
@@ -180,7 +180,7 @@ def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.Mj
                 elif (body.name, i) not in parts:
                     spec.delete(geom)
     model = spec.compile()
-    _damp_forearms_critically(model, scene.sides, scene.config)
+    _damp_forearms_critically(model, scene.hand, scene.sides, scene.config)
     return model
 
 
@@ -191,9 +191,13 @@ def _place(names: tuple[str, ...], everyone: tuple[str, ...]) -> slice:
 
 
 def _sides(config: SceneConfig) -> tuple[Side, ...]:
-    if config.hands == "both":
-        return SIDES
-    return () if config.hands == "none" else (config.hands,)
+    match config.hands:
+        case "both" | "apart":
+            return SIDES
+        case "none":
+            return ()
+        case side:
+            return (side,)
 
 
 def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
@@ -205,6 +209,7 @@ def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
         gravity_compensation=config.gravity_compensation,
         primitive_fingertips=config.primitive_fingertips,
         hand_collisions=config.hand_collisions,
+        apart=config.hands == "apart",
         dry_friction=config.physics != "fast",
         touch=config.touch,
         keyboard_half_length=keyboard.half_length,
@@ -223,12 +228,13 @@ def _check(config: SceneConfig) -> None:
         raise CadenzaError(f"attachment_yaw {config.attachment_yaw} degrees: choose -180 to 180")
 
 
-def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
+def _set_options(spec: mujoco.MjSpec, config: SceneConfig, hand: Hand) -> None:
     spec.modelname = "cadenza"
     spec.compiler.degree = False
     spec.option.timestep = PHYSICS_TIMESTEP[config.physics]
     spec.option.impratio = 10
-    if config.hands == "none":  # damps the keys' servos without bound on the timestep
+    # Damps servos without bound on the timestep: those of keys, and of the joints of an arm.
+    if config.hands == "none" or hand.body.mount is not None:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     if config.sleeping_keys:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
@@ -236,10 +242,10 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig) -> None:
 
 
 def _damp_forearms_critically(
-    model: mujoco.MjModel, sides: tuple[Side, ...], config: SceneConfig
+    model: mujoco.MjModel, hand: Hand, sides: tuple[Side, ...], config: SceneConfig
 ) -> None:
     """Damping 2 sqrt(k m) of a servo of stiffness k that moves the mass m of a whole hand."""
-    for side in sides:
+    for side in () if hand.body.mount else sides:
         for name in config.forearm_dofs:
             dof = model.joint(f"{prefix(side)}{forearm.FOREARM}_{name}").dofadr[0]
             kp = forearm.JOINTS[name].kp

@@ -35,7 +35,8 @@ class Servos:
     damping: Array
     """(A,) [N s/m, N m s/rad]."""
     inertia: Array
-    """(A,) with all other joints at rest in the posture of the compiled model [kg, kg m^2]."""
+    """(A,) with all other joints at rest [kg, kg m^2], in the posture of the compiled model; of an
+    arm, where it begins."""
     low: Array
     """(A,) the range of the coordinate, and of its control [m, rad]."""
     high: Array
@@ -74,11 +75,25 @@ def servos_of(scene: Scene) -> Servos:
         names=tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names),
         joints=joints,
         stiffness=model.actuator_gainprm[:, 0].copy(),
-        damping=joints**2 @ model.dof_damping[dofs],
-        inertia=joints**2 @ model.dof_M0[dofs],
+        damping=joints**2 @ model.dof_damping[dofs] - model.actuator_biasprm[:, 2],
+        inertia=joints**2 @ _inertia(scene)[dofs],
         low=model.actuator_ctrlrange[:, 0].copy(),
         high=model.actuator_ctrlrange[:, 1].copy(),
     )
+
+
+def _inertia(scene: Scene) -> Array:
+    """(V,) of each degree of freedom with the others at rest: the diagonal of the mass matrix."""
+    model = scene.model
+    if scene.hand.body.mount is None:
+        return model.dof_M0
+    data = mujoco.MjData(model)
+    data.qpos[scene.hand_qpos] = scene.hand_start
+    mujoco.mj_forward(model, data)
+    units, columns = np.eye(model.nv), np.zeros((model.nv, model.nv))
+    for unit, column in zip(units, columns, strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    return np.diagonal(columns)
 
 
 def reaction(scene: Scene, servos: Servos, postures: Array, dt: float) -> Array:

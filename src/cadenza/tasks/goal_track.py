@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cadenza.fingering.players import Players, seated
+from cadenza.fingering.players import Forearm, Players, seated
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals, score_to_goals
@@ -101,5 +101,6 @@ class GoalTrack:
 def players_of(scene: Scene) -> Players:
     """The hands of a scene at its keyboard."""
     slides = len(scene.slide_joints) > 0
-    spacing = scene.config.hand_spacing
-    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides)
+    spacing, mount = scene.config.hand_spacing, scene.hand.body.mount
+    arm = Forearm(mount.home, mount.low, mount.high) if mount else None
+    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides, arm)

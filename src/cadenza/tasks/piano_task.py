@@ -20,6 +20,7 @@ from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
@@ -85,7 +86,7 @@ class PianoTask:
         num_threads: int = 1,
         reward_terms: Mapping[str, reward.RewardTerm] | None = None,
         progress: Callable[[int, int], None] | None = None,
-        make_simulation: MakeSimulation = MujocoSimulation,
+        make_simulation: MakeSimulation | None = None,
     ) -> None:
         """Args:
             scores: the songs to draw from, one per episode.
@@ -96,7 +97,8 @@ class PianoTask:
             reward_terms: name -> function of a `reward.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
             progress: is told of how many notes the fingers have been looked for, and of all.
-            make_simulation: what moves hands and keys; MuJoCo if nothing else is given.
+            make_simulation: what moves hands and keys; MuJoCo if nothing else is given, one for
+                each hand if they play apart.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -109,6 +111,9 @@ class PianoTask:
             factors = np.random.default_rng(self.config.model_seed)
             self.scene = perturbed(self.scene, factors, self.config.model_error)
         self._offset_joints = self._find_offset_joints()
+        if make_simulation is None:
+            apart = self.scene.config.hands == "apart"
+            make_simulation = HandsApart if apart else MujocoSimulation
         self.simulation = make_simulation(
             scene=self.scene,
             num_envs=num_envs,

@@ -23,6 +23,10 @@ SETUPS = Registry(
         "mini-allegro": Entry(
             "cadenza.tasks.setups:MINI_ALLEGRO", "an Allegro Hand with touch at 25 mini keys"
         ),
+        "arm-allegro": Entry(
+            "cadenza.tasks.setups:ARM_ALLEGRO",
+            "two arms with Allegro Hands, each at a piano of its own; what they play is combined",
+        ),
     },
     otherwise="module:NAME",
 )
@@ -52,6 +56,9 @@ SHADOW = NamedSetup({"hand": "shadow"})
 ALLEGRO = NamedSetup({"hand": "allegro"})
 MINI_ALLEGRO = NamedSetup(
     {"keyboard": "mini", "hand": "allegro", "hands": "right", "hand_spacing": 0.0, "touch": True}
+)
+ARM_ALLEGRO = NamedSetup(
+    {"hand": "arm-allegro", "hands": "apart", "initial_buffer_time": 1.0}, "icp"
 )
 
 

@@ -67,6 +67,18 @@ class ScorePlannerConfig:
 
 
 @dataclass(frozen=True)
+class ICPConfig:
+    """Offline planning: all of the song before the first action, and feedback of joints alone."""
+
+    fingers: Literal["nearest", "found"] = "nearest"
+    """nearest: the fingertips that come nearest to the keys of each chord. found: those that the
+    search finds for the whole song."""
+    rehearse: bool = True
+    """Play the plan through in simulation before, each hand by itself, refined by the planner's
+    sampling. Otherwise it is played as inverse kinematics have it."""
+
+
+@dataclass(frozen=True)
 class TrackedPressesConfig:
     """Key presses optimised beforehand and tracked with time-varying LQR."""
 

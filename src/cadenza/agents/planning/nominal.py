@@ -24,6 +24,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
+from cadenza.agents.planning.stances import Stances
 from cadenza.agents.planning.targets import Targets, pressing, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
@@ -158,6 +159,7 @@ class _Hands:
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
         self._rest = rest_posture(scene.hand, self._servos)
+        self._stances = Stances(scene, self._kinematics, self._servos, self._rest)
         self._places = forearm_places(scene, self._kinematics, self._rest)
 
     def at_rest(self, hand_qpos: Array, steps: int) -> Nominal:
@@ -225,11 +227,10 @@ class _Hands:
 
         Its first row is where they are.
         """
-        servos, states, here = self._servos, last + 1, plan.postures[-1]
+        states, here = last + 1, plan.postures[-1]
         guess = np.tile(self._rest, (states, 1))
-        slides = servos.along_keyboard
         lead, width = steps_in(_LEAD, self._dt), _SMOOTH / self._dt
-        for side, slide in zip(self._scene.sides, slides, strict=bool(slides)):
+        for side in self._scene.sides:
             place, count = np.zeros(states), np.zeros(states)
             for press in presses:
                 if press.side == side:
@@ -237,12 +238,12 @@ class _Hands:
                     place[there] += self._places[press.key, press.finger]
                     count[there] += 1
             if plan.num_steps and not count[first]:
-                place[first], count[first] = here[slide], 1
+                place[first], count[first] = self._stances.place(here, side), 1
             if count.any():
                 known = np.flatnonzero(count)
                 path = np.interp(np.arange(states), known, place[known] / count[known])
                 smooth = gaussian_filter1d(path, width, mode="nearest")
-                guess[:, slide] = np.clip(smooth, servos.low[slide], servos.high[slide])
+                self._stances.stand(guess, side, smooth)
         guess[first] = here
         return guess[first:]
 

@@ -1,0 +1,176 @@
+"""The body of an Allegro Hand on a KUKA LBR iiwa 7 R800.
+
+Figures of the arm from `iiwa7_allegro.urdf` in the PyPI package differentiable-robot-model 0.2.3
+(copyright Facebook, Inc. and its affiliates, MIT License): links, masses, inertias, joint limits,
+speeds, torques, and how the hand sits on the flange. The hand is that of
+`cadenza.hands.allegro.figures`. Shapes, servos and where the arm stands are Cadenza's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from cadenza.hands import forearm
+from cadenza.hands.allegro.figures import BODY as ALLEGRO
+from cadenza.hands.body import (
+    FOREARM_RGBA,
+    IDENTITY,
+    Actuator,
+    Body,
+    Geom,
+    Joint,
+    Link,
+    Mount,
+    Quaternion,
+    Vector,
+)
+
+SPEED = 10.0
+"""No joint of the arm turns faster [rad/s]."""
+TORQUE = 300.0
+"""No motor of the arm pulls harder [N m]."""
+
+_DAMPING = 0.5  # [N m s/rad]
+_HALF = float(np.sqrt(0.5))
+_UP: Quaternion = (_HALF, _HALF, 0.0, 0.0)  # rpy (pi/2, 0, 0)
+_OVER: Quaternion = (0.0, 0.0, _HALF, _HALF)  # rpy (pi/2, 0, pi), and (-pi/2, pi, 0)
+
+
+class _Part(NamedTuple):
+    """A link and the joint before it, as the URDF has them."""
+
+    pos: Vector
+    quat: Quaternion
+    limit: float  # [rad] either way
+    mass: float
+    com: Vector
+    moments: Vector  # ixx, iyy, izz
+    products: Vector  # ixy, ixz, iyz
+    kp: float  # [N m/rad]
+    kv: float  # [N m s/rad]
+    geoms: tuple[Geom, ...]
+
+
+def _rod(start: Vector, end: Vector, radius: float) -> Geom:
+    """A capsule between two points."""
+    a, b = np.array(start), np.array(end)
+    length = float(np.linalg.norm(b - a))
+    x, y, z = (b - a) / length
+    quat = np.array([1 + z, -y, x, 0.0])  # turns z into that direction
+    quat /= np.linalg.norm(quat)
+    middle: Vector = tuple(((a + b) / 2).tolist())
+    w, i, j, k = quat.tolist()
+    return Geom("capsule", (radius, length / 2), middle, (w, i, j, k))
+
+
+_PARTS = (
+    _Part(
+        (0, 0, 0.15), IDENTITY, 2.9670597283903604, 3.4525,
+        (0, -0.03, 0.12), (0.02183, 0.007703, 0.02083), (0, 0, -0.003887),
+        4400.0, 250.0, (_rod((0, 0, 0), (0, 0, 0.19), 0.068),),
+    ),
+    _Part(
+        (0, 0, 0.19), _OVER, 2.0943951023931953, 3.4821,
+        (0.0003, 0.059, 0.042), (0.02076, 0.02179, 0.00779), (0, -0.003626, 0),
+        4600.0, 265.0, (_rod((0, 0, 0), (0, 0.21, 0), 0.068),),
+    ),
+    _Part(
+        (0, 0.21, 0), _OVER, 2.9670597283903604, 4.05623,
+        (0, 0.03, 0.13), (0.03204, 0.00972, 0.03042), (0, 0, 0.006227),
+        1800.0, 100.0, (_rod((0, 0, 0), (0, 0, 0.19), 0.063),),
+    ),
+    _Part(
+        (0, 0, 0.19), _UP, 2.0943951023931953, 3.4822,
+        (0, 0.067, 0.034), (0.02178, 0.02075, 0.007785), (0, 0, -0.003625),
+        1800.0, 100.0, (_rod((0, 0, 0), (0, 0.21, 0), 0.063),),
+    ),
+    _Part(
+        (0, 0.21, 0), _OVER, 2.9670597283903604, 2.1633,
+        (0.0001, 0.021, 0.076), (0.01287, 0.005708, 0.01112), (0, 0, -0.003946),
+        2000.0, 40.0, (_rod((0, 0, 0), (0, 0.03, 0.12), 0.05),),
+    ),
+    _Part(
+        (0, 0.0607, 0.19), _UP, 2.0943951023931953, 2.3466,
+        (0, 0.0006, 0.0004), (0.006509, 0.006259, 0.004527), (0, 0, 0.00031891),
+        2000.0, 40.0, (_rod((0, 0, 0), (0, 0, 0.06), 0.05),),
+    ),
+    _Part(
+        (0, 0.081, 0.0607), _OVER, 3.0543261909900763, 3.129,
+        (0, 0, 0.02), (0.01464, 0.01465, 0.002872), (0.0005912, 0, 0),
+        300.0, 4.0, (Geom("cylinder", (0.045, 0.035), (0, 0, 0.015)),),
+    ),
+)  # fmt: skip
+
+_FLANGE_TO_PALM: Vector = (0, 0, 0.145)
+# Two arms have room side by side, and either reaches past the middle of the keyboard.
+MOUNT = Mount(pos=(0.72, 0.2, 0.0), quat=(_HALF, 0.0, 0.0, _HALF), home=0.2, low=-0.42, high=0.62)
+
+BASE = "arm0"
+NAMES = (*(f"arm{number}" for number in range(1, 7)), forearm.FOREARM)
+JOINTS = tuple(f"armJ{number}" for number in range(1, 8))
+
+
+def _arm() -> tuple[Link, ...]:
+    base = Link(
+        BASE, "", (0, 0, 0), 5.0, (-0.1, 0, 0.07), (0.05, 0.06, 0.03),
+        geoms=(Geom("cylinder", (0.085, 0.07), (0, 0, 0.07)),), rgba=FOREARM_RGBA,
+    )  # fmt: skip
+    chain = [
+        _link(name, parent, joint, part)
+        for (parent, name), joint, part in zip(
+            pairwise((BASE, *NAMES)), JOINTS, _PARTS, strict=True
+        )
+    ]
+    return base, *chain
+
+
+def _link(name: str, parent: str, joint: str, part: _Part) -> Link:
+    inertia, quat = _principal(part.moments, part.products)
+    return Link(
+        name, parent, part.pos, part.mass, part.com, inertia, quat, quat=part.quat,
+        joint=Joint(joint, (0, 0, 1), (-part.limit, part.limit), damping=_DAMPING),
+        geoms=part.geoms, rgba=FOREARM_RGBA,
+    )  # fmt: skip
+
+
+def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:
+    """The principal moments of an inertia, and how their axes are turned."""
+    tensor = np.diag(moments).astype(float)
+    tensor[[0, 0, 1], [1, 2, 2]] = tensor[[1, 2, 2], [0, 0, 1]] = products
+    values, axes = np.linalg.eigh(tensor)
+    axes[:, 2] *= np.linalg.det(axes)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    a, b, c = values.tolist()
+    w, x, y, z = quat.tolist()
+    return (a, b, c), (w, x, y, z)
+
+
+_HAND = [link for link in ALLEGRO.links if link.name != forearm.FOREARM]
+
+BODY = Body(
+    links=(
+        *_arm(),
+        *(
+            replace(link, pos=_FLANGE_TO_PALM, quat=IDENTITY) if link.name == "palm" else link
+            for link in _HAND
+        ),
+    ),
+    actuators=(
+        *(
+            Actuator(joint, part.kp, TORQUE, part.kv)
+            for joint, part in zip(JOINTS, _PARTS, strict=True)
+        ),
+        *ALLEGRO.actuators,
+    ),
+    excluded=((BASE, NAMES[0]), *ALLEGRO.excluded),
+    mount=MOUNT,
+    mirrored_masses=True,
+    armature=ALLEGRO.armature,
+    friction_loss=ALLEGRO.friction_loss,
+)

@@ -1,0 +1,79 @@
+"""Both hands, each simulated by itself at a piano of its own, and what they play combined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.fingers import SIDES, Side
+from cadenza.scene.scene import Scene, hand_alone
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.protocol import State
+
+Array = NDArray[np.float64]
+
+
+class HandsApart:
+    """N pairs of simulations, of either hand; implements `protocol.Simulation`.
+
+    The hands never meet. A key is where the hand has it that pushes it further down.
+
+    Attributes:
+        state: both hands, and the keys of both pianos combined.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int = 1,
+        control_timestep: float = 0.05,
+        num_threads: int = 1,
+        watch_forearms: bool = False,
+    ) -> None:
+        """As `MujocoSimulation`, of a scene with both hands."""
+        self.scene = scene
+        self._alone = [hand_alone(scene, side) for side in SIDES]
+        self._parts = [
+            MujocoSimulation(alone.scene, num_envs, control_timestep, num_threads)
+            for alone in self._alone
+        ]
+        self._combine()
+
+    def part(self, side: Side) -> State:
+        """What one hand does at its own piano."""
+        return self._parts[SIDES.index(side)].state
+
+    def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
+        for alone, part in zip(self._alone, self._parts, strict=True):
+            part.reset(env_ids, hand_qpos[:, alone.joints])
+        self._combine()
+
+    def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
+        for alone, part in zip(self._alone, self._parts, strict=True):
+            part.step(ctrl[:, alone.servos], env_ids)
+        self._combine()
+
+    def _combine(self) -> None:
+        right, left = (part.state for part in self._parts)
+        deeper = right.key_qpos >= left.key_qpos
+        self.state = State(
+            key_qpos=np.where(deeper, right.key_qpos, left.key_qpos),
+            key_xpos=np.where(deeper[..., None], right.key_xpos, left.key_xpos),
+            hand_qpos=np.concatenate([right.hand_qpos, left.hand_qpos], axis=1),
+            hand_qvel=np.concatenate([right.hand_qvel, left.hand_qvel], axis=1),
+            fingertip_xpos=right.fingertip_xpos + left.fingertip_xpos,
+            actuator_force=np.concatenate([right.actuator_force, left.actuator_force], axis=1),
+            actuator_velocity=np.concatenate(
+                [right.actuator_velocity, left.actuator_velocity], axis=1
+            ),
+            forearm_contact=np.zeros_like(right.forearm_contact),
+            touch=right.touch + left.touch,
+            unstable=right.unstable | left.unstable,
+        )
+
+    def close(self) -> None:
+        """Stops the threads."""
+        for part in self._parts:
+            part.close()

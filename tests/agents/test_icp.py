@@ -1,0 +1,70 @@
+"""Fingers by iterative closest points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cadenza.agents.baselines.icp import nearest_fingers
+from cadenza.fingering.players import Players
+from cadenza.fingers import SIDES
+from cadenza.music.score import Note
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.goal_track import players_of
+
+
+@pytest.fixture(scope="module")
+def players() -> Players:
+    return players_of(build_scene(SceneConfig(hand="arm-allegro")))
+
+
+def chord(*pitches: int, start: float = 0.0, end: float = 0.4) -> list[Note]:
+    return [Note(start, end, pitch) for pitch in pitches]
+
+
+def test_a_chord_as_wide_as_the_hand_is_played_by_all_fingers(players: Players) -> None:
+    """In their order, from the thumb outwards, which is to the left for the left hand."""
+    assert nearest_fingers(chord(72, 76, 79, 83), 0, players) == [0, 1, 2, 3]
+    assert nearest_fingers(chord(48, 52, 55, 59), 1, players) == [3, 2, 1, 0]
+
+
+@pytest.mark.parametrize("hand", range(len(SIDES)))
+def test_one_finger_plays_one_key_of_a_chord(players: Players, hand: int) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        pitches = 60 + rng.choice(24, rng.integers(1, 5), replace=False)
+        fingers = [
+            f for f in nearest_fingers(chord(*pitches.tolist()), hand, players) if f is not None
+        ]
+        assert fingers
+        assert len(set(fingers)) == len(fingers)
+
+
+def test_more_notes_than_fingers(players: Players) -> None:
+    fingers = nearest_fingers(chord(72, 74, 76, 77, 79), 0, players)
+    assert fingers.count(None) == 1
+
+
+def test_nothing_moves_for_what_is_repeated(players: Players) -> None:
+    notes = [note for i in range(4) for note in chord(74, start=0.5 * i, end=0.5 * i + 0.45)]
+    assert len(set(nearest_fingers(notes, 0, players))) == 1
+
+
+def test_a_finger_that_holds_a_key_plays_no_other(players: Players) -> None:
+    held = chord(72, end=2.0)
+    others = [note for i in range(1, 4) for note in chord(76, start=0.5 * i, end=0.5 * i + 0.4)]
+    first, *rest = nearest_fingers([*held, *others], 0, players)
+    assert first not in rest
+
+
+def test_a_finger_has_to_leave_its_key_before_it_plays_another(players: Players) -> None:
+    """A melody without gaps has another finger on each new key."""
+    scale: Sequence[int] = (72, 74, 76, 77, 79, 81, 83, 84)
+    notes = [n for i, p in enumerate(scale) for n in chord(p, start=0.5 * i, end=0.5 * i + 0.5)]
+    fingers = nearest_fingers(notes, 0, players)
+    assert None not in fingers
+    assert all(a != b for a, b in pairwise(fingers))
