@@ -120,6 +120,8 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
     scores = [f1 + onsets / 2 for _, f1, onsets in one.history]
     assert scores == sorted(scores)
     assert scores[-1] > scores[0]
+    f1 = [f1 for _, f1, _ in one.history]
+    assert f1 == sorted(f1)
 
 
 def assert_plays_as_it_says(practised: Practice, score: Score) -> None:

@@ -36,7 +36,7 @@ from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
 from cadenza.fingers import Side
-from cadenza.music.metrics import playing_metrics
+from cadenza.music.metrics import playing_metrics, step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
@@ -63,8 +63,12 @@ class Rehearsal(NamedTuple):
 
     @property
     def worth(self) -> float:
-        """The more, the better."""
+        """The more, the better, as long as F1 does not fall."""
         return self.f1 + ONSETS * self.note_onset_f1
+
+    def no_worse_than(self, other: Rehearsal) -> bool:
+        """Neither in worth nor in F1."""
+        return self.worth >= other.worth and self.f1 >= other.f1
 
 
 class _Sweep(NamedTuple):
@@ -229,7 +233,7 @@ class Practice:
         last = min(sweep.first + self._window, self.num_steps)
         lost = self.take.loss[sweep.first : last].any()
         if lost and self.simulated < sweep.until[last - 1]:
-            self._mend(sweep.first, last)
+            self._mend(sweep, last)
         elif last < self.num_steps:
             first, known = sweep.first + self._advance, sweep.first + self._ahead
             self._extend(known, known + self._advance)
@@ -239,10 +243,13 @@ class Practice:
             self._end(sweep)
 
     def _end(self, sweep: _Sweep) -> None:
-        """Of a sweep, which is undone if the song is played worse than before."""
-        before, now = (self._rehearsal(take).worth for take in (sweep.before, self.take))
+        """Of a sweep, which is undone if the song is played worse than before.
+
+        What is played with more onsets in time, but a lower F1, is worse.
+        """
+        before, now = map(self._rehearsal, (sweep.before, self.take))
         cheaper = self.take.cost.sum() < sweep.before.cost.sum()
-        if now < before or (now == before and not cheaper):
+        if not now.no_worse_than(before) or (now.worth == before.worth and not cheaper):
             self.take = sweep.before
         self._sweep = None
         self._note()
@@ -252,8 +259,9 @@ class Practice:
         if first < self.num_steps:
             self._put(first, *self._played(self.take, first, last))
 
-    def _mend(self, first: int, last: int) -> None:
-        """Has each hand that loses something from `first` to `last` try to lose less."""
+    def _mend(self, sweep: _Sweep, last: int) -> None:
+        """Has each hand that loses something in the window up to `last` try to lose less."""
+        first = sweep.first
         weight = self.take.loss[first:last] / (1.0 + self._tries[first:last])
         ahead = min(first + self._ahead, self.num_steps)
         losing = np.flatnonzero(weight.any(axis=0)).tolist()
@@ -272,14 +280,17 @@ class Practice:
         lost = {i: self.take.loss[attempts[i].first : ahead, i].sum() for i in losing}
         # Together, or else one of them.
         for changes in [found, *({i: found[i]} for i in found if len(found) > 1)]:
-            if changes and self._keep(changes, ahead):
+            if changes and self._keep(changes, ahead, sweep.before):
                 break
         for i, (step, begin, *_) in attempts.items():
             if self.take.loss[begin:ahead, i].sum() >= lost[i]:
                 self._tries[max(step - self._around, 0) : step + self._around + 1, i] += 1
 
-    def _keep(self, changes: Mapping[int, Change], last: int) -> bool:
-        """Puts changes by hands in, if all from there to `last` is cheaper then."""
+    def _keep(self, changes: Mapping[int, Change], last: int, before: Take) -> bool:
+        """Puts changes by hands in, if all from there to `last` is cheaper then.
+
+        For note onsets they may give up what F1 has risen by up to there, compared with `before`.
+        """
         first = min(change.first for change in changes.values())
         first -= first % self._between
         take = self.take.part(0, last)
@@ -289,6 +300,11 @@ class Practice:
         played, moments = self._played(take, first, last)
         if not played.cost.sum() < self.take.cost[first:last].sum():
             return False
+        kept = self.take.sounding
+        now, then = self._f1(played.sounding, first), self._f1(kept[first:last], first)
+        earlier = self._f1(kept[:first], 0) - self._f1(before.sounding[:last], 0)
+        if now < then and now + earlier < 0:
+            return False
         self._put(first, played, moments)
         return True
 
@@ -297,6 +313,11 @@ class Practice:
         simulation, part = self._before_step(first), take.part(first, last)
         self.simulated += len(part.ctrl) * len(self.hands)
         return self._stage.play(simulation, first, part, self.take.heard(first), self._between)
+
+    def _f1(self, sounding: NDArray[np.bool_], first: int) -> float:
+        """Of the steps from `first` on, in sum; `sounding` is (L, K)."""
+        wanted = self.plan.goals.keys[first : first + len(sounding)]
+        return float(step_metrics(sounding, wanted)[2].sum())
 
     def _put(self, first: int, played: Take, moments: Moments) -> None:
         self.take.put(first, played)
@@ -329,7 +350,8 @@ class Practice:
             return self._rehearsal(self.take)
         known = min(self._sweep.first + self._ahead, self.num_steps)
         takes = self._sweep.before, self._to_the_end(known)
-        return max(map(self._rehearsal, takes), key=lambda each: each.worth)
+        before, now = map(self._rehearsal, takes)
+        return now if now.no_worse_than(before) else before
 
     def _to_the_end(self, first: int) -> Take:
         """The take, played anew from a step on, which leaves practice where it is."""
