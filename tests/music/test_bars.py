@@ -165,6 +165,9 @@ def test_places_are_said_as_musicians_do(times, said):
 
 def test_without_bars_places_are_said_in_seconds():
     assert places(replace(THREE, bars=()), [4.5, 1]) == "1.0, 4.5 s"
+
+
+def test_the_silence_before_a_song_belongs_to_its_first_bar():
     later = THREE.with_initial_silence(0.5)
-    assert places(later, [0.2]) == "0.2 s"
-    assert places(later, [0.5]) == "bar 1"
+    assert places(later, [0.2, 0.5, 2.4]) == "bar 1"
+    assert places(later, [2.5]) == "bar 2"
