@@ -26,8 +26,9 @@ from cadenza.scene.servos import Servos, servos_of
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
-# Of the acceleration with which the planner's hands jump: it can mend landings that fail.
-_UNHURRIED = 0.25
+# Of the acceleration with which the planner's hands jump, and of how far they reach without a
+# jump: it can mend landings that fail.
+_UNHURRIED, _NEAR = 0.25, 0.7
 # Times what a white key takes. A fingertip would slip off a black one.
 _FIRMLY = 1.5
 
@@ -116,6 +117,7 @@ def _unhurried(hand: Hand) -> Hand:
     jumps = hand.jump_times
     slower = replace(
         jumps,
+        within_reach=_NEAR * jumps.within_reach,
         glide=_UNHURRIED * jumps.glide,
         glide_of_chord=_UNHURRIED * jumps.glide_of_chord,
     )
