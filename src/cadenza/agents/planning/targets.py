@@ -36,10 +36,10 @@ _STRIKE = 1.5
 _STRIKING = 0.05  # [s]
 
 # What a box is worth: the distance from it [m] that counts as one standard deviation.
-_X_SIGMA = 0.006
 _X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
-_AT_KEY = np.array([_X_SIGMA, 0.0015, 0.001])
-_ABOVE_KEY = np.array([_X_SIGMA, 0.0015, 0.003])
+# Closely along it as well: friction holds a fingertip that is to slide, and the hand is late.
+_AT_KEY = np.array([0.003, 0.0015, 0.001])
+_ABOVE_KEY = np.array([0.006, 0.0015, 0.003])
 _IDLE = np.array([0.005, 1.0, 0.006])
 _IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
 _BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
