@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 
 import av
@@ -40,15 +41,17 @@ def pictures(performance: cadenza.Performance) -> Iterator[NDArray[np.uint8]]:
 
 
 def write_webp(path: Path, frames: Iterator[NDArray[np.uint8]], fps: int) -> None:
+    """Writes pictures (H, W, 3), at least one, to a file."""
+    first = next(frames)
     with (
         write_atomically(path) as file,
         av.open(file, "w", format="webp", options={"loop": "0"}) as container,
     ):
         options = {"quality": "60", "compression_level": "6"}
         stream = container.add_stream("libwebp_anim", rate=fps, options=options)
-        stream.width, stream.height = PICTURE.width // 2, PICTURE.height // 2
+        stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
-        for frame in frames:
+        for frame in chain([first], frames):
             pixels = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
             container.mux(stream.encode(pixels))
         container.mux(stream.encode(None))

@@ -10,13 +10,19 @@ from pathlib import Path
 
 import pytest
 
+from cadenza.agents.agent import RandomAgent
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.libraries.imported import new_library
 from cadenza.music.score import Note, Score
-from cadenza.studio import reading, shelf
+from cadenza.performing.performance import perform
+from cadenza.performing.setup import select, set_up
+from cadenza.studio import comparing, reading, shelf
 from cadenza.studio.request import AGENTS, PlayRequest, read_request
 from cadenza.studio.shelf import Kept, Shelf, Upload
+
+SCORE = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
 
 
 def read(content: object) -> PlayRequest:
@@ -143,3 +149,43 @@ def test_what_is_no_music_is_refused_in_a_line(
 def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -> None:
     with pytest.raises(CadenzaError, match=why):
         reading.check_size(Score(notes))
+
+
+def kept(songs: Shelf, id: str, song: str, seed: int) -> Path:
+    folder = songs.folder / id
+    with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
+        perform(setup).save(folder, page=False)
+    about = Kept(song, asdict(PlayRequest(song, seed=seed)), 0.9, 8.0, 1.0)
+    write_json(folder / "studio.json", asdict(about))
+    return folder
+
+
+def test_two_performances_of_a_song_are_compared(
+    songs: Shelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = "0" * 16, "1" * 16, "2" * 16
+    one, two, _ = (kept(songs, *each) for each in zip(ids, "aab", range(3), strict=True))
+    with pytest.raises(CadenzaError, match="of one song"):
+        songs.comparison(*ids[1:])
+    folders, page = songs.comparison(*ids[:2])
+    assert folders == [one, two]
+    monkeypatch.setattr(sys, "argv", ["comparing", str(one), str(two), str(page)])
+    monkeypatch.setattr(comparing, "limit", lambda _: None)  # not on the process of the tests
+    comparing.main()
+    assert "2. RandomAgent, shadow, seed 1" in page.read_text()
+    songs.remove(ids[1])
+    assert not page.exists()
+
+
+def test_imported_libraries_are_listed(
+    songs: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CADENZA_DATA", str(tmp_path / "data"))
+    with new_library("mine") as library:
+        write_midi(SCORE, library.folder / "four.mid")
+        library.add("four.mid", SCORE, {"title": "Four notes"})
+    (song,) = (song for song in songs.songs() if song["id"] == "mine/four")
+    assert (song["title"], song["seconds"]) == ("Four notes", SCORE.total_time)
+    assert songs.source("mine/four") == ("Four notes", "mine/four", False)
+    with pytest.raises(CadenzaError, match="no such song"):
+        songs.source("mine/../four")

@@ -10,7 +10,7 @@ from typing import Any
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.report.comparison import COLUMNS, Run, write_comparison
-from cadenza.studio.limits import READING, limit
+from cadenza.studio.limits import PLAYING, limit
 
 
 def run_of(folder: Path, number: int) -> Run:
@@ -27,7 +27,7 @@ def run_of(folder: Path, number: int) -> Run:
 
 def main() -> None:
     """See above."""
-    limit(READING._replace(cpu=600))
+    limit(PLAYING)
     *folders, page = map(Path, sys.argv[1:])
     page.parent.mkdir(exist_ok=True)
     write_comparison(page, [run_of(folder, i) for i, folder in enumerate(folders, start=1)])

@@ -21,7 +21,7 @@ from cadenza.studio.trainings import Trainings
 
 MOST_WAITING = 8
 _MOST_WRITING = 2  # that write their files while others play
-_FINISHED_KEPT = 4  # whose rows stay in memory, to be watched again
+_FINISHED_KEPT = 2  # whose rows stay in memory, to be watched again
 _OVER = ("kept", "failed", "cancelled")
 
 
