@@ -48,8 +48,10 @@ _SHARED = (
 _OWN = ("instrument.js", "keyboard.js", "stream.js", "studio.js")
 _MOST_SENT = 1 << 18  # bytes of rows in a frame
 _WATCHERS = 16  # at once
-# Pages that were written bring their own policy; here they may not reach the studio.
+# Pages that were written bring their own policy; here they may not reach the studio either. One
+# that compares looks into pages within it, which a sandbox would keep it from.
 _ALONE = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
+_COMPARING = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -141,7 +143,7 @@ class Studio(Watchable):
         super().__init__()
         self.shelf = Shelf(folder)
         self.jobs = Jobs(self.shelf.folder, Trainings(runs), at_once, video)
-        self._hands = {name: entry.about for name, entry in HANDS.entries().items()}
+        self._hands = {name: name.capitalize() for name in HANDS.entries()}
         self._added = {
             name: f"{name} ({entry.about})"
             for name, entry in REGISTERED.entries().items()
@@ -287,7 +289,7 @@ class Studio(Watchable):
         if not page.exists():
             async with self._reading:
                 await write_comparison(folders, page)
-        return FileResponse(page, media_type="text/html; charset=utf-8", headers=_ALONE)
+        return FileResponse(page, media_type="text/html; charset=utf-8", headers=_COMPARING)
 
 
 async def _tell(job: Job, socket: WebSocket) -> None:
