@@ -240,9 +240,8 @@ def test_kept_performances_and_settings_are_found_after_a_restart(
         kept = list(folder.glob("*/studio.json"))
         visit(browser, f"{again}#song=OdeToJoy&hand=allegro&seed=7&tempo=1.5")
         assert "My <b>song" in text(browser, "kept")
-        chosen = (
-            "[...document.querySelectorAll('.options select, .options input')].map(e => e.value)"
-        )
+        chosen = """[...document.querySelectorAll(".options > label > :is(select, input)")]
+            .map((each) => each.value)"""
         assert browser.evaluate(chosen) == ["sight", "allegro", "1.5", "0", "7"]
         assert text(browser, "start") == "Play Ode to Joy"
         browser.evaluate("window.confirm = () => true")

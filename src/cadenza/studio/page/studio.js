@@ -416,6 +416,7 @@ function compare(each) {
 const f1 = (value) => `F1 ${value.toFixed(3)}`;
 /** Shows it, and again soon where something goes on. */
 async function listBackground() {
+  if (only) return;
   clearTimeout(listBackground.again);
   const { practice, trainings } = await ask("api/background");
   const works = trainings.map(training);
@@ -529,7 +530,7 @@ document.addEventListener("keydown", (event) => {
 
 await listSongs();
 await listKept();
-if (!only) await listBackground();
+await listBackground();
 const asked = fromHash();
 if (asked.job || only) {
   const [id, time] = JSON.parse(sessionStorage.getItem("cadenza") ?? "[null, 0]");
