@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.losses import Losses
-from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.refinement import EXPECTED, HandPart
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.takes import Take
 from cadenza.agents.planning.tracking import Follower
@@ -62,8 +62,8 @@ class _Trial(NamedTuple):
     cost: float
     ctrl: Array
     expected: Array
-    steps: int
-    """That were simulated."""
+    steps: list[float]
+    """What each of the steps that were simulated cost."""
 
 
 class HandPractice:
@@ -158,23 +158,30 @@ class HandPractice:
         can take one of each: what is known of the pairs before decides what is given up, however
         many threads there are.
         """
-        as_it_is = self._try(take, first, np.inf, offsets[0])
-        best, most, simulated = None, as_it_is.cost, as_it_is.steps
+        as_it_is = self._try(take, first, np.inf, np.zeros(len(offsets[0]) - 1), offsets[0])
+        best, most, simulated = None, as_it_is.cost, len(as_it_is.steps)
+        least = np.array(as_it_is.steps)
         for i in range(1, len(offsets), PLACES):
+            rest = EXPECTED * (least.sum() - np.cumsum(least))
             tries = [
-                partial(self._try, take, first, most, each, place)
+                partial(self._try, take, first, most, rest, each, place)
                 for place, each in enumerate(offsets[i : i + PLACES])
             ]
             for trial in self._threads.together(tries):
-                simulated += trial.steps
+                taken = len(trial.steps)
+                simulated += taken
+                least[:taken] = np.minimum(least[:taken], trial.steps)
                 if trial.cost < most:
                     best, most = trial, trial.cost
         return best, simulated
 
-    def _try(self, take: Take, first: int, most: float, offsets: Array, place: int = 0) -> _Trial:
+    def _try(
+        self, take: Take, first: int, most: float, rest: Array, offsets: Array, place: int = 0
+    ) -> _Trial:
         """Tries a take from `first` on, with offsets (L + 1, A) to where servos are before steps.
 
-        One that comes to cost `most` or more is given up, at infinite cost.
+        One that is likely to cost `most` or more, as after its steps `rest` (L,) is to be expected,
+        is given up, at infinite cost.
         """
         trials, rows = self._trials, slice(first, first + len(offsets) - 1)
         ctrl, expected = (
@@ -192,11 +199,12 @@ class HandPractice:
                 ctrl[k] = np.clip(ctrl[k] - back + offsets[k + 1], self._low, self._high)
                 yield ctrl[k]
 
-        cost, heard, steps = 0.0, take.heard(first).of(trials.keys), 0
+        cost, heard, steps = 0.0, take.heard(first).of(trials.keys), list[float]()
         for key_qpos, fingertips in trials.run(controls(), place):
-            row = first + steps
+            row = first + len(steps)
             _, more, heard = self._losses.after(row, key_qpos, fingertips, heard, trials.keys)
-            cost, steps = cost + more, steps + 1
-            if cost >= most:
+            cost += more
+            steps.append(more)
+            if cost + rest[len(steps) - 1] >= most:
                 return _Trial(np.inf, ctrl, expected, steps)
         return _Trial(np.inf if trials.unstable(place) else cost, ctrl, expected, steps)

@@ -55,7 +55,7 @@ _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails.
 _SUSTAINED = 0.3
-_EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
+EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
@@ -384,7 +384,7 @@ class HandRefinement:
             more, wrong = self._ahead.cost(k, *state)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
-            if rest is not None and cost + _EXPECTED * rest[k] >= most:
+            if rest is not None and cost + EXPECTED * rest[k] >= most:
                 return _Trial(np.inf, mistakes, steps)
         return _Trial(np.inf if self._trials.unstable(place) else cost, mistakes, steps)
 
