@@ -38,6 +38,23 @@ def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
         assert 0.1 * noise < np.abs(played - chosen).max() / 0.12 < 5 * noise
 
 
+def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_play(
+    tmp_path: Path,
+) -> None:
+    variation = Variation(noise=0.0, mirror=False, student="zero")
+    folders = collected(tmp_path / "a", variation, 4)
+    still = []
+    for episode in kept(tmp_path / "a"):
+        steps = episode.steps
+        chosen, played = steps["action"][:-1, :-1], steps["previous_action"][1:, :-1]
+        np.testing.assert_allclose(chosen, steps["tracked"][:-1], atol=1e-5)
+        students = ~(played == chosen).all(axis=1)
+        assert (played[students] == played[students][:1]).all()
+        still.extend(students)
+    assert len(folders) == 4
+    assert 0.1 < np.mean(still) < 0.9
+
+
 def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path) -> None:
     first, second = kept(made)
     assert first.score != second.score  # tempo and transposition

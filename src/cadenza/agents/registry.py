@@ -11,6 +11,7 @@ import warnings
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
+from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.planning.config import (
     ICPConfig,
     ILQGConfig,
@@ -37,6 +38,11 @@ AGENTS = Registry(
             "cadenza.agents.planning.score_planner:ScorePlanner",
             "inverse kinematics of the song, refined by sampling",
             ScorePlannerConfig,
+        ),
+        "generalist": Entry(
+            "cadenza.agents.generalist.generalist:Generalist",
+            "the same plan, corrected by what was learnt from the planner",
+            GeneralistConfig,
         ),
         "predictive-sampling": Entry(
             f"{_BASELINES}.predictive_sampling:PredictiveSampling",

@@ -121,9 +121,19 @@ def _who(command: Collect) -> Demonstrator:
     if agent in (PLAYBACK, PRETRAINED) or Path(agent).is_dir():
         raise CadenzaError(f"--agent {agent}: plays no song but its own; choose the planner")
     config = command.configs.get(agent)
+    student = command.variation.student
+    student_config = None if student is None else command.configs.get(student)
     make_agent(agent, config)  # who is not there is told before anyone plays
+    if student is not None:
+        make_agent(student, student_config)
     return Demonstrator(
-        agent, config, command.task, command.scene, command.arrangement, command.variation
+        agent,
+        config,
+        command.task,
+        command.scene,
+        command.arrangement,
+        command.variation,
+        student_config,
     )
 
 

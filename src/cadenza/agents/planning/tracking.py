@@ -55,7 +55,11 @@ class Follower:
         ctrl, gain, expected = (values[steps] for values in self._tracking)
         here = self.posture(state.hand_qpos, state.hand_qvel)
         feedback = (gain * (here - expected)).sum(axis=2)
-        return np.clip(ctrl - feedback, self._low, self._high)
+        return self.clip(ctrl - feedback)
+
+    def clip(self, ctrl: Array) -> Array:
+        """Controls (..., A) within their range."""
+        return np.clip(ctrl, self._low, self._high)
 
 
 # How much less a control's distance from what leads along the reference weighs than the servo's.

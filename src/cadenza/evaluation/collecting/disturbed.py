@@ -14,21 +14,27 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.view import View
 
 _LASTS = 0.15  # [s] after which noise has fallen to 1 / e
+_STRETCH = 1.0  # [s] on average, after which it is drawn anew who plays
+_STUDENTS = 0.5  # share of the stretches that the student plays
 
 
 class Disturbed(Agent):
     """Plays in one environment what another agent would, with noise, and keeps what that was.
 
-    The agent sees where the noise has led, and corrects it.
+    The agent sees where the noise has led, and corrects it. Where there is a student, it plays half
+    of the time, and the agent sees where that has led (DAgger: Ross, Gordon & Bagnell, A Reduction
+    of Imitation Learning and Structured Prediction to No-Regret Online Learning, 2011).
 
     Attributes:
         chosen: (A + 1,) of each step, without noise, as float32.
         start: the state before the first step.
     """
 
-    def __init__(self, agent: Agent, scene: Scene, noise: float) -> None:
+    def __init__(
+        self, agent: Agent, scene: Scene, noise: float, student: Agent | None = None
+    ) -> None:
         """`noise` is its standard deviation, of what the planner's search has for each servo."""
-        self._agent = agent
+        self._agent, self._student = agent, student
         use = [scene.hand.servo(name).noise for name in servos_of(scene).names]
         self._sigma = noise * np.array([*use, 0.0])
         self.chosen: list[NDArray[np.float32]] = []
@@ -39,6 +45,9 @@ class Disturbed(Agent):
         agent_rng, self._rng = rng.spawn(2)
         self._agent.progress = self.progress
         self._agent.reset(env_ids, [agent_rng])
+        if self._student is not None:
+            self._student.reset(env_ids, self._rng.spawn(1))
+        self._students_turn = False
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
         self.start = None
@@ -52,7 +61,23 @@ class Disturbed(Agent):
         kept = np.exp(-task.config.control_timestep / _LASTS)
         fresh = np.sqrt(1 - kept**2) * self._sigma
         self._noise = kept * self._noise + fresh * self._rng.standard_normal(len(fresh))
-        played = np.clip(chosen + self._noise, task.action_low, task.action_high)
+        played = np.clip(
+            self._of_either(chosen, view) + self._noise, task.action_low, task.action_high
+        )
         self.chosen.append(chosen.astype(np.float32))
         # What is recorded is exactly what is played, so that it can be played again.
         return played.astype(np.float32).astype(np.float64)[None]
+
+    def close(self) -> None:
+        """Closes the student; the agent is whose it was."""
+        if self._student is not None:
+            self._student.close()
+
+    def _of_either(self, chosen: Array, view: View) -> Array:
+        """(A + 1,) what the agent has chosen, or what the student does where it is its turn."""
+        if self._student is None:
+            return chosen
+        if self._rng.random() < view.task.config.control_timestep / _STRETCH:
+            self._students_turn = self._rng.random() < _STUDENTS
+        theirs = self._student.act(view)[0]
+        return theirs if self._students_turn else chosen

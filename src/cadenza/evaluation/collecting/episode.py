@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.demonstrations.recorded import (
     FORMAT,
@@ -51,6 +53,8 @@ class EpisodeSpec(JobSpec):
     """All that an episode depends on; its `seed` is the number of the episode of its song."""
 
     variation: Variation = field(default_factory=Variation)
+    student_config: Any = None
+    """The options of the student, if there is one and it has any."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class Demonstrator(NamedTuple):
     scene: SceneConfig
     arrangement: Arrangement
     variation: Variation
+    student_config: Any = None
 
 
 def episodes(
@@ -95,6 +100,7 @@ def episodes(
                 arrangement=who.arrangement,
                 config=who.config,
                 variation=who.variation,
+                student_config=who.student_config,
             ),
             song,
             least_f1=least_f1,
@@ -132,8 +138,10 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     pitches = keyboard_named(spec.scene.keyboard).pitches
     score, drawn = _drawn(selection.score, spec.variation, pitches, rng)
     selection = replace(selection, score=score)
-    with set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup:
-        disturbed = Disturbed(setup.agent, setup.task.scene, drawn["noise"])
+    with (
+        set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup,
+        closing(_disturbed(setup, drawn["noise"], spec)) as disturbed,
+    ):
         result = play_episode(setup.task, disturbed, seed, tell)
         kept = _good(result.metrics, job)
         plan = _plan(setup, disturbed) if kept else None
@@ -155,6 +163,12 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
         write_about(folder, made)
     else:
         write(folder, made, plan.track.score, _arrays(result, disturbed, plan))
+
+
+def _disturbed(setup: Setup, noise: float, spec: EpisodeSpec) -> Disturbed:
+    name = spec.variation.student
+    student = None if name is None else make_agent(name, spec.student_config)
+    return Disturbed(setup.agent, setup.task.scene, noise, student)
 
 
 def _good(metrics: dict[str, Any], job: EpisodeJob) -> bool:

@@ -18,6 +18,9 @@ class Variation:
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Play so many seconds from somewhere in the song, instead of all of it."""
+    student: str | None = None
+    """Another agent, which plays half of the time, in stretches of about a second. What is recorded
+    is what the first agent would have played in its place."""
 
 
 def varied() -> TaskConfig:

@@ -1,0 +1,189 @@
+"""What the generalist is told of a hand: its plan for half a second, and how far off it is.
+
+All of it is relative to the hand and its plan, and a left hand is shown as its mirror image, so
+that what is learnt serves both hands and every place on the keyboard.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.presses import Press
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.fingers import SIDES, Side
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+from cadenza.sim.protocol import State
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+FAR = 8
+"""Control steps ahead; what is further off looks the same."""
+_POSTURES = (1, 2, 3, 5)  # steps ahead at which the planned posture is shown
+_HELD = 6  # steps ahead for which is shown whether a finger holds a key
+_NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys beside that of a finger
+_MOST = 1.5  # corrections, of what a servo's `correction` is
+
+# What counts as one.
+_POSTURE = 0.1  # [m, rad] of planned postures
+_SPEED = 2.0  # [m/s, rad/s] of planned speeds
+_OFF, _TOO_FAST = 0.05, 1.0  # [m, rad], [m/s, rad/s] by which a servo is off its plan
+_TIP_OFF = 0.01  # [m] by which a fingertip is
+_KEY_OFF = 0.03  # [m] from a planned fingertip to the middle of its key
+
+
+class Mirror(NamedTuple):
+    """Makes a right hand of either hand."""
+
+    y: float
+    """What turns positions along the keyboard, 1 or -1."""
+    servos: Array
+    """(A,) what turns the coordinates of servos."""
+
+    @classmethod
+    def of(cls, side: Side, alone: Scene) -> Mirror:
+        """For the hand on one side, which is `alone` in a scene."""
+        y, servos = (1.0 if side == "right" else -1.0), servos_of(alone)
+        turned = np.ones(len(servos.names))
+        turned[servos.along_keyboard] = y
+        return cls(y, turned)
+
+    @property
+    def place(self) -> Array:
+        """(3,) what turns positions."""
+        return np.array([1.0, self.y, 1.0])
+
+
+class HandInputs:
+    """What is told of one hand, before each of the steps that a plan has from some on."""
+
+    def __init__(self, plan: SongPlan, side: Side, alone: Scene, servos: slice, first: int) -> None:
+        """Args:
+        plan: as far as it goes.
+        side: of the hand.
+        alone: a scene with this hand only.
+        servos: which of the plan's they are.
+        first: the step before which something is told for the first time.
+        """
+        self._mirror, self._first = Mirror.of(side, alone), first
+        self._keyboard, scene = alone.keyboard, plan.scene
+        self._fingers = scene.fingers.of_hand(SIDES.index(side))
+        self._tracking = plan.nominal.tracking.of(servos)
+        count = scene.fingers.per_hand
+        row = count * scene.sides.index(side)
+        self._tips = plan.nominal.fingertips[:, row : row + count]
+        self._wanted = plan.goals.keys
+        steps = np.arange(first, plan.nominal.num_steps)
+        mine = [press for press in plan.nominal.presses if press.side == side]
+        fingers = range(self._fingers.start, self._fingers.stop)
+        coming = [self._coming([p for p in mine if p.finger == f], f, steps) for f in fingers]
+        self._key = np.stack([key for key, _ in coming], axis=1)  # (S, F) -1 for none
+        presses = np.stack([shown for _, shown in coming], axis=1).reshape(len(steps), -1)
+        self._planned = np.concatenate([self._postures(alone, steps), presses], axis=1)
+
+    def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
+        """(S, 7 A) what the plan does with the servos."""
+        ctrl, _, expected = self._tracking
+        turned, here = self._mirror.servos, expected[steps, :, 0]
+        last = len(ctrl)
+        ahead = [expected[np.minimum(steps + far, last), :, 0] for far in _POSTURES]
+        relative = [(there - here) * turned / _POSTURE for there in (*ahead, ctrl[steps])]
+        still = here.copy()
+        still[:, servos_of(alone).along_keyboard] = 0.0  # wherever on the keyboard
+        return np.concatenate([*relative, still, expected[steps, :, 1] * turned / _SPEED], axis=1)
+
+    def _coming(
+        self, presses: list[Press], finger: int, steps: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], Array]:
+        """(S,) the key that a finger presses or will press next, and (S, 15) what is told of it."""
+        shown = np.zeros((len(steps), 9 + _HELD))
+        if not presses:
+            shown[:, :2], shown[:, 4 + _HELD] = 1.0, 1.0
+            return np.full(len(steps), -1), shown
+        begins, ends, keys = np.array([(p.first, p.last, p.key) for p in presses]).T
+        jumps = np.array([press.flies_to or press.flies_off for press in presses])
+        following = np.searchsorted(ends, steps, "right")
+        over = following == len(presses)
+        which = np.minimum(following, len(presses) - 1)
+        key = keys[which]
+        shown[:, 0] = np.clip(begins[which] - steps, -FAR, FAR) / FAR
+        shown[:, 1] = np.clip(ends[which] - steps, 0, FAR) / FAR
+        shown[:, 2], shown[:, 3] = self._keyboard.is_black[key], jumps[which]
+        soon = steps[:, None] + np.arange(1, _HELD + 1)
+        at = np.searchsorted(begins, soon, "right") - 1
+        shown[:, 4 : 4 + _HELD] = (at >= 0) & (soon < ends[np.maximum(at, 0)])
+        near = np.clip(1 - (begins[which] - steps) / FAR, 0, 1)
+        tips = self._tips[steps, finger - self._fingers.start]
+        way = (self._keyboard.centre[key] - tips) * self._mirror.place / _KEY_OFF
+        shown[:, 5 + _HELD : 8 + _HELD] = np.clip(way, -2, 2) * (near > 0)[:, None]
+        shown[:, 8 + _HELD] = near
+        shown[over] = 0.0
+        shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
+        return np.where(over, -1, key), shown
+
+    @property
+    def size(self) -> int:
+        """D"""
+        of_a_finger = len(_NEIGHBOURS) + 1 + 2 * self._tips.shape[-1]
+        fingers = self._fingers.stop - self._fingers.start
+        return self._planned.shape[1] + 3 * len(self._mirror.servos) + of_a_finger * fingers
+
+    def at(self, step: int, posture: Array, correction: Array, state: State) -> Floats:
+        """(D,) what is told before a step.
+
+        Args:
+            step: of the song.
+            posture: (A, 2) position and speed of the hand's servos.
+            correction: (A,) what was answered before the step before.
+            state: of all that is there, of one simulation.
+        """
+        row, (turned, place) = step - self._first, (self._mirror.servos, self._mirror.place)
+        off = (posture - self._tracking.expected[step]) * turned[:, None]
+        tips = state.fingertip_xpos[0, self._fingers]
+        following = min(step + 1, len(self._tips) - 1)
+        parts = (
+            self._planned[row],
+            np.clip(off[:, 0] / _OFF, -4, 4),
+            np.clip(off[:, 1] / _TOO_FAST, -4, 4),
+            correction,
+            self._depths(row, step, state.key_qpos[0]).ravel(),
+            np.clip((tips - self._tips[step]) * place / _TIP_OFF, -4, 4).ravel(),
+            np.clip((tips - self._tips[following]) * place / _TIP_OFF, -4, 4).ravel(),
+        )
+        return np.concatenate(parts, dtype=np.float32)
+
+    def _depths(self, row: int, step: int, key_qpos: Array) -> Array:
+        """(F, 6) how far down a finger's key and its neighbours are, and whether it should be."""
+        key = self._key[row][:, None]
+        beside = key + (_NEIGHBOURS * self._mirror.y).astype(np.intp)
+        there = (key >= 0) & (beside >= 0) & (beside < len(key_qpos))
+        depths = np.where(there, (key_qpos / self._keyboard.travel)[beside * there], 0.0)
+        wanted = self._wanted[step, np.maximum(key, 0)] & (key >= 0)
+        return np.concatenate([depths, wanted], axis=1)
+
+
+class Corrections(NamedTuple):
+    """Answers as controls of a hand."""
+
+    turned: Array
+    """(A,)"""
+    scale: Array
+    """(A,) what counts as one [m, rad]."""
+
+    @classmethod
+    def of(cls, side: Side, alone: Scene) -> Corrections:
+        """For the hand on one side, which is `alone` in a scene."""
+        scale = [alone.hand.servo(name).correction for name in servos_of(alone).names]
+        return cls(Mirror.of(side, alone).servos, np.array(scale))
+
+    def ctrl(self, answer: Floats) -> Array:
+        """(A,) what is added to the controls."""
+        return np.clip(answer, -_MOST, _MOST) * self.turned * self.scale
+
+    def answer(self, ctrl: Array) -> Array:
+        """The inverse of `ctrl`, of what was added."""
+        return np.clip(ctrl * self.turned / self.scale, -_MOST, _MOST)

@@ -1,0 +1,235 @@
+"""The agent that corrects plans by what it has learnt from the planner."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cadenza.agents.agent import Array
+from cadenza.agents.generalist import weights as weights_module
+from cadenza.agents.generalist.config import GeneralistConfig
+from cadenza.agents.generalist.generalist import CorrectedHand, Generalist
+from cadenza.agents.generalist.inputs import Corrections
+from cadenza.agents.generalist.weights import Weights
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.rollout import play_episode
+from cadenza.errors import CadenzaError
+from cadenza.fingers import SIDES
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import hand_alone
+from cadenza.scene.servos import servos_of
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import View
+from numbered import finger
+
+TASK = TaskConfig(initial_buffer_time=0.5)
+SHIPPED = Path(weights_module.__file__).parent / "shadow.npz"
+WHITE = (60, 62, 64, 65, 67, 65, 64, 62)
+
+
+def notes_of_thumb_to_little(first_finger: int) -> Score:
+    """Two bars of five white keys, with the fingers of one hand."""
+    step = 0.3
+    return Score(
+        tuple(
+            Note(i * step, (i + 1) * step, pitch, 80, finger(first_finger + WHITE.index(pitch)))
+            for i, pitch in enumerate(WHITE)
+        )
+    )
+
+
+def planned(score: Score) -> SongPlan:
+    task = PianoTask([score], TASK)
+    (track,) = task.tracks
+    plan = plan_song(track, task.state.hand_qpos[0])
+    task.close()
+    return plan
+
+
+def state_on(plan: SongPlan, step: int, depths: dict[int, float]) -> State:
+    """As if the hands had come exactly where the plan has them.
+
+    Args:
+        plan: of both hands.
+        step: before which.
+        depths: how far down keys are [rad], by index.
+    """
+    tips, keys = np.zeros((1, 10, 3)), np.zeros((1, 88))
+    tips[0, plan.scene.fingers_there] = plan.nominal.fingertips[step]
+    keys[0, list(depths)] = list(depths.values())
+    posture = plan.nominal.tracking.expected[step, :, 0]
+    return State.zeros(plan.scene, 1)._replace(
+        hand_qpos=(posture @ servos_of(plan.scene).joints)[None],
+        fingertip_xpos=tips,
+        key_qpos=keys,
+    )
+
+
+def elsewhere(plan: SongPlan, key: Callable[[int], int], of: list[int], sign: float) -> SongPlan:
+    """The same motion in another place.
+
+    Args:
+        plan: of both hands.
+        key: where each key goes.
+        of: whose servos become those of the right and the left hand.
+        sign: of distances along the keyboard.
+    """
+    nominal, servos = plan.nominal, servos_of(plan.scene)
+    turned = np.ones(len(servos.names))
+    turned[servos.along_keyboard] = sign
+    half = len(turned) // 2
+    order = np.concatenate([np.arange(half) + half * hand for hand in of])
+    ctrl, gain, expected = nominal.tracking
+    tracking = Tracking(
+        ctrl[:, order] * turned, gain[:, order], expected[:, order] * turned[:, None]
+    )
+    tips = nominal.fingertips[:, np.concatenate([np.arange(5) + 5 * hand for hand in of])].copy()
+    centre = plan.scene.keyboard.centre[:, 1]
+    here = plan.nominal.presses[0].key
+    tips[..., 1] = centre[key(here)] + sign * (tips[..., 1] - centre[here])
+    presses = [
+        press._replace(
+            side=SIDES[of[SIDES.index(press.side)]],
+            finger=press.finger % 5 + 5 * of[press.finger // 5],
+            key=key(press.key),
+        )
+        for press in nominal.presses
+    ]
+    keys = np.zeros_like(plan.goals.keys)
+    for i in np.flatnonzero(plan.goals.keys.any(axis=0)):
+        keys[:, key(i)] = plan.goals.keys[:, i]
+    return plan._replace(
+        goals=replace(plan.goals, keys=keys),
+        nominal=nominal._replace(tracking=tracking, fingertips=tips, presses=presses),
+    )
+
+
+def play(score: Score, agent: Generalist | ScorePlanner, seed: int = 0) -> dict[str, float]:
+    return play_episode(PianoTask([score], TASK), agent, seed).metrics
+
+
+# What is told
+
+
+@pytest.mark.parametrize("step", [10, 25, 40])
+def test_left_hand_is_told_what_the_right_hand_would_be_in_the_mirror(
+    scene_of_both: SongPlan, step: int
+) -> None:
+    images = elsewhere(scene_of_both, lambda key: 82 - key, [1, 0], -1.0)
+    told = CorrectedHand(scene_of_both, "right").see(
+        step, state_on(scene_of_both, step, {39: 0.02, 41: 0.05})
+    )
+    mirrored = CorrectedHand(images, "left").see(step, state_on(images, step, {43: 0.02, 41: 0.05}))
+    # Black keys are up to a millimetre from where their images would be.
+    np.testing.assert_allclose(told[0], mirrored[0], atol=0.05)
+
+
+def test_corrections_of_a_left_hand_are_mirrored(scene_of_both: SongPlan) -> None:
+    right, left = (
+        Corrections.of(side, hand_alone(scene_of_both.scene, side).scene)
+        for side in ("right", "left")
+    )
+    names = [name.rpartition("/")[2] for name in scene_of_both.scene.actuator_names]
+    answer = np.full(len(right.scale), 0.5, np.float32)
+    opposite = np.flatnonzero(right.ctrl(answer) == -left.ctrl(answer))
+    assert [names[i] for i in opposite] == [n for n in names[: len(answer)] if "forearm_tx" in n]
+    np.testing.assert_allclose(left.answer(left.ctrl(answer)), answer)
+
+
+@pytest.fixture(scope="module")
+def scene_of_both() -> SongPlan:
+    return planned(notes_of_thumb_to_little(0))
+
+
+def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
+    higher = elsewhere(scene_of_both, lambda key: key + 12, [0, 1], 1.0)
+    here = CorrectedHand(scene_of_both, "right").see(25, state_on(scene_of_both, 25, {39: 0.02}))
+    there = CorrectedHand(higher, "right").see(25, state_on(higher, 25, {51: 0.02}))
+    np.testing.assert_allclose(here[0], there[0], atol=1e-3)
+
+
+# How it plays
+
+
+def test_plays_better_than_its_plan() -> None:
+    score = load_score("CMajorChordProgressionTwoHands").beginning(4.0)
+    alone = ScorePlannerConfig(method="none")
+    assert play(score, Generalist())["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
+
+
+def test_plays_the_same_each_time() -> None:
+    score = load_score("OdeToJoy").beginning(3.0)
+    agent = Generalist()
+    first, second = (
+        play_episode(PianoTask([score], TASK), agent, seed).episode["action"] for seed in (0, 1)
+    )
+    np.testing.assert_array_equal(first, second)
+
+
+def test_plays_on_where_a_window_of_the_plan_ends() -> None:
+    agent = Generalist()
+    task = PianoTask([load_score("OdeToJoy").beginning(6.0)], TASK)
+    whole = []
+
+    def noted(view: View) -> Array:
+        action = act(view)
+        whole.append(agent.planners[0].plan.complete)
+        return action
+
+    act, agent.act = agent.act, noted  # type: ignore[method-assign]
+    assert play_episode(task, agent, 0).metrics["f1"] > 0.95
+    assert not whole[0]
+    assert whole[-1]
+
+
+# What cannot be
+
+
+def test_hand_that_it_has_not_learnt_with() -> None:
+    task = PianoTask([load_score("OdeToJoy")], TASK, SceneConfig(hand="allegro"))
+    with pytest.raises(CadenzaError, match="has not learnt to play with hand allegro"):
+        play_episode(task, Generalist(), 0)
+
+
+def test_hand_with_other_servos() -> None:
+    scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
+    task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
+    with pytest.raises(CadenzaError, match="leave out options that change the hands"):
+        play_episode(task, Generalist(), 0)
+
+
+def test_weights_that_are_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "half.npz"
+    path.write_bytes(SHIPPED.read_bytes()[:10_000])
+    with pytest.raises(CadenzaError, match=r"half\.npz") as raised:
+        play(load_score("OdeToJoy"), Generalist(GeneralistConfig(str(path))))
+    assert "\n" not in str(raised.value)
+
+
+def test_weights_that_do_not_fit_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "other.npz"
+    with np.load(SHIPPED) as arrays:
+        np.savez(path, kernel=arrays["kernel"][:, 1:], bias=arrays["bias"])
+    with pytest.raises(CadenzaError, match=r"other\.npz: .*bias"):
+        Weights.load(path)
+
+
+def test_plays_without_jax() -> None:
+    code = """import sys, cadenza
+score = cadenza.Score((cadenza.Note(0.0, 0.5, 60),))
+cadenza.play(score, "generalist")
+print("jax" in sys.modules)"""
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
