@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
+from cadenza.music.etudes import make_etude
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.library import libraries, load_score, open_library
 from cadenza.music.score import Note, Score
@@ -109,12 +110,14 @@ def test_etudes() -> None:
     assert len({song.name for song in library.songs}) == len(library.songs) == 30
     assert library.songs == open_library("etudes:40:7").songs[:30]
     assert library.songs != open_library("etudes:30").songs
+    alike = open_library("etudes:notes-6:3").songs
+    assert [song.load() for song in alike] == [make_etude("notes", 6, seed) for seed in range(3)]
     song = pickle.loads(pickle.dumps(library.songs[0]))
     assert song.load() == load_score(song.name)
     assert {song.difficulty for song in library.songs} <= {float(i) for i in range(1, 11)}
     with pytest.raises(CadenzaError, match="has no tracks to choose from"):
         song.load((1,))
-    for wrong in ("etudes:", "etudes:x", "etudes:1:2:3", "etudes:" + 5000 * "9"):
+    for wrong in ("etudes:", "etudes:x", "etudes:1:2:3", "etudes:notes-6:0", "etudes:" + 5000 * "9"):
         with pytest.raises(CadenzaError, match="give how many, such as etudes:300"):
             open_library(wrong)
     with pytest.raises(CadenzaError, match="no etude named 'etudes/scales'"):

@@ -1,4 +1,4 @@
-"""Etudes as a song library: `etudes:N`, or `etudes:N:SEED`."""
+"""Etudes as a song library: `etudes:N`, `etudes:N:SEED`, or `etudes:KIND-DIFFICULTY:N`."""
 
 from __future__ import annotations
 
@@ -19,23 +19,28 @@ from cadenza.music.score import Score
 
 _SOME = 100
 _WHICH = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
+_ALIKE = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
 
 
 def etude_library(which: str = str(_SOME)) -> Library:
-    """Etudes of all kinds and difficulties.
+    """Etudes of all kinds and difficulties, or of one.
 
     Args:
-        which: how many, such as "300", and perhaps the seed that they are drawn from: "300:1".
+        which: how many, such as "300", and perhaps the seed that they are drawn from: "300:1"; or
+            a kind, a difficulty and how many, with the seeds 0, 1 and so on: "notes-6:20".
 
     Raises:
         CadenzaError: `which` is nothing like this.
     """
-    if not _WHICH.fullmatch(which):
+    if alike := _ALIKE.fullmatch(which.lower()):
+        names = [f"{LIBRARY}/{alike[1]}-{seed}" for seed in range(int(alike[2]))]
+    elif _WHICH.fullmatch(which):
+        names = etude_names(*map(int, which.split(":")))
+    else:
         raise CadenzaError(
-            f"{LIBRARY}:{which}: give how many, such as {LIBRARY}:300, or {LIBRARY}:300:1 with a "
-            "seed"
+            f"{LIBRARY}:{which}: give how many, such as {LIBRARY}:300, {LIBRARY}:300:1 with a "
+            f"seed, or {LIBRARY}:scales-3:20 of one kind and difficulty"
         )
-    names = etude_names(*map(int, which.split(":")))
     return Library(f"{LIBRARY}:{which}", tuple(map(etude_song, names)))
 
 

@@ -1,0 +1,65 @@
+"""How policies play what they were trained on, from where hands begin and from beside it.
+
+    python -m benchmarks.drills RUN/best ... [--starts N]
+
+Prints a table in Markdown. An episode succeeds if all keys are right: every note sounds for half of
+its time or more, and no other key sounds, but for one control step before or after its note.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.rollout import EpisodeResult, play_episodes
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.music.score import Score
+from cadenza.tasks.piano_task import PianoTask
+
+_BESIDE = 0.01  # [m] that hands begin to the left or to the right, at most
+
+
+def succeeds(goal: NDArray[np.bool_], sounding: NDArray[np.bool_]) -> bool:
+    """Whether all keys are right; arrays (T, K)."""
+    near = np.pad(goal, ((1, 1), (0, 0)))
+    near = near[:-2] | near[1:-1] | near[2:]
+    edges = np.diff(np.pad(goal, ((1, 1), (0, 0))).astype(int), axis=0)
+    starts, ends = (np.argwhere(edges.T == edge) for edge in (1, -1))
+    held = [sounding[a:b, k].mean() for (k, a), (_, b) in zip(starts, ends, strict=True)]
+    return not (sounding & ~near).any() and min(held) >= 0.5
+
+
+def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResult]:
+    """Episodes that begin up to `beside` [m] from where hands usually do."""
+    config = replace(learnt.task, random_hand_position=beside)
+    score: Score = learnt.score
+    with closing(PianoTask([score], config, learnt.scene, starts)) as task:
+        return play_episodes(task, learnt.agent, range(starts))
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description="How policies play what they were trained on.")
+    parser.add_argument("policies", nargs="+", type=Path)
+    parser.add_argument("--starts", type=int, default=20)
+    options = parser.parse_args()
+    print("| policy | F1 | all keys right | F1, begun beside | all keys right, begun beside |")
+    print("| --- | --- | --- | --- | --- |")
+    for folder in options.policies:
+        learnt, cells = load_policy(folder), [str(folder)]
+        for starts, beside in ((1, 0.0), (options.starts, _BESIDE)):
+            results = played(learnt, starts, beside)
+            arrays = [result.episode.arrays for result in results]
+            right = sum(succeeds(a["goal_keys"], a["key_activation"]) for a in arrays)
+            f1 = np.mean([result.metrics["f1"] for result in results])
+            cells += [f"{f1:.3f}", f"{right} of {starts}"]
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
