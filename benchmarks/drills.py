@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.rollout import EpisodeResult, play_episodes
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
-from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
 
 _BESIDE = 0.01  # [m] that hands begin to the left or to the right, at most
@@ -28,17 +27,17 @@ def succeeds(goal: NDArray[np.bool_], sounding: NDArray[np.bool_]) -> bool:
     """Whether all keys are right; arrays (T, K)."""
     near = np.pad(goal, ((1, 1), (0, 0)))
     near = near[:-2] | near[1:-1] | near[2:]
-    edges = np.diff(np.pad(goal, ((1, 1), (0, 0))).astype(int), axis=0)
-    starts, ends = (np.argwhere(edges.T == edge) for edge in (1, -1))
+    edges = np.diff(np.pad(goal, ((1, 1), (0, 0))).astype(int), axis=0).T
+    starts, ends = np.argwhere(edges > 0), np.argwhere(edges < 0)
     held = [sounding[a:b, k].mean() for (k, a), (_, b) in zip(starts, ends, strict=True)]
     return not (sounding & ~near).any() and min(held) >= 0.5
 
 
 def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResult]:
     """Episodes that begin up to `beside` [m] from where hands usually do."""
+    assert learnt.score is not None, "the policy plays any song: what is it to play?"
     config = replace(learnt.task, random_hand_position=beside)
-    score: Score = learnt.score
-    with closing(PianoTask([score], config, learnt.scene, starts)) as task:
+    with closing(PianoTask([learnt.score], config, learnt.scene, starts)) as task:
         return play_episodes(task, learnt.agent, range(starts))
 
 

@@ -59,3 +59,17 @@ def test_the_planner_plays_five_notes_with_four_fingers() -> None:
     )
     assert performance.metrics["f1"] > 0.9
     assert {note.finger.index for note in performance.track.score.notes} <= {0, 1, 2, 3}
+
+
+def test_narrow_tips_end_where_the_others_do() -> None:
+    wide, narrow = (build_scene(SceneConfig(hand=h)).model for h in ("allegro", "allegro-narrow"))
+    for finger in ("ff", "mf", "rf", "th"):
+        ends, radii = [], []
+        for model in (wide, narrow):
+            tip = model.geom(model.body(f"rh_{finger}distal").geomadr[0] + 1)
+            ends.append([tip.pos[2] - sum(tip.size), tip.pos[2] + sum(tip.size)])
+            radii.append(tip.size[0])
+            site = model.site(f"rh_{finger}tip")
+            assert_allclose(site.pos[2] + radii[-1], ends[-1][1])
+        assert_allclose(*ends)
+        assert_allclose(radii, [0.012, 0.006])

@@ -117,9 +117,9 @@ def test_etudes() -> None:
     assert {song.difficulty for song in library.songs} <= {float(i) for i in range(1, 11)}
     with pytest.raises(CadenzaError, match="has no tracks to choose from"):
         song.load((1,))
-    for wrong in ("etudes:", "etudes:x", "etudes:1:2:3", "etudes:notes-6:0", "etudes:" + 5000 * "9"):
+    for wrong in ("", "x", "1:2:3", "notes-6:0", 5000 * "9"):
         with pytest.raises(CadenzaError, match="give how many, such as etudes:300"):
-            open_library(wrong)
+            open_library(f"etudes:{wrong}")
     with pytest.raises(CadenzaError, match="no etude named 'etudes/scales'"):
         load_score("etudes/scales")
     with pytest.raises(CadenzaError, match="no etude named"):

@@ -22,7 +22,7 @@ class SceneConfig:
     keyboard: str = "piano"
     """The keyboard: piano, mini, one of an installed package, or module:NAME."""
     hand: str = "shadow"
-    """Kind of hand: shadow, allegro, or module:NAME."""
+    """Kind of hand: shadow, allegro, allegro-narrow (with narrow tips), or module:NAME."""
     hands: Hands = "both"
     """Which hands play. Apart: both, each in a scene of its own, and then combined. With none, the
     piano plays itself."""

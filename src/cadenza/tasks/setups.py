@@ -55,7 +55,13 @@ class NamedSetup:
 SHADOW = NamedSetup({"hand": "shadow"})
 ALLEGRO = NamedSetup({"hand": "allegro"})
 MINI_ALLEGRO = NamedSetup(
-    {"keyboard": "mini", "hand": "allegro", "hands": "right", "hand_spacing": 0.0, "touch": True}
+    {
+        "keyboard": "mini",
+        "hand": "allegro-narrow",
+        "hands": "right",
+        "hand_spacing": 0.0,
+        "touch": True,
+    }
 )
 ARM_ALLEGRO = NamedSetup(
     {"hand": "arm-allegro", "hands": "apart", "initial_buffer_time": 1.0}, "icp"

@@ -26,7 +26,6 @@ from cadenza.hands.body import (
 _DENSITY = 800.0  # [kg/m^3]
 _KP, _DAMPING = 10.0, 1.0  # [N m/rad], [N m s/rad]
 _FORCE = 10.0  # [N m] more than a servo asks for within its range
-_TIP_RADIUS = 0.012
 _FINGER_WIDTH = (0.0098, 0.01375)  # half sizes across the palm's normal and across the fingers
 
 # Turns the description's palm into the forearm's frame, whose y is out of the back of the hand.
@@ -63,7 +62,7 @@ def _joint(name: str, axis: Vector, low: float, high: float) -> Joint:
     return Joint(name, axis, (low, high), damping=_DAMPING)
 
 
-def _finger(name: str, pos: Vector, quat: Quaternion) -> tuple[Link, ...]:
+def _finger(name: str, pos: Vector, quat: Quaternion, tip: Geom) -> tuple[Link, ...]:
     x, y = _FINGER_WIDTH
     return (
         _link(
@@ -81,12 +80,12 @@ def _finger(name: str, pos: Vector, quat: Quaternion) -> tuple[Link, ...]:
         _link(
             f"{name}distal", f"{name}medial", (0, 0, 0.0384), _box((x, y, 0.008), (0, 0, 0.008)),
             _joint(f"{name}J3", (0, 1, 0), -0.227, 1.618),
-            tip=Geom("capsule", (_TIP_RADIUS, 0.01), (0, 0, 0.019)),
+            tip=tip,
         ),
     )  # fmt: skip
 
 
-def _thumb() -> tuple[Link, ...]:
+def _thumb(tip: Geom) -> tuple[Link, ...]:
     x, y = _FINGER_WIDTH
     return (
         _link(
@@ -105,7 +104,7 @@ def _thumb() -> tuple[Link, ...]:
         _link(
             "thdistal", "thmedial", (0, 0, 0.0514), _box((x, y, 0.0157), (0, 0, 0.0157)),
             _joint("thJ3", (0, 1, 0), -0.162, 1.719),
-            tip=Geom("capsule", (_TIP_RADIUS, 0.008), (0, 0, 0.035)),
+            tip=tip,
         ),
     )  # fmt: skip
 
@@ -128,23 +127,35 @@ _PALM = _link(
 
 _FINGERS = ("ff", "mf", "rf", "th")
 
-BODY = Body(
-    links=(
-        _FOREARM,
-        _PALM,
-        *_finger("ff", (0, 0.0435, -0.001542), (0.999048, -0.0436194, 0, 0)),
-        *_finger("mf", (0, 0, 0.0007), (1, 0, 0, 0)),
-        *_finger("rf", (0, -0.0435, -0.001542), (0.999048, 0.0436194, 0, 0)),
-        *_thumb(),
-    ),
-    actuators=tuple(
-        Actuator(f"{finger}J{joint}", _KP, _FORCE) for finger in _FINGERS for joint in range(4)
-    ),
-    excluded=(
-        ("forearm", "palm"),
-        *(("palm", f"{finger}base") for finger in _FINGERS),
-        ("palm", "thproximal"),
-    ),
-    armature=0.0,
-    friction_loss=0.0,
+
+def _body(finger_tip: Geom, thumb_tip: Geom) -> Body:
+    return Body(
+        links=(
+            _FOREARM,
+            _PALM,
+            *_finger("ff", (0, 0.0435, -0.001542), (0.999048, -0.0436194, 0, 0), finger_tip),
+            *_finger("mf", (0, 0, 0.0007), (1, 0, 0, 0), finger_tip),
+            *_finger("rf", (0, -0.0435, -0.001542), (0.999048, 0.0436194, 0, 0), finger_tip),
+            *_thumb(thumb_tip),
+        ),
+        actuators=tuple(
+            Actuator(f"{finger}J{joint}", _KP, _FORCE) for finger in _FINGERS for joint in range(4)
+        ),
+        excluded=(
+            ("forearm", "palm"),
+            *(("palm", f"{finger}base") for finger in _FINGERS),
+            ("palm", "thproximal"),
+        ),
+        armature=0.0,
+        friction_loss=0.0,
+    )
+
+
+BODY = _body(
+    finger_tip=Geom("capsule", (0.012, 0.01), (0, 0, 0.019)),
+    thumb_tip=Geom("capsule", (0.012, 0.008), (0, 0, 0.035)),
+)
+NARROW_TIPS = _body(  # as long, and half as wide
+    finger_tip=Geom("capsule", (0.006, 0.016), (0, 0, 0.019)),
+    thumb_tip=Geom("capsule", (0.006, 0.014), (0, 0, 0.035)),
 )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cadenza.hands import forearm
-from cadenza.hands.allegro.figures import BODY
+from cadenza.hands.allegro.figures import BODY, NARROW_TIPS
 from cadenza.hands.hand import FingerChain, Hand
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
@@ -14,6 +16,7 @@ _NAMES = ("th", "ff", "mf", "rf")
 # Its servos follow within a tenth of a second, ten times as stiff as the other hand's: motions have
 # to be gentle, and what is tried around them small.
 _NOISE = 0.04  # [rad]
+_CORRECTION = 0.1  # [rad]
 _ACCELERATION = 40.0  # [rad/s^2]
 _LINKS = ("proximal", "medial", "distal")
 # Fingers are as wide as keys. On neighbouring keys they have room one behind the other.
@@ -40,12 +43,24 @@ def _finger(name: str) -> FingerChain:
     return FingerChain(name, links, (0.0155, 0.0155, 0.012), tip, _ON_WHITE[name])
 
 
+def _narrow(finger: FingerChain) -> FingerChain:
+    """With a tip that is half as wide and ends at the same place."""
+    *radii, radius = finger.radii
+    x, y, z = finger.tip
+    return replace(finger, radii=(*radii, radius / 2), tip=(x, y, z + radius / 2))
+
+
 def _servos(name: str) -> dict[str, Servo]:
     finger = _NAMES.index(name)
     lifts = (0.0, -0.3 if finger else 0.0, 0.0, 0.0)
     return {
         f"{name}J{joint}": Servo(
-            rest, acceleration=_ACCELERATION, noise=_NOISE, lift=lift, finger=finger
+            rest,
+            acceleration=_ACCELERATION,
+            noise=_NOISE,
+            correction=_CORRECTION,
+            lift=lift,
+            finger=finger,
         )
         for joint, (rest, lift) in enumerate(zip(_REST[name], lifts, strict=True))
     }
@@ -79,4 +94,11 @@ ALLEGRO = Hand(
     reach=_REACH,
     thumb_meets=3,
     start={f"{name}J{j}": q for name, qpos in _START.items() for j, q in enumerate(qpos)},
+)
+
+ALLEGRO_NARROW = replace(
+    ALLEGRO,
+    name="allegro-narrow",
+    body=NARROW_TIPS,
+    fingers=tuple(_narrow(finger) for finger in ALLEGRO.fingers),
 )
