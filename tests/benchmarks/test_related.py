@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,11 @@ from cadenza.scene.config import SceneConfig
 def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tune = Score((Note(0.0, 0.3, 72),), (), "A tune")
     setting = related.Setting(
-        "hands that wave", RandomAgent, SceneConfig(hands="right"), True, related.ALL
+        "hands that wave",
+        RandomAgent,
+        SceneConfig(hands="right"),
+        open_loop=True,
+        troubles=related.ALL,
     )
     monkeypatch.setattr(related, "PIECES", {"tune": lambda: tune})
     monkeypatch.setattr(related, "SETTINGS", {"waving": setting})
@@ -34,7 +39,7 @@ def test_what_is_known_is_not_measured_again() -> None:
     assert {n: str(missing[n]) for n in kept} == {n: table[3][n] for n in kept}
 
 
-def test_tables_show_means() -> None:
+def test_tables_show_means(monkeypatch: pytest.MonkeyPatch) -> None:
     base = {"setting": "waving", "piece": "tune", "note_onset_f1": "0.5", "music_seconds": "2"}
     base |= {"prepare_cpu_seconds": "0.5", "cpu_seconds": "1"}
     table = [
@@ -42,5 +47,7 @@ def test_tables_show_means() -> None:
         for trouble, f1 in ((related.NOTHING, "0"), (related.NOTHING, "1"), (related.STRONG, "4"))
     ]
     lines = list(related.tables(table))
-    assert "| hands that wave | 0.500 | 0.500 | 0.500 | 0.25 | 0.50 |" in lines
-    assert "| hands that wave | 0.500 |  | 4.000 |  |" in lines
+    assert lines[-1] == "| hands that wave | 0.500 |  | 4.000 |  |"
+    setting = replace(related.SETTINGS["waving"], open_loop=False)
+    monkeypatch.setitem(related.SETTINGS, "waving", setting)
+    assert "| hands that wave | 0.500 | 0.500 | 0.500 | 0.25 | 0.50 |" in related.tables(table)
