@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -12,6 +15,9 @@ from cadenza.agents.planning.config import ICPConfig
 from cadenza.agents.planning.inverse_kinematics import rest_posture
 from cadenza.agents.planning.stances import Stances
 from cadenza.agents.registry import make_agent
+from cadenza.episode import load_episode
+from cadenza.errors import CadenzaError
+from cadenza.files import read_json
 from cadenza.fingers import Side
 from cadenza.hands.arm_allegro.figures import SPEED, TORQUE
 from cadenza.hands.arm_allegro.hand import ARM_ALLEGRO
@@ -24,6 +30,7 @@ from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
 
 ARM = [f"armJ{number}" for number in range(1, 8)]
 # iiwa7_allegro.urdf of differentiable-robot-model 0.2.3: limits [rad] and masses [kg].
@@ -201,3 +208,22 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)
     assert (postures > servos.low + 0.02).all()
     assert (postures < servos.high - 0.02).all()
+
+
+def test_the_page_says_that_it_is_combined(tmp_path: Path) -> None:
+    agent = make_agent("icp", ICPConfig(rehearse=False))
+    first = Score(DUET.notes[:2], title="Two notes")
+    performance = play(first, agent, scene=SceneConfig(hand="arm-allegro", hands="apart"))
+    performance.save(tmp_path)
+    assert "of each hand by itself, combined" in (tmp_path / "report.html").read_text()
+    assert read_json(tmp_path / "metrics.json", dict[str, Any])["combined"] is True
+    parts = [load_episode(tmp_path / f"episode-{side}.npz") for side in ("right", "left")]
+    whole = load_episode(tmp_path / "episode.npz")
+    sounding = [part["key_activation"] for part in parts]
+    np.testing.assert_array_equal(whole["key_activation"], sounding[0] | sounding[1])
+
+
+def test_a_model_that_is_off_is_not_for_hands_apart() -> None:
+    config, scene = TaskConfig(model_error=0.1), SceneConfig(hands="apart")
+    with pytest.raises(CadenzaError, match="hands that play apart have none"):
+        PianoTask([DUET], config, scene)

@@ -113,6 +113,8 @@ class PianoTask:
         self._offset_joints = self._find_offset_joints()
         if make_simulation is None:
             apart = self.scene.config.hands == "apart"
+            if apart and self.config.model_error:
+                raise CadenzaError("model_error: hands that play apart have none; choose both")
             make_simulation = HandsApart if apart else MujocoSimulation
         self.simulation = make_simulation(
             scene=self.scene,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cadenza.agents.agent import Array, PlannerPerEnv
@@ -128,12 +129,11 @@ class _Hand:
         """The fingers for notes that begin together, on keys at `keys` (N,) [m]."""
         now = chord[0].start
         held = {finger: y for finger, (y, end) in self.last.items() if end > now + _LIFT}
-        rising = {finger: y for finger, (y, end) in self.last.items() if end > now - _LIFT}
         free = [f for f in range(self.reach.num_fingers) if f not in held]
-        distance_if_busy = np.array(
-            [[f in rising and rising[f] != key for key in keys] for f in free], float
-        )
-        matches = self._matched(keys, free, distance_if_busy.reshape(len(free), len(keys)), held)
+        left = np.array([self.last.get(f, (np.nan, -np.inf)) for f in free]).reshape(-1, 2)
+        rising = left[:, 1] > now - _LIFT
+        busy = rising[:, None] & (left[:, :1] != keys)
+        matches = self._matched(keys, free, busy, held)
         chosen: list[int | None] = [None] * len(chord)
         for i, finger in sorted(matches.items()):
             others = {**held, **{f: keys[j] for j in range(i) if (f := chosen[j]) is not None}}
@@ -143,7 +143,11 @@ class _Hand:
         return chosen
 
     def _matched(
-        self, keys: Array, free: Sequence[int], busy: Array, held: dict[int, float]
+        self,
+        keys: Array,
+        free: Sequence[int],
+        busy: NDArray[np.bool_],
+        held: dict[int, float],
     ) -> dict[int, int]:
         """Key -> finger: nearest points, the hand moved onto them, and again.
 
@@ -152,11 +156,10 @@ class _Hand:
         Args:
             keys: (N,) [m].
             free: the F fingers that can be matched.
-            busy: (F, N) 1 where a finger is still on its way from another key.
+            busy: (F, N) whether a finger is still on its way from another key.
             held: where the other fingers stay.
         """
-        rest, matches = self.reach.rest, dict[int, int]()
-        fingers = list(free)
+        rest, fingers, matches = self.reach.rest, list(free), dict[int, int]()
         for _ in range(_MOVES):
             tips = self.place + rest[fingers]
             rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + busy)
