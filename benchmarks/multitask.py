@@ -72,12 +72,15 @@ def train(folder: Path, config: ImitationConfig) -> Policy:
 
 
 def play(folder: Path, song: str, policies: Sequence[Policy]) -> Iterator[dict[str, object]]:
-    """Rows of the table: how each of the policies plays a song."""
+    """Rows of the table: how a song is played by those that have learnt it, or by all."""
     first = policies[0].learnt
     (file,) = (folder / "songs").rglob(f"{song}.mid")
     score = load_score(file)
+    nobody_learns = song in order()[-NOT_LEARNT:]
     with closing(PianoTask([score], first.task, first.scene)) as task:
         for policy in policies:
+            if not nobody_learns and song not in policy.learnt_from:
+                continue
             metrics = play_episode(task, policy.learnt.agent, 0).metrics
             yield {
                 "songs": len(policy.learnt_from),
@@ -89,7 +92,7 @@ def play(folder: Path, song: str, policies: Sequence[Policy]) -> Iterator[dict[s
 
 
 class Mean(NamedTuple):
-    """F1 on songs, with its 95 % interval over seeds."""
+    """F1 on songs, with its 95 % interval over songs and seeds together."""
 
     songs: int
     learnt: bool
@@ -103,11 +106,8 @@ def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
     found = []
     for learnt, count in sorted({(bool(r["learnt"]), int(str(r["songs"]))) for r in rows}):
         of = [r for r in rows if r["songs"] == count and r["learnt"] == learnt]
-        if not learnt:  # the same songs for all numbers
-            of = [r for r in of if r["song"] in order()[-NOT_LEARNT:]]
-        seeds = sorted({str(r["seed"]) for r in of})
-        f1 = [np.mean([float(str(r["f1"])) for r in of if str(r["seed"]) == s]) for s in seeds]
-        found.append(Mean(count, learnt, *(float(v[0]) for v in mean_interval(np.array([f1]).T))))
+        f1 = np.array([[float(str(r["f1"]))] for r in of])
+        found.append(Mean(count, learnt, *(float(value[0]) for value in mean_interval(f1))))
     return found
 
 
@@ -172,7 +172,8 @@ def main() -> None:
     parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--episodes", type=int, default=3, help="demonstrations of each song")
-    parser.add_argument("--updates", type=int, default=3_000)
+    parser.add_argument("--updates", type=int, default=625, help="for each song")
+    parser.add_argument("--least-updates", type=int, default=3_000)
     options = parser.parse_args()
     folder, names = options.output, order()
     to_learn = names[:-NOT_LEARNT]
@@ -186,7 +187,8 @@ def main() -> None:
             ImitationConfig(
                 learner=CloningConfig(),
                 songs=tuple(to_learn[:count]),
-                num_updates=options.updates,
+                num_updates=max(options.updates * count, options.least_updates),
+                held_out=0,
                 seed=seed,
             ),
         )

@@ -264,7 +264,7 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
     low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
     missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
-    return np.stack([low - missing, high + missing])
+    return np.clip(np.stack([low - missing, high + missing]), *limits)
 
 
 def _begun(config: ImitationConfig, demonstrations: Path, folder: Path) -> _About:
