@@ -28,7 +28,7 @@ from cadenza.tasks.view import View
 
 # Of the acceleration with which the planner's hands jump, and of how far they reach without a
 # jump: it can mend landings that fail.
-_UNHURRIED, _NEAR = 0.25, 0.7
+_UNHURRIED, _NEAR = 0.125, 0.7
 # Times what a white key takes. A fingertip would slip off a black one.
 _FIRMLY = 1.5
 

@@ -24,7 +24,7 @@ Held = tuple[tuple[int, int], ...]
 
 _BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
 _AFTER = 0.15  # [s] after it, in which the others get off theirs
-_GAP = 0.2  # [s] from letting go to striking, at most
+_GAP = 0.3  # [s] from letting go to striking, at most
 _AT_LEISURE = 10.0  # [s] between postures that are far from each other in time
 _OCTAVE = 12
 
