@@ -31,6 +31,7 @@ ALLOWED = {
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
+    ("agents/generalist/inputs.py", 5): "steps ahead; a column of the inputs",
     ("agents/planning/config.py", 10): "candidates and step sizes",
     ("agents/planning/variations.py", 10): "the base of the sizes of variations",
     ("cli/dataset.py", 10): "the most noise",
@@ -47,6 +48,7 @@ ALLOWED = {
     ("report/sound.py", 10): "seconds of sound; the base of decibels",
     ("report/sound.py", 88): "the pitch of the last damper; the seed of the room's noise",
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
+    ("studio/practising.py", 10): "how nice a process is to others",
     ("studio/server.py", 5): "seconds that a connection is kept",
     ("tasks/config.py", 10): "steps of the lookahead",
 }
