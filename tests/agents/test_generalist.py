@@ -165,7 +165,7 @@ def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
 
 
 def test_plays_better_than_its_plan() -> None:
-    score = load_score("CMajorChordProgressionTwoHands").beginning(4.0)
+    score = load_score("CanonInDOpening").beginning(6.0)
     alone = ScorePlannerConfig(method="none")
     assert play(score, Generalist())["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
 

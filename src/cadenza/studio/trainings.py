@@ -98,7 +98,7 @@ class Trainings:
         if name not in self._learning:
             raise CadenzaError("this run is not learning")
         process = self._learning[name].process
-        for number in signal.SIGCONT, signal.SIGINT:
+        for number in signal.SIGCONT, signal.SIGTERM:
             with suppress(ProcessLookupError):
                 process.send_signal(number)
 
@@ -171,7 +171,7 @@ class Trainings:
             last = line.decode(errors="replace").strip() or last
         code = await process.wait()
         del self._learning[name]
-        if code not in (0, 130, -signal.SIGINT, -signal.SIGKILL):
+        if code not in (0, -signal.SIGTERM, -signal.SIGKILL):
             self._errors[name] = re.sub(r"^\w*error: ", "", last, flags=re.IGNORECASE)[:300]
 
     def _hold(self, process: Process) -> None:
