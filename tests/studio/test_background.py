@@ -136,3 +136,29 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
         assert found.runs()[0]["state"] == "stopped"
 
     asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_a_run_that_was_stopped_has_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a command that ends as `cadenza train` does after its checkpoint."""
+    script = (
+        "import signal, sys, time\n"
+        "signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))\n"
+        "print('interrupted', file=sys.stderr, flush=True)\n"
+        "time.sleep(60)"
+    )
+    fake = tmp_path / "python"
+    fake.write_text(f"#!{sys.executable}\n{script}\n")
+    fake.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(fake))
+
+    async def run() -> None:
+        found = Trainings(tmp_path / "runs")
+        name = await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        run_of(tmp_path / "runs" / name)
+        await asyncio.sleep(1.0)
+        await found.close()
+        assert (found.runs()[0]["state"], found.runs()[0]["error"]) == ("stopped", "")
+
+    asyncio.run(asyncio.wait_for(run(), 60))

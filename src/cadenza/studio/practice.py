@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 from asyncio.subprocess import Process
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
 from cadenza.studio.messages import JSON
-from cadenza.studio.processes import kill, messages, started, tell
+from cadenza.studio.processes import hold, kill, messages, started, tell
 from cadenza.studio.request import Order
 
 
@@ -70,8 +68,7 @@ class PracticeRoom:
 
     def _hold(self) -> None:
         if self._process is not None:
-            with suppress(ProcessLookupError):
-                self._process.send_signal(signal.SIGSTOP if self._paused else signal.SIGCONT)
+            hold(self._process, self._paused)
 
     async def _run(self, order: Order, before: asyncio.Task[None] | None) -> None:
         if before is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from asyncio import IncompleteReadError, StreamReader, create_subprocess_exec, wait_for
 from asyncio.subprocess import PIPE, Process
@@ -29,6 +30,12 @@ def kill(process: Process) -> None:
     """At once, if it has not ended."""
     with suppress(ProcessLookupError):
         process.kill()
+
+
+def hold(process: Process, paused: bool) -> None:
+    """Has it stand still, or go on."""
+    with suppress(ProcessLookupError):
+        process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
 
 
 async def tell(process: Process, order: Order) -> None:

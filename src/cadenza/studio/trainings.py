@@ -15,10 +15,11 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 from cadenza.learning.run_folder import RunFolder, read_rows
-from cadenza.studio.processes import kill
+from cadenza.studio.processes import hold, kill
 from cadenza.studio.request import PlayRequest
 
 _MOST_AT_ONCE = 1
+_INTERRUPTED = 130  # how "cadenza train" exits when it was asked to stop
 _MOST_POINTS = 200  # of a curve
 _PATIENCE = 20.0  # [s] for a checkpoint, before a run that was asked to stop is killed
 POLICY = "policy/"  # what the agent begins with that is the best policy of a run
@@ -107,7 +108,7 @@ class Trainings:
         if paused != self._paused:
             self._paused = paused
             for learning in self._learning.values():
-                self._hold(learning.process)
+                hold(learning.process, paused)
 
     async def close(self) -> None:
         """Ends all, after a checkpoint if that does not take long."""
@@ -159,7 +160,7 @@ class Trainings:
         )  # fmt: skip
         self._errors.pop(name, None)
         learning = self._learning[name] = _Learning(process)
-        self._hold(process)
+        hold(process, self._paused)
         task = asyncio.create_task(self._listen(name, learning))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -171,9 +172,5 @@ class Trainings:
             last = line.decode(errors="replace").strip() or last
         code = await process.wait()
         del self._learning[name]
-        if code not in (0, -signal.SIGTERM, -signal.SIGKILL):
+        if code not in (0, _INTERRUPTED, -signal.SIGTERM, -signal.SIGKILL):
             self._errors[name] = re.sub(r"^\w*error: ", "", last, flags=re.IGNORECASE)[:300]
-
-    def _hold(self, process: Process) -> None:
-        with suppress(ProcessLookupError):
-            process.send_signal(signal.SIGSTOP if self._paused else signal.SIGCONT)
