@@ -1,4 +1,4 @@
-"""What learners in JAX share: how it is started, learning rates, and their states as arrays."""
+"""What learners in JAX share: how it is started, networks, rates, and their states as arrays."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any, TypeVar
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,8 @@ from cadenza.learning.learner import Ends
 State = TypeVar("State")  # of named tuples, tuples and dictionaries of arrays
 
 NUM_THREADS = 2
+ACTIVATIONS = {"relu": nn.relu, "gelu": nn.gelu}
+xavier = nn.initializers.xavier_uniform()
 
 
 def start_jax() -> int | None:
@@ -76,6 +79,15 @@ def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
         since, end = begin, new_end
         falls.append(optax.linear_schedule(rate * share, rate * last, max(end - begin, 1)))
     return optax.join_schedules(falls, [begin for begin, _ in moved])
+
+
+def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[Any]]:
+    """Those of a network's layers as `Perceptron` names them."""
+    return {
+        f"{layer}/{name}": np.asarray(array)
+        for layer, arrays in layers.items()
+        for name, array in arrays.items()
+    }
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:

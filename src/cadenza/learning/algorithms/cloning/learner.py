@@ -13,13 +13,19 @@ import optax
 from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.cloning.hyperparameters import Hyperparameters
-from cadenza.learning.algorithms.on_jax import falling, from_arrays, start_jax, to_arrays
+from cadenza.learning.algorithms.on_jax import (
+    ACTIVATIONS,
+    falling,
+    from_arrays,
+    named_weights,
+    start_jax,
+    to_arrays,
+    xavier,
+)
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Floats, Inputs
 from cadenza.learning.policy import Perceptron
 
-_ACTIVATIONS = {"relu": nn.relu, "gelu": nn.gelu}
-_xavier = nn.initializers.xavier_uniform()
 _NO_NOISE = -20.0  # the logarithm of the deviation of a clone's actions: they are certain
 
 
@@ -49,9 +55,9 @@ class Actor(nn.Module):
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         for i, size in enumerate(self.config.hidden_sizes):
-            x = nn.Dense(size, kernel_init=_xavier, name=f"hidden_{i}")(x)
-            x = _ACTIVATIONS[self.config.activation](x)
-        return jnp.tanh(nn.Dense(self.action_size, kernel_init=_xavier, name="mean")(x))
+            x = nn.Dense(size, kernel_init=xavier, name=f"hidden_{i}")(x)
+            x = ACTIVATIONS[self.config.activation](x)
+        return jnp.tanh(nn.Dense(self.action_size, kernel_init=xavier, name="mean")(x))
 
 
 class Cloning:
@@ -102,11 +108,7 @@ class Cloning:
 
     def policy(self, state: CloningState) -> Perceptron:
         """What was learnt; its samples are its modes."""
-        weights = {
-            f"{layer}/{name}": np.asarray(array)
-            for layer, arrays in state.params.items()
-            for name, array in arrays.items()
-        }
+        weights = named_weights(state.params)
         weights["log_std/kernel"] = np.zeros_like(weights["mean/kernel"])
         weights["log_std/bias"] = np.full_like(weights["mean/bias"], _NO_NOISE)
         return Perceptron(weights, self._config.activation, (_NO_NOISE, _NO_NOISE))

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 
 from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
 from cadenza.learning.algorithms.droq.networks import Actor, Critic
-from cadenza.learning.algorithms.on_jax import falling, from_arrays, start_jax, to_arrays
+from cadenza.learning.algorithms.on_jax import (
+    falling,
+    from_arrays,
+    named_weights,
+    start_jax,
+    to_arrays,
+)
 from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
@@ -45,12 +51,8 @@ class DroQState(NamedTuple):
 
 def weights_of(actor: Params) -> dict[str, NDArray[np.float32]]:
     """The weights of an actor as `Perceptron` names them."""
-    layers = actor["HiddenLayers_0"] | {name: actor[name] for name in ("mean", "log_std")}
-    return {
-        f"{layer}/{name}": np.asarray(array)
-        for layer, arrays in layers.items()
-        for name, array in arrays.items()
-    }
+    heads = {name: actor[name] for name in ("mean", "log_std")}
+    return named_weights(actor["HiddenLayers_0"] | heads)
 
 
 class DroQ:

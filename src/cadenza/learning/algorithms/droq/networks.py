@@ -10,10 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cadenza.learning.algorithms.droq.hyperparameters import Hyperparameters
+from cadenza.learning.algorithms.on_jax import ACTIVATIONS, xavier
 from cadenza.learning.observation import Inputs
-
-_ACTIVATIONS = {"relu": nn.relu, "gelu": nn.gelu}
-_xavier = nn.initializers.xavier_uniform()
 
 
 class Dropout(nn.Module):
@@ -44,7 +42,7 @@ class FirstLayer(nn.Module):
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         def rows(key: Any, shape: tuple[int, int]) -> jax.Array:
-            return _xavier(key, (self.inputs.total, shape[1]))[np.array(self.inputs.kept)]
+            return xavier(key, (self.inputs.total, shape[1]))[np.array(self.inputs.kept)]
 
         kernel = self.param("kernel", rows, (len(self.inputs.kept), self.size))
         return x @ kernel + self.param("bias", nn.initializers.zeros, (self.size,))
@@ -63,14 +61,14 @@ class HiddenLayers(nn.Module):
         for i, size in enumerate(self.config.hidden_sizes):
             name = f"hidden_{i}"
             if i:
-                x = nn.Dense(size, kernel_init=_xavier, name=name)(x)
+                x = nn.Dense(size, kernel_init=xavier, name=name)(x)
             else:
                 x = FirstLayer(size, self.inputs, name=name)(x)
             if self.dropout:
                 x = Dropout(self.dropout)(x)
             if self.layer_norm:
                 x = nn.LayerNorm()(x)
-            x = _ACTIVATIONS[self.config.activation](x)
+            x = ACTIVATIONS[self.config.activation](x)
         return x
 
 
@@ -87,8 +85,8 @@ class Actor(nn.Module):
     @nn.compact
     def __call__(self, observation: jax.Array) -> tuple[jax.Array, jax.Array]:
         hidden = HiddenLayers(self.config, self.inputs)(observation)
-        mean = nn.Dense(self.action_size, kernel_init=_xavier, name="mean")(hidden)
-        log_std = nn.Dense(self.action_size, kernel_init=_xavier, name="log_std")(hidden)
+        mean = nn.Dense(self.action_size, kernel_init=xavier, name="mean")(hidden)
+        log_std = nn.Dense(self.action_size, kernel_init=xavier, name="log_std")(hidden)
         return mean, jnp.clip(log_std, self.config.log_std_min, self.config.log_std_max)
 
 
@@ -104,4 +102,4 @@ class Critic(nn.Module):
         both = jnp.concatenate([observation, action], axis=-1)
         config = self.config
         hidden = HiddenLayers(config, self.inputs, config.dropout, config.layer_norm)(both)
-        return nn.Dense(1, kernel_init=_xavier, name="value")(hidden)[..., 0]
+        return nn.Dense(1, kernel_init=xavier, name="value")(hidden)[..., 0]
