@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
+from dataclasses import field, fields, make_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pytest
 import cadenza
 from cadenza import CadenzaError, Note, SceneConfig, Score, TaskConfig
 from cadenza.cli import main
-from cadenza.configs import as_config
+from cadenza.configs import added, as_config, identity
 from cadenza.files import content_of, opened
 from cadenza.scene.scene import build_scene
 
@@ -178,3 +178,30 @@ def test_a_name_of_two_lines_is_shown_in_one(
     assert capsys.readouterr().err.splitlines() == [
         r"cadenza: two\nlines: holds no manifest.json, so it cannot be read"
     ]
+
+
+SWING = ("swing", float, field(default=0.0, metadata=added(before=0.0)))
+
+
+def test_a_field_that_is_added_changes_nothing_until_it_is_used() -> None:
+    old = make_dataclass("Old", [("tempo", float, 1.0)])
+    new = make_dataclass("New", [("tempo", float, 1.0), SWING])
+    assert identity(new()) == identity(old()) == {"tempo": 1.0}
+    assert identity(new(swing=0.5)) == {"tempo": 1.0, "swing": 0.5}
+
+
+def test_another_default_is_another_result() -> None:
+    slow = make_dataclass("Slow", [("tempo", float, 0.5)])
+    fast = make_dataclass("Fast", [("tempo", float, 1.0)])
+    assert identity(slow()) != identity(fast())
+    swings = field(default=0.5, metadata=added(before=0.0))
+    later = make_dataclass("Later", [("swing", float, swings)])
+    assert identity(later()) == {"swing": 0.5}
+    assert identity(later(swing=0.0)) == {}
+
+
+def test_options_within_options_count_the_same_way() -> None:
+    inner = make_dataclass("Inner", [SWING])
+    outer = make_dataclass("Outer", [("rhythm", inner), ("tempo", float)])
+    assert identity(outer(inner(), 1.0)) == {"rhythm": {}, "tempo": 1.0}
+    assert identity(outer(inner(0.5), 1.0)) == {"rhythm": {"swing": 0.5}, "tempo": 1.0}

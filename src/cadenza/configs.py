@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -16,6 +16,8 @@ T = TypeVar("T")
 
 MOST_SEED = 2**128  # numpy takes any
 MOST_COUNT = 2**53  # of what has no other limit: JSON of others knows no larger whole numbers
+
+_BEFORE = "before"  # of the metadata of a field
 
 _WORDS = {
     bool: "give True or False",
@@ -38,8 +40,32 @@ def as_config(value: Any, kind: type[T]) -> T:
     if not isinstance(value, kind):
         raise CadenzaError(f"{value!r}: give a {kind.__name__}")
     hints = get_type_hints(kind)
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    names = [each.name for each in fields(kind)]  # type: ignore[arg-type]
     return kind(**{name: _as(getattr(value, name), hints[name], name) for name in names})
+
+
+def added(*, before: Any) -> Mapping[str, Any]:
+    """The metadata of a field that a dataclass was given after results had been kept with it.
+
+    `before` is the value that stands for what went without saying until there was the field. It
+    never changes, whatever becomes of the default.
+    """
+    return {_BEFORE: before}
+
+
+def identity(config: Any) -> dict[str, Any]:
+    """Field -> value of a dataclass and of those in it: what tells results with it from others.
+
+    An option counts with its value even where that is the default: with another default, another
+    result is asked for. A field that was `added` is left out while it says what was so before:
+    what is asked for then is what was asked for without it.
+    """
+    values = {
+        each.name: value
+        for each in fields(config)
+        if (value := getattr(config, each.name)) != each.metadata.get(_BEFORE, MISSING)
+    }
+    return {name: identity(v) if is_dataclass(v) else v for name, v in values.items()}
 
 
 def check_kind(kind: type) -> None:
@@ -49,12 +75,12 @@ def check_kind(kind: type) -> None:
         CadenzaError: a field has no default, or is of a type that no option has.
     """
     hints = get_type_hints(kind)
-    for field in fields(kind):
-        if field.default is field.default_factory is MISSING:
-            raise CadenzaError(f"{field.name} of {kind.__name__}: give it a default")
-        if not _is_plain(hints[field.name]):
+    for each in fields(kind):
+        if each.default is each.default_factory is MISSING:
+            raise CadenzaError(f"{each.name} of {kind.__name__}: give it a default")
+        if not _is_plain(hints[each.name]):
             raise CadenzaError(
-                f"{field.name} of {kind.__name__}: an option is a bool, int, float, str or "
+                f"{each.name} of {kind.__name__}: an option is a bool, int, float, str or "
                 "Literal, a tuple of them, or None"
             )
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from cadenza.configs import identity
 from cadenza.files import folder_name, plain
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
@@ -43,13 +44,16 @@ class JobSpec:
         return self.config if isinstance(self.config, TrainingConfig) else None
 
     def as_json(self) -> dict[str, Any]:
-        """The same as JSON has it."""
-        content: dict[str, Any] = plain(asdict(self))
+        """The same as JSON has it; without options that came later and that nobody has used."""
+        content: dict[str, Any] = plain(identity(self))
         return content
 
     @cached_property
     def key(self) -> str:
-        """A hash, the same on every machine."""
+        """A hash, the same on every machine. See `identity` for what counts.
+
+        Folders go on being filled by later versions only while it stays what it is.
+        """
         text = json.dumps(self.as_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 

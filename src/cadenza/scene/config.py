@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from cadenza.configs import added
 from cadenza.errors import CadenzaError
 from cadenza.registry import module_of
 
@@ -42,7 +43,7 @@ class SceneConfig:
     their shells."""
     hand_collisions: bool = True
     """Enable collisions between the hands, and between fingers of one hand."""
-    touch: bool = False
+    touch: bool = field(default=False, metadata=added(before=False))
     """Have touch sensors on the fingertips, and observe their normal forces."""
     sleeping_keys: bool = True
     """Skip the simulation of keys at rest, which is faster and moves the others by micrometres.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from cadenza.configs import added
 
 Fingering = Literal["auto", "transport", "off"]
 Repeats = Literal["published", "shortened"]
@@ -45,13 +47,13 @@ class TaskConfig:
     random_hand_position: float = 0.0
     """Randomise the initial position of both hands along the keyboard, up to this far either way
     [m]."""
-    control_noise: float = 0.0
+    control_noise: float = field(default=0.0, metadata=added(before=0.0))
     """Noise on the controls of the servos, normal and drawn anew at each step: its standard
     deviation, as a fraction of half the range of each."""
-    model_error: float = 0.0
+    model_error: float = field(default=0.0, metadata=added(before=0.0))
     """Scale masses, damping, friction, springs and gains of what is simulated by 1 - e to 1 + e,
     each by another factor. Planners do not know of it unless they copy the simulation."""
-    model_seed: int = 0
+    model_seed: int = field(default=0, metadata=added(before=0))
     """Random seed of these factors."""
     random_stretch: float = 0.0
     """Randomise the tempo per episode: times are scaled by a factor between 1 - r and 1 + r."""

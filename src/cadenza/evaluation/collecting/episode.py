@@ -18,6 +18,7 @@ from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Follower
 from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
+from cadenza.configs import added
 from cadenza.demonstrations.recorded import (
     FORMAT,
     PLAN,
@@ -53,7 +54,7 @@ class EpisodeSpec(JobSpec):
     """All that an episode depends on; its `seed` is the number of the episode of its song."""
 
     variation: Variation = field(default_factory=Variation)
-    student_config: Any = None
+    student_config: Any = field(default=None, metadata=added(before=None))
     """The options of the student, if there is one and it has any."""
 
 

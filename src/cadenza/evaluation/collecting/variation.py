@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from cadenza.configs import added
 from cadenza.tasks.config import TaskConfig
 
 
@@ -18,7 +19,7 @@ class Variation:
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Play so many seconds from somewhere in the song, instead of all of it."""
-    student: str | None = None
+    student: str | None = field(default=None, metadata=added(before=None))
     """Another agent, which plays half of the time, in stretches of about a second. What is recorded
     is what the first agent would have played in its place."""
 
