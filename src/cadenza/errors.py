@@ -24,6 +24,21 @@ class CadenzaWarning(UserWarning):
 
 
 @contextmanager
+def extra_packages(extra: str, what: str) -> Iterator[None]:
+    """Says how to install what cannot be imported in the block: an `extra` of Cadenza's.
+
+    Raises:
+        CadenzaError: an import fails. The message begins with `what` needs it.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise CadenzaError(
+            f"{what} needs more packages ({error}): pip install 'cadenza[{extra}]'"
+        ) from error
+
+
+@contextmanager
 def by_others(what: str) -> Iterator[None]:
     """Raises as a CadenzaError of a line whatever goes wrong in the block; it begins with `what`.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from cadenza.errors import CadenzaError
 from cadenza.report.scalars import TensorBoard, WeightsAndBiases
 
 
@@ -42,3 +43,11 @@ def test_nobody_knows_the_name_of_the_next_file(tmp_path: Path) -> None:
         TensorBoard(tmp_path, 0).close()
     names = [path.name for path in tmp_path.iterdir()]
     assert len({name.rsplit(".", 1)[1] for name in names}) == 3
+
+
+def test_packages_that_are_missing_are_told_with_how_to_install_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tensorboardX", None)  # importing it fails
+    with pytest.raises(CadenzaError, match=r"training needs .*: pip install 'cadenza\[train\]'"):
+        TensorBoard(tmp_path, 0)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
 from cadenza.demonstrations.transitions import transitions
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
 
 _FILE_BYTES = 100 * 2**20  # after which another file is begun
@@ -41,11 +41,9 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
         CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, or the
             control steps are no whole number a second.
     """
-    try:
+    with extra_packages("export", "exporting"):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    except ImportError as error:
-        raise CadenzaError("pyarrow is not installed: pip install 'cadenza[export]'") from error
     fps = round(1 / dataset.control_timestep)
     if abs(fps * dataset.control_timestep - 1) > 1e-9:
         raise CadenzaError(

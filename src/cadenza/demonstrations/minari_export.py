@@ -19,7 +19,7 @@ from gymnasium import spaces
 
 from cadenza.demonstrations.dataset import Dataset
 from cadenza.demonstrations.transitions import Transitions, transitions
-from cadenza.errors import CadenzaError
+from cadenza.errors import extra_packages
 from cadenza.files import new_folder
 
 NAME = "cadenza/demonstrations-v0"
@@ -33,12 +33,10 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
     Raises:
         CadenzaError: Minari is not installed, the folder exists, or an episode is damaged.
     """
-    try:
+    with extra_packages("export", "exporting"):
         import minari
         import pyarrow  # noqa: F401 - Minari's error would come late
         from minari.data_collector.episode_buffer import EpisodeBuffer
-    except ImportError as error:
-        raise CadenzaError("Minari is not installed: pip install 'cadenza[export]'") from error
     first = transitions(dataset, 0)
     low = np.zeros(first.observation.shape[1], np.float32)
     high = np.ones_like(low)

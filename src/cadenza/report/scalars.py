@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import extra_packages
 
 
 class Scalars(Protocol):
@@ -29,12 +29,8 @@ class TensorBoard:
         Raises:
             CadenzaError: tensorboardX is not installed.
         """
-        try:
+        with extra_packages("train", "training"):
             from tensorboardX import SummaryWriter
-        except ImportError as error:
-            raise CadenzaError(
-                "training needs more packages: pip install 'cadenza[train]'"
-            ) from error
         # A name that nobody can know before: the file is opened through links.
         suffix = f".{secrets.token_hex(4)}"
         self._writer = SummaryWriter(str(folder), purge_step=step or None, filename_suffix=suffix)
@@ -62,12 +58,8 @@ class WeightsAndBiases:
         Raises:
             CadenzaError: wandb is not installed.
         """
-        try:
+        with extra_packages("wandb", "--wandb"):
             import wandb
-        except ImportError as error:
-            raise CadenzaError(
-                "--wandb needs more packages: pip install 'cadenza[wandb]'"
-            ) from error
         self._run = wandb.init(
             project=project,
             dir=str(folder),

@@ -81,6 +81,23 @@ class Scene:
         """(A + 1,) largest action in actuator units, the pedal last."""
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
 
+    def servos_on(self, side: Side) -> slice:
+        """Which of the A actuators are those of one hand."""
+        return self._half(side, len(self.actuator_names))
+
+    def joints_on(self, side: Side) -> slice:
+        """Which of the J joints are those of one hand."""
+        return self._half(side, len(self.hand_joint_names))
+
+    def fingertips_on(self, side: Side) -> slice:
+        """Which of `fingertip_sites` are those of one hand."""
+        return self._half(side, len(self.fingertip_sites))
+
+    def _half(self, side: Side, count: int) -> slice:
+        each = count // len(self.sides)
+        first = self.sides.index(side) * each
+        return slice(first, first + each)
+
     def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Which of these are numbers of fingers that are there."""
         return (numbers >= self.fingers_there.start) & (numbers < self.fingers_there.stop)
@@ -129,8 +146,7 @@ class HandAlone(NamedTuple):
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
     """Takes the hand on one side by itself."""
     alone = build_scene(replace(scene.config, hands=side))
-    servos = _place(alone.actuator_names, scene.actuator_names)
-    return HandAlone(alone, servos, _place(alone.hand_joint_names, scene.hand_joint_names))
+    return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
 
 
 Part = tuple[str, int]
@@ -182,12 +198,6 @@ def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.Mj
     model = spec.compile()
     _damp_forearms_critically(model, scene.hand, scene.sides, scene.config)
     return model
-
-
-def _place(names: tuple[str, ...], everyone: tuple[str, ...]) -> slice:
-    """Where `names` stand one after the other among `everyone`."""
-    first = everyone.index(names[0])
-    return slice(first, first + len(names))
 
 
 def _sides(config: SceneConfig) -> tuple[Side, ...]:

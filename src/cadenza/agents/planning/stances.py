@@ -51,10 +51,8 @@ class Stances:
         """About where the hand of one side is in a posture (A,)."""
         if side in self._slides:
             return float(posture[self._slides[side]])
-        per_hand = self._scene.fingers.per_hand
-        mine = slice(self._scene.sides.index(side) * per_hand, None)
-        points = self._kinematics.fingers(posture[None])[0][0]
-        return float((points - self._points)[mine][:per_hand, 0, 1].mean())
+        moved = self._kinematics.fingers(posture[None])[0][0] - self._points
+        return float(moved[self._scene.fingertips_on(side), 0, 1].mean())
 
     def _computed(self) -> dict[Side, tuple[Array, Array]]:
         """Side -> places (N,) of the hand that an arm brings it to, and postures (N, A)."""
@@ -80,11 +78,10 @@ class Stances:
 
     def _moved(self, side: Side, near: Array, place: float) -> Array:
         """The posture nearest to `near` in which all points of a hand have moved by `place`."""
-        servos, per_hand = self._servos, self._scene.fingers.per_hand
-        first = self._scene.sides.index(side) * per_hand
-        mine = slice(first, first + per_hand)
-        alone = _servos_of(self._scene, side)
-        arm = [a for a in alone if self._scene.hand.servo(servos.names[a]).finger is None]
+        scene, servos = self._scene, self._servos
+        mine = scene.fingertips_on(side)
+        own = range(len(servos.names))[scene.servos_on(side)]
+        arm = [a for a in own if scene.hand.servo(servos.names[a]).finger is None]
         goal, posture = self._points[mine] + np.array([0.0, place, 0.0]), near.copy()
         for _ in range(_ITERATIONS):
             points, jacobian = self._kinematics.fingers(posture[None])
@@ -95,10 +92,3 @@ class Stances:
             posture[arm] += np.linalg.solve(normal, pull)
             posture = np.clip(posture, servos.low, servos.high)
         return posture
-
-
-def _servos_of(scene: Scene, side: Side) -> range:
-    """The numbers of one hand's servos."""
-    each = len(scene.actuator_names) // len(scene.sides)
-    first = scene.sides.index(side) * each
-    return range(first, first + each)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cadenza.errors import CadenzaError, by_others
+from cadenza.errors import by_others, extra_packages
 from cadenza.evaluation.bench import CarryOut, Ended
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.run import carry_out
@@ -36,10 +36,8 @@ class Ray:
             CadenzaError: Ray is not installed, or there is no such cluster.
         """
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        try:
+        with extra_packages("ray", "--executor ray"):
             import ray
-        except ImportError as error:
-            raise CadenzaError("Ray is not installed: pip install 'cadenza[ray]'") from error
         cores = num_jobs * num_threads if num_jobs and address is None else None
         with by_others(f"Ray cluster {address or 'on this machine'}"):
             ray.init(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import extra_packages
 from cadenza.learning.algorithms.cloning.hyperparameters import Hyperparameters
 from cadenza.learning.learner import Ends
 
@@ -20,10 +20,6 @@ class CloningConfig(Hyperparameters):
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)) -> Cloning:
         """See `LearnerConfig.make`."""
-        try:
+        with extra_packages("train", "training"):
             from cadenza.learning.algorithms.cloning.learner import Cloning
-        except ImportError as error:
-            raise CadenzaError(
-                f"training needs more packages ({error}): pip install '.[train]'"
-            ) from error
         return Cloning(self, inputs, action_size, ends)
