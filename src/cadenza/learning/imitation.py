@@ -218,13 +218,12 @@ def observed(batch: Batch, travel: NDArray[np.float64], ranges: Ranges) -> Float
     count = len(batch.goal)
     first = ~batch.previous_action.any(axis=1, keepdims=True)  # nothing was played before
     played = np.where(first, 0.0, from_range(batch.previous_action, *ranges.actions))
-    low, high = ranges.joints
     parts = (
         batch.goal.reshape(count, -1),
         batch.fingering[:, 0],
         reward.key_state(batch.key_qpos.astype(np.float64), travel),
         batch.previous_action[:, -1:],  # the pedal
-        (batch.hand_qpos - (low + high) / 2) / ((high - low) / 2),
+        ranges.scaled(batch.hand_qpos),
         played,
         batch.previous_reward[:, None],
     )

@@ -219,11 +219,9 @@ class Observer:
         self._goals, self._reference = goals, reference
         self._centre = ((task.action_high + task.action_low) / 2).astype(np.float32)
         self._scale = ((task.action_high - task.action_low) / 2).astype(np.float32)
-        self._joints: tuple[slice, Floats, Floats] | None = None
+        self._ranges, self._joints = ranges, task.observation_layout.get("joints", slice(0, 0))
         if ranges is not None:
             self._centre, self._scale = np.zeros_like(self._centre), np.ones_like(self._scale)
-            low, high = ranges.joints.astype(np.float32)
-            self._joints = task.observation_layout["joints"], (high + low) / 2, (high - low) / 2
         size, shown = spec.goal, task.observation_layout["key_state"].start
         kept = np.array(self.inputs.kept)
         self._goal = kept[kept < size]
@@ -234,10 +232,9 @@ class Observer:
 
     def proprioception(self, shown: Floats) -> Floats:
         """(N, S) what does not follow from the score of what the task has `shown` (N, D)."""
-        if self._joints:
-            joints, centre, scale = self._joints
+        if self._ranges is not None:
             shown = shown.copy()
-            shown[:, joints] = (shown[:, joints] - centre) / scale
+            shown[:, self._joints] = self._ranges.scaled(shown[:, self._joints])
         return shown[:, self._proprioception]
 
     @property

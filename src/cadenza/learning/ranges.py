@@ -36,6 +36,11 @@ class Ranges(NamedTuple):
         """(N, A) actions in actuator units from those in [-1, 1]; what lies outside is clipped."""
         return to_range(action, *self.actions)
 
+    def scaled(self, joints: Floats) -> Floats:
+        """(..., J) -1 to 1 from positions of joints; beyond that where they are out of range."""
+        low, high = self.joints.astype(np.float32)
+        return (joints - (high + low) / 2) / ((high - low) / 2)
+
 
 def ranges_of(task: PianoTask) -> Ranges:
     """Those of a task with hands: of the model, and of the forearms where its scores need them."""
