@@ -239,3 +239,13 @@ def test_what_the_documentation_shows_runs(
     exec(compile(code, "python.md", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"joy", "scale.npz", "scale.fingering"}
+
+
+def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / TUNE.title).mkdir()
+    (tmp_path / TUNE.title / "plan.npz").write_bytes(b"of another song")
+    selection = select(TUNE)
+    assert (selection.name, selection.score) == ("planner", TUNE)

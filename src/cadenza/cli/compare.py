@@ -27,6 +27,8 @@ from cadenza.files import write_json
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
+    from cadenza.performing.setup import Selection
+    from cadenza.report.comparison import Run
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,7 @@ class Compare(Performing):
 
 
 def compare(command: Compare, again: Again[Compare]) -> None:
-    from cadenza.performing.performance import perform
-    from cadenza.report.comparison import Run, in_text, means, write_comparison
+    from cadenza.report.comparison import in_text, means, write_comparison
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
@@ -62,15 +63,10 @@ def compare(command: Compare, again: Again[Compare]) -> None:
             pass  # who cannot play is told before anyone has played
     folder = command.output or default_folder(selections[command.agents[0]])
     check_writable(folder)
-    runs = []
-    for (name, selection), seed in product(selections.items(), dict.fromkeys(command.seeds)):
-        own = commands[name]
-        with (
-            setting_up(selection, own, seed) as setup,
-            stages(f"{name}, seed {seed}") as progress,
-        ):
-            performance = perform(setup, progress)
-        runs.append(Run(name, seed, _figures(performance), performance.episode))
+    runs = [
+        _run(name, selections[name], commands[name], seed)
+        for name, seed in product(selections, dict.fromkeys(command.seeds))
+    ]
     remarks = [
         f"{name} plays with {differing}, as it was trained"
         for name, own in commands.items()
@@ -86,6 +82,18 @@ def compare(command: Compare, again: Again[Compare]) -> None:
     write_comparison(folder / "compare.html", runs, remarks)
     print("\n".join([in_text(runs), *remarks]))
     print(f"\nOpen {folder / 'compare.html'}")
+
+
+def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
+    from cadenza.performing.performance import perform
+    from cadenza.report.comparison import Run
+
+    with (
+        setting_up(selection, command, seed) as setup,
+        stages(f"{name}, seed {seed}") as progress,
+    ):
+        performance = perform(setup, progress)
+    return Run(name, seed, _figures(performance), performance.episode)
 
 
 def _differing(own: Compare, command: Compare) -> str:

@@ -151,9 +151,9 @@ def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterato
 
 def default_folder(selection: Selection) -> Path:
     """Where results of a song go."""
-    from cadenza.performing.setup import is_policy
+    from cadenza.performing.setup import is_own_folder
 
-    song = selection.score.title if is_policy(selection.song) else Path(selection.song).stem
+    song = selection.score.title if is_own_folder(selection.song) else Path(selection.song).stem
     return Path("played") / folder_name(song)
 
 

@@ -8,6 +8,7 @@ from cadenza.episode import Episode
 from cadenza.fingers import NO_FINGER, SIDES, Side
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.scene.scene import Scene, hand_alone
+from cadenza.tasks.reward import key_activation
 
 
 def parts_of(episode: Episode, scene: Scene) -> dict[Side, Episode]:
@@ -38,7 +39,7 @@ def _part(episode: Episode, scene: Scene, side: Side) -> Episode:
         "hand_qvel": episode["hand_qvel"][:, joints],
         "fingertip_xpos": tips,
         "key_qpos": key_qpos,
-        "key_activation": key_qpos > scene.keyboard.sounds_from,
+        "key_activation": key_activation(key_qpos, scene.keyboard.sounds_from),
         "sustain_activation": episode["sustain_activation"],
         "goal_keys": episode["goal_keys"] & mine,
         "goal_fingers": np.where(mine, number, np.int8(NO_FINGER)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import partial
@@ -112,7 +112,7 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     """
     check_is_name(song)
     arrangement = as_config(arrangement, Arrangement)
-    if is_policy(song):
+    if is_own_folder(song):
         if arrangement.chosen:
             raise CadenzaError(
                 f"{song}: plays its song as it was trained; leave out --tracks and --reduce"
@@ -141,8 +141,8 @@ def _own_song(policy: Path) -> Score:
     return score
 
 
-def is_policy(song: str | Path) -> bool:
-    """Whether a song is named by a folder, as that of a policy."""
+def is_own_folder(song: str | Path) -> bool:
+    """Whether a song is named by the folder of a policy or of a practised song, which has it."""
     text = str(song)
     bundled = text.lower() in {piece.name.lower() for piece in songs()}
     return os.path.isdir(song) and not (bundled and isinstance(song, str))
@@ -174,32 +174,34 @@ def select(
     score = song if isinstance(song, Score) else load_song(song, arrangement)
     title = score.title if isinstance(song, Score) else str(song)
     selection = partial(Selection, song=title, score=score, arrangement=arrangement)
-    if agent is None and (practised := practised_plan(title)) is not None:
-        agent, plan = PLAYBACK, practised
-        of = practised_song(practised)
-        selection = partial(selection, task=of.task, scene=of.scene, arrangement=of.arrangement)
-    if agent is None:
-        agent = PLANNER if isinstance(song, Score) or not is_policy(song) else song
-    if not isinstance(agent, str | Path):
+    if agent is None and not isinstance(song, Score) and is_own_folder(song):
+        if plan is None and (practised := practised_plan(song)) is not None:
+            made = practised_song(practised)
+            own = {"task": made.task, "scene": made.scene, "arrangement": made.arrangement}
+            return _played_back(partial(selection, **own), practised)
+        agent = song
+    if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
         config = getattr(agent, "config", None)
         return selection(name=name, agent=checked_agent(agent, name), config=config)
-    name = current_name(str(agent))
+    name = PLANNER if agent is None else current_name(str(agent))
     if (name == PLAYBACK) != (plan is not None):
         raise CadenzaError("--agent playback and --plan FILE.npz go together: give both or neither")
     if not isinstance(plan, str | Path | None):
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
-        plan = Path(plan)
-        if "scene" not in selection.keywords:
-            selection = partial(selection, scene=replace(SceneConfig(), **physics_of(plan)))
-        player = Playback(load_plan(plan), tracking_of(plan))
-        return selection(name=name, agent=player, plan=plan)
+        scene = replace(SceneConfig(), **physics_of(Path(plan)))
+        return _played_back(partial(selection, scene=scene), Path(plan))
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     config, options = (configs or {}).get(name), agent_options(name)
     config = config if options is None else as_config(config, options)
     return selection(name=name, agent=make_agent(name, config), config=config)
+
+
+def _played_back(selection: Callable[..., Selection], plan: Path) -> Selection:
+    player = Playback(load_plan(plan), tracking_of(plan))
+    return selection(name=PLAYBACK, agent=player, plan=plan)
 
 
 def _policy(agent: str, song: str) -> LearntPolicy | None:
@@ -212,7 +214,7 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
 def practised_plan(song: str | Path) -> Path | None:
     """The plan in the folder of a song that was practised; None if `song` is no such folder."""
     path = Path(song) / PRACTISED
-    return path if is_policy(song) and path.is_file() else None
+    return path if is_own_folder(song) and path.is_file() else None
 
 
 def is_policy_folder(agent: str) -> bool:
@@ -261,12 +263,33 @@ def set_up(
         num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
     options = options_of(task, scene, seed, **asdict(selection.arrangement))
     if selection.plan is not None:
-        check_options(selection.plan, options)
-        if scene.physics != selection.scene.physics:
-            made = f"{selection.plan}: made in the {selection.scene.physics} physics"
-            warnings.warn(
-                f"{made}, played in the {scene.physics} physics", CadenzaWarning, stacklevel=3
-            )
+        _check_plan(selection.plan, options, made_in=selection.scene, played_in=scene)
+    settings = _settings(selection, task, scene, seed)
+    looking = partial(progress, "fingers")
+    with (
+        closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
+        _with_threads(selection.agent, num_threads),
+    ):
+        if selection.learnt is not None:
+            selection.learnt.check(selection.name, piano_task)
+        yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+
+
+def _check_plan(
+    plan: Path, options: dict[str, Any], made_in: SceneConfig, played_in: SceneConfig
+) -> None:
+    """Raises: CadenzaError: with these options it would not play the same."""
+    check_options(plan, options)
+    if played_in.physics != made_in.physics:
+        made = f"{plan}: made in the {made_in.physics} physics"
+        played = f"{made}, played in the {played_in.physics} physics"
+        warnings.warn(played, CadenzaWarning, stacklevel=4)
+
+
+def _settings(
+    selection: Selection, task: TaskConfig, scene: SceneConfig, seed: int
+) -> dict[str, Any]:
+    """See `Setup.settings`."""
     settings = {
         "song": selection.song,
         "agent": selection.name,
@@ -278,14 +301,7 @@ def set_up(
     }
     if is_dataclass(selection.config) and not isinstance(selection.config, type):
         settings[options_name(selection.name)] = asdict(selection.config)
-    looking = partial(progress, "fingers")
-    with (
-        closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
-        _with_threads(selection.agent, num_threads),
-    ):
-        if selection.learnt is not None:
-            selection.learnt.check(selection.name, piano_task)
-        yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+    return settings
 
 
 @contextmanager
