@@ -245,7 +245,7 @@ def test_words_of_others_are_escaped(written) -> None:
 def test_settings_and_links(written) -> None:
     settings = {"learner": {"rate": 3e-4, "sizes": [256, 256]}, "residual": True, "limit": None}
     page = written(RUN, settings=settings, links={"the best": "best/report.html"})
-    assert "Settings learner.rate 0.0003 learner.sizes [256, 256] residual True" in words(page)
+    assert "Settings learner.rate 0.0003 learner.sizes 256, 256 residual True" in words(page)
     assert "limit" not in words(page)
     assert '<a href="best/report.html">the best</a>' in page
     assert "<details" not in written(RUN)

@@ -44,11 +44,7 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
     with extra_packages("export", "exporting"):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    fps = round(1 / dataset.control_timestep)
-    if abs(fps * dataset.control_timestep - 1) > 1e-9:
-        raise CadenzaError(
-            f"LeRobot wants a whole number of frames a second, not {1 / dataset.control_timestep:g}"
-        )
+    fps = _fps(dataset)
     songs = list(dict.fromkeys(episode.about.song for episode in dataset.episodes))
     tasks = {song: number for number, song in enumerate(songs)}
     with new_folder(path) as folder:
@@ -60,45 +56,65 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
             features = features or {name: _feature(values) for name, values in frames.items()}
             of_episode = _stats_of(frames)
             stats.add(of_episode)
-            chunk, file = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
-            count = len(frames["index"])
-            rows.append(
-                {
-                    "episode_index": number,
-                    "tasks": [_task(episode.about.song)],
-                    "length": count,
-                    "data/chunk_index": chunk,
-                    "data/file_index": file,
-                    "dataset_from_index": index,
-                    "dataset_to_index": index + count,
-                    "meta/episodes/chunk_index": 0,
-                    "meta/episodes/file_index": 0,
-                }
-                | {f"stats/{n}/{k}": v for n, of in of_episode.items() for k, v in of.items()}
-            )
-            index += count
+            place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
+            end = index + len(frames["index"])
+            rows.append(_row(number, episode.about.song, range(index, end), place, of_episode))
+            index = end
             advance(number + 1, len(dataset.episodes))
         files.close()
         (folder / _EPISODES).parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(rows), folder / _EPISODES)
         pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
         write_json(folder / "meta/stats.json", stats.whole)
-        info = {
-            "codebase_version": "v3.0",
-            "robot_type": f"{dataset.scene.hand.name} hands",
-            "total_episodes": len(rows),
-            "total_frames": index,
-            "total_tasks": len(songs),
-            "chunks_size": _FILES_PER_CHUNK,
-            "data_files_size_in_mb": _FILE_BYTES >> 20,
-            "video_files_size_in_mb": 200,
-            "fps": fps,
-            "splits": {"train": f"0:{len(rows)}"},
-            "data_path": _DATA,
-            "video_path": None,
-            "features": features,
-        }
-        write_json(folder / "meta/info.json", info)
+        counts = {"episodes": len(rows), "frames": index, "tasks": len(songs)}
+        robot = f"{dataset.scene.hand.name} hands"
+        write_json(folder / "meta/info.json", _info(robot, counts, fps, features))
+
+
+def _fps(dataset: Dataset) -> int:
+    fps = round(1 / dataset.control_timestep)
+    if abs(fps * dataset.control_timestep - 1) > 1e-9:
+        raise CadenzaError(
+            f"LeRobot wants a whole number of frames a second, not {1 / dataset.control_timestep:g}"
+        )
+    return fps
+
+
+def _row(
+    number: int, song: str, frames: range, place: tuple[int, int], stats: Stats
+) -> dict[str, Any]:
+    """What the table of episodes says of one; its frames are in a file of a chunk, the `place`."""
+    chunk, file = place
+    return {
+        "episode_index": number,
+        "tasks": [_task(song)],
+        "length": len(frames),
+        "data/chunk_index": chunk,
+        "data/file_index": file,
+        "dataset_from_index": frames.start,
+        "dataset_to_index": frames.stop,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    } | {f"stats/{name}/{k}": v for name, of in stats.items() for k, v in of.items()}
+
+
+def _info(
+    robot: str, counts: Mapping[str, int], fps: int, features: dict[str, Any]
+) -> dict[str, Any]:
+    """What the format has to say of the whole dataset."""
+    return {
+        "codebase_version": "v3.0",
+        "robot_type": robot,
+        **{f"total_{what}": count for what, count in counts.items()},
+        "chunks_size": _FILES_PER_CHUNK,
+        "data_files_size_in_mb": _FILE_BYTES >> 20,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{counts['episodes']}"},
+        "data_path": _DATA,
+        "video_path": None,
+        "features": features,
+    }
 
 
 def _frames(dataset: Dataset, number: int, first: int, task: int, fps: int) -> Arrays:

@@ -102,16 +102,19 @@ class Training:
         self._chunks: list[Chunk] = []
         self._seconds = 0.0
         with threadpool_limits(1):
-            if checkpoint is None:
-                self._collector.begin()
-            else:
-                try:
-                    self._restore(checkpoint)
-                except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-                    raise CadenzaError(
-                        f"{folder.path}: its checkpoint does not belong to this run ({error!r}); "
-                        "use another copy, or start a new run"
-                    ) from error
+            self._take_up(checkpoint)
+
+    def _take_up(self, checkpoint: Checkpoint | None) -> None:
+        if checkpoint is None:
+            self._collector.begin()
+            return
+        try:
+            self._restore(checkpoint)
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            raise CadenzaError(
+                f"{self._folder.path}: its checkpoint does not belong to this run ({error!r}); "
+                "use another copy, or start a new run"
+            ) from error
 
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)

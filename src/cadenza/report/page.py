@@ -94,7 +94,7 @@ def own_parts(
         "headlines": "".join(_headline(name, shown[name]) for name in _HEADLINES if name in shown),
         "figures": _figures(shown),
         "misses": _misses(misses),
-        "settings": _folded("Settings", _table(dict(flat(settings)))),
+        "settings": settings_section(settings),
         "downloads": _downloads(midi, video),
         "roll_label": html.escape(_in_words(episode)),
         "recording": recording,
@@ -181,6 +181,12 @@ def _with_unit(name: str, value: Any) -> str:
     return f"{round(number, 3):z.6g}{unit}"
 
 
+def settings_section(settings: Mapping[str, Any]) -> str:
+    """A table to unfold of those that are not None, nothing if there are none."""
+    shown = {name: value for name, value in flat(settings) if value is not None}
+    return _folded("Settings", _table(shown)) if shown else ""
+
+
 def _folded(title: str, content: str) -> str:
     return (
         f'<details class="card"><summary>{title}</summary>'
@@ -188,13 +194,12 @@ def _folded(title: str, content: str) -> str:
     )
 
 
-def _table(settings: Mapping[str, Any]) -> str:
-    rows = (
+def _table(rows: Mapping[str, Any]) -> str:
+    cells = (
         f'<tr><th scope="row">{_breakable(name)}</th><td>{_breakable(_plain(value))}</td></tr>'
-        for name, value in settings.items()
-        if value is not None
+        for name, value in rows.items()
     )
-    return f"<table>{''.join(rows)}</table>"
+    return f"<table>{''.join(cells)}</table>"
 
 
 def _plain(value: Any) -> str:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import io
 import tempfile
+from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
@@ -243,7 +244,7 @@ def _releases(score: Score) -> list[float]:
         if event >= 0 and down[event]:
             lift = lifts[np.searchsorted(lifts, note.end, side="right")]
             release = min(lift, max(end, note.end) + 2.0)  # a pedal never lifted lets go at last
-        again = np.searchsorted(strikes[note.pitch], note.start, side="right")
+        again = bisect_right(strikes[note.pitch], note.start)
         if again < len(strikes[note.pitch]):
             release = min(release, strikes[note.pitch][again])
         releases.append(min(max(release, note.start + 0.03), note.start + _LONGEST))

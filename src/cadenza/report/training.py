@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cadenza.report.asset import asset
 from cadenza.report.line_chart import LARGEST, Line, Points, in_short, line_chart
-from cadenza.report.page import flat, write_page
+from cadenza.report.page import settings_section, write_page
 
 _STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
 _REWARDS = "eval/reward/"
@@ -89,7 +89,7 @@ def write_training(
         "headline": _table(runs) if len(runs) > 1 else _cards(runs[0]),
         "f1": _f1_section(runs),
         "others": _other_section(runs),
-        "settings": _settings(settings),
+        "settings": settings_section(settings),
         "renewed": " data-renewed" if going_on else "",
         "uplot": asset("uplot.min.js"),
         "css": "".join(map(asset, _STYLES)),
@@ -289,21 +289,6 @@ def _table(runs: Sequence[Curve]) -> str:
 def _row(kind: str, name: str, figures: Mapping[str, float]) -> str:
     cells = "".join(f"<td>{_shown(figure, figures)}</td>" for figure in _FIGURES)
     return f'<tr class="{kind}"><th scope="row">{html.escape(name)}</th>{cells}</tr>'
-
-
-def _settings(settings: Mapping[str, Any]) -> str:
-    """A section to unfold, nothing if there are none."""
-    rows = "".join(
-        f'<tr><th scope="row">{html.escape(name)}</th><td>{html.escape(str(value))}</td></tr>'
-        for name, value in flat(settings)
-        if value is not None
-    )
-    if not rows:
-        return ""
-    return (
-        '<details class="card"><summary>Settings</summary>'
-        f'<div class="scroll"><table>{rows}</table></div></details>'
-    )
 
 
 # Charts
