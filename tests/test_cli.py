@@ -17,8 +17,9 @@ import pytest
 import cadenza
 from cadenza.agents.planning.score_planner import SongPlanner
 from cadenza.agents.playback import options_of
+from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
-from cadenza.cli import main
+from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
@@ -74,6 +75,15 @@ def test_help(capsys: pytest.CaptureFixture[str]) -> None:
     said = capsys.readouterr().out
     for word in ("play", "plan", "compare", "songs", "info", "piano"):
         assert word in said
+
+
+def test_help_says_what_each_command_does_in_whole_sentences() -> None:
+    kinds = [each for each in _COMMANDS.values() if not isinstance(each, dict)]
+    kinds += [
+        each for group in _COMMANDS.values() if isinstance(group, dict) for each in group.values()
+    ]
+    for kind, _ in kinds:
+        assert about_in_a_line(kind).endswith(".")
 
 
 def help_of(

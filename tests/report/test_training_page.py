@@ -73,7 +73,7 @@ def written(tmp_path: Path) -> Callable[..., str]:
 
 
 def words(page: str) -> str:
-    shown = re.sub(r"<(style|title|script)\b.*?</\1>", "", page, flags=re.DOTALL)
+    shown = re.sub(r"<(style|title|script)\b.*?</\1>|<wbr>", "", page, flags=re.DOTALL)
     return " ".join(re.sub(r"<[^>]+>", " ", shown).split())
 
 

@@ -37,34 +37,34 @@ _RESIDUAL = "-residual"
 
 @dataclass(frozen=True)
 class Bench(Options):
-    """Have agents play all songs of a library, with several seeds. Ctrl-C stops it; the same
-    command goes on.
+    """Have agents play all songs of a library, with several seeds.
+
+    Ctrl-C stops it. The same command continues it.
 
     Example: cadenza bench --songs bundled --agents planner,zero --seeds 0-2 -o results
     """
 
     songs: str = "debug"
-    """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
+    """A song library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
     agents: tuple[str, ...] = ("planner",)
-    """Who plays, with commas or spaces between: as in "cadenza play", or train:fast, train:paper,
-    train:published, train:fast-residual for a policy trained on each song first. All but
-    playback."""
+    """Agents of "cadenza play" but playback, with commas or spaces between; or train:fast,
+    train:paper, train:published, train:fast-residual: a policy trained on each song."""
     seeds: tuple[str, ...] = ("0",)
     """Random seeds, such as 0-2 or 0,5. Each agent plays each song once with each seed."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bench")
-    """Folder of the runs. One that holds some already is extended."""
+    """Folder of the runs, which is extended if it holds some already."""
     retry: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Carry out again what has failed before."""
+    """Repeat the runs that failed before."""
     jobs: int | None = None
-    """How many runs at once, as many as the cores allow by default."""
+    """Number of runs at once. By default as many as the cores allow."""
     num_threads: Advanced[int] = 1
     """Threads of each run."""
     num_steps: int | None = None
-    """Environment steps of training, for train:PRESET; what the preset says by default."""
+    """Environment steps of train:PRESET. By default those of the preset."""
     pages: Advanced[Literal["first-seed", "all", "none"]] = "first-seed"
     """Which runs leave a page to watch and hear; made later too, without playing again."""
     executor: Literal["local", "ray"] = "local"
-    """Where the runs are carried out: on this machine, or on a Ray cluster."""
+    """Carry out the runs on this machine or on a Ray cluster."""
     address: Advanced[str | None] = None
     """Of a Ray cluster, such as auto. By default one is started on this machine."""
     quiet: Quiet = False

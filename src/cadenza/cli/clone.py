@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Clone:
-    """Train one policy for many songs on demonstrations, by behaviour cloning. Ctrl-C stops it;
-    the same command goes on.
+    """Train one policy for many songs on demonstrations, by behaviour cloning.
+
+    Ctrl-C stops it. The same command continues it.
 
     Example: cadenza clone demonstrations -o clone; cadenza play OdeToJoy --agent clone/last
     """
 
     demonstrations: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
-    """A folder of "cadenza dataset collect"."""
+    """A folder that "cadenza dataset collect" has made."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("runs/clone")
     """Folder of the run."""
     quiet: Quiet = False

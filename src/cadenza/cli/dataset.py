@@ -34,32 +34,33 @@ _MOST_EPISODES = 1_000_000
 
 @dataclass(frozen=True)
 class Collect(Options):
-    """Have an agent play songs in many ways, and keep what it did to learn from. Ctrl-C stops it;
-    the same command goes on.
+    """Have an agent play songs in many ways, and record demonstrations to learn from.
+
+    Ctrl-C stops it. The same command continues it.
 
     Example: cadenza dataset collect --songs bundled --episodes 4 -o demonstrations
     """
 
     songs: str = "bundled"
-    """A song library, see "cadenza libraries", or a folder; with :SPLIT only that of its splits."""
+    """A song library, see "cadenza libraries", or a folder. LIBRARY:SPLIT is a split of it."""
     agent: str = "planner"
-    """Who plays: the planner, or any other that "cadenza play" takes but playback and policies."""
+    """Who plays: any agent of "cadenza play" but playback and policies."""
     episodes: int = 1
-    """How many of each song. With more, the folder is extended."""
+    """Episodes of each song. With more than before, the folder is extended."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demonstrations")
-    """Folder of the episodes. One that holds some already is extended."""
+    """Folder of the episodes, which is extended if it holds some already."""
     least_f1: float = 0.8
-    """Least F1 of an episode that is kept; others are counted."""
+    """Minimum F1 of an episode to be kept. Others are only counted."""
     variation: tyro.conf.OmitArgPrefixes[Variation] = field(default_factory=Variation)
     task: tyro.conf.OmitArgPrefixes[TaskConfig] = field(default_factory=varied)
     retry: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Carry out again what has failed before."""
+    """Repeat the episodes that failed before."""
     jobs: int | None = None
-    """How many episodes at once, as many as the cores allow by default."""
+    """Number of episodes at once. By default as many as the cores allow."""
     num_threads: Advanced[int] = 1
     """Threads of each episode."""
     executor: Literal["local", "ray"] = "local"
-    """Where they are played: on this machine, or on a Ray cluster."""
+    """Play the episodes on this machine or on a Ray cluster."""
     address: Advanced[str | None] = None
     """Of a Ray cluster, such as auto. By default one is started on this machine."""
     quiet: Quiet = False
@@ -165,7 +166,7 @@ class DatasetInfo:
     """
 
     folder: tyro.conf.Positional[Path]
-    """Of the demonstrations."""
+    """Folder of the demonstrations."""
 
 
 def info(command: DatasetInfo) -> None:
@@ -182,7 +183,7 @@ class DatasetCheck:
     """
 
     folder: tyro.conf.Positional[Path]
-    """Of the demonstrations."""
+    """Folder of the demonstrations."""
     replays: int = 3
     """How many episodes are played again and compared with what was recorded."""
     quiet: Quiet = False
@@ -210,9 +211,10 @@ class DatasetPlay:
     """
 
     folder: tyro.conf.Positional[Path]
-    """Of the demonstrations."""
+    """Folder of the demonstrations."""
     number: Annotated[tyro.conf.Positional[int], tyro.conf.arg(metavar="N")]
-    """Which of the episodes that were kept, from 0 on, in the order of their folders' names."""
+    """Number of the episode, from 0. Those that were kept count, in the order of their folders'
+    names."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the results; played/FOLDER/N by default."""
     video: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -245,11 +247,11 @@ class DatasetExport:
     """
 
     folder: tyro.conf.Positional[Path]
-    """Of the demonstrations."""
+    """Folder of the demonstrations."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """A new folder. For Minari, MINARI_DATASETS_PATH has to name it when the dataset is loaded."""
+    """A new folder. To load the dataset with Minari, set MINARI_DATASETS_PATH to it."""
     format: Literal["minari", "lerobot"] = "minari"
-    """What to write."""
+    """Format of the dataset."""
     quiet: Quiet = False
 
 

@@ -14,7 +14,7 @@ from cadenza.music.etudes import DRILLS, KINDS
 
 @dataclass(frozen=True)
 class Etude:
-    """Write a practice piece to a MIDI file: another one for every seed.
+    """Write a practice piece to a MIDI file, a different one for every seed.
 
     Example: cadenza etude --kind arpeggios --difficulty 3 --seed 7 -o etude.mid
     """
@@ -22,14 +22,14 @@ class Etude:
     kind: Annotated[
         str | None,
         tyro.conf.arg(
-            help=f"Kind: {', '.join(KINDS)}, drawn from the seed if not given; or for one hand "
-            f"{', '.join(DRILLS)}."
+            help=f"Kind of piece, by default drawn from {', '.join(KINDS)}. For one hand there are "
+            f"also {', '.join(DRILLS)}."
         ),
     ] = None
     difficulty: int = 3
-    """1 to 10; for one hand, how many notes or chords there are."""
+    """From 1 to 10; for one hand, the number of notes or chords."""
     seed: int | None = None
-    """Random seed. Drawn, and printed, if not given."""
+    """Random seed. By default one is drawn and printed."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The file, KIND-DIFFICULTY-SEED.mid by default."""
 

@@ -27,13 +27,13 @@ class Import:
         tyro.conf.Positional[Literal["midi", "pig"]], tyro.conf.arg(metavar="{midi,pig}")
     ]
     """midi: a folder of MIDI or MusicXML files, with an index.csv if you like. pig: the PIG
-    dataset, which has repertoire-150 and etude-12."""
+    fingering dataset, for the libraries repertoire-150 and etude-12."""
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")]
-    """Where the files are. The PIG dataset may also be the ZIP file."""
+    """Where the files are. For the PIG dataset, it may also be the ZIP file."""
     name: str | None = None
-    """What a library of midi is to be called."""
+    """Name of the new library, for midi."""
     replace: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Replace the library if there is one of this name."""
+    """Replace a library of the same name."""
     quiet: Quiet = False
 
 

@@ -35,8 +35,8 @@ Again = Callable[[Command], Command]
 TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
-    'Who plays: a name that "cadenza info" lists, the folder of a policy, or module:Class; with '
-    "--help-all also its options. By default the planner, or the policy whose folder is SONG."
+    'Who plays: a name that "cadenza info" lists, the folder of a policy, or module:Class. By '
+    "default the planner, or the policy whose folder is SONG. --help-all shows its options."
 )
 
 

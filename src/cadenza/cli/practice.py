@@ -35,8 +35,8 @@ _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 class PracticeCommand(Performing):
     """Practise a song: play it, go back to what fails, and keep what is better.
 
-    Ctrl-C ends practice with the best so far. The same command goes on where it was left, and
-    "cadenza play FOLDER" plays what was practised.
+    Ctrl-C ends practice and keeps the best so far. The same command continues it, and "cadenza play
+    FOLDER" plays the result.
 
     Example: cadenza practice FurEliseOpening -o elise --minutes 5
     """
@@ -44,10 +44,10 @@ class PracticeCommand(Performing):
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
-    """Practise until this effort has been made, in all: 1 is 100 simulated control steps for each
-    of the song and each hand. 10 by default. The same effort plays the same."""
+    """Practise until the effort is this much in all, 10 by default. 1 is 100 simulated control
+    steps for each control step of the song and each hand. The same effort gives the same result."""
     minutes: float | None = None
-    """Practise for this long instead."""
+    """Practise for so many minutes instead."""
     seed: int = 0
     """Random seed."""
     video: bool = True

@@ -9,7 +9,7 @@ from typing import Any
 from cadenza.cli.arguments import option_names, words_of
 from cadenza.tasks.setups import setup_named
 
-SETUP_HELP = 'Hands, keyboard and agent by one name, see "cadenza info"; other options win.'
+SETUP_HELP = 'Hands, keyboard and agent by one name, see "cadenza info". Options override it.'
 
 
 def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:

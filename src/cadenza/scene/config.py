@@ -25,8 +25,8 @@ class SceneConfig:
     hand: str = "shadow"
     """Kind of hand: shadow, allegro, allegro-narrow (with narrow tips), or module:NAME."""
     hands: Hands = "both"
-    """Which hands play. Apart: both, each in a scene of its own, and then combined. With none, the
-    piano plays itself."""
+    """Which hands play. apart: both, each in a scene of its own; what they play is combined. none:
+    the piano plays itself."""
     reduced_action_space: bool = True
     """Lock thumb joints 5 and 1 and little finger joint 5, as in the paper."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")

@@ -62,8 +62,8 @@ class ScorePlannerConfig:
     horizon: float = 0.35
     """Planning horizon [s]."""
     effort: float = 0.0
-    """Effort of practice before playing: 1 is 100 simulated control steps for each of the song and
-    each hand. With 0, it plays at first sight."""
+    """Effort of practice before playing: 1 is 100 simulated control steps for each control step of
+    the song and each hand. With 0, it plays at first sight."""
 
 
 @dataclass(frozen=True)

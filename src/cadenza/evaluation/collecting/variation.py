@@ -13,12 +13,13 @@ class Variation:
     """What is drawn for each episode beside tempo, transposition and the place of the hands."""
 
     noise: float = 0.2
-    """Most noise on what is played, of the planner's own. How much of it is drawn per episode; the
-    recorded action has none, and corrects what the noise before it did."""
+    """Maximum noise on what is played, where 1 is the noise of the planner's search. How much is
+    drawn per episode. The recorded actions have none, and correct what the noise before them
+    did."""
     mirror: bool = True
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
-    """Play so many seconds from somewhere in the song, instead of all of it."""
+    """Play so many seconds [s] from somewhere in the song, instead of all of it."""
     student: str | None = field(default=None, metadata=added(before=None))
     """Another agent, which plays half of the time, in stretches of about a second. What is recorded
     is what the first agent would have played in its place."""
