@@ -46,10 +46,11 @@ ALLOWED = {
     ("report/results_figure.py", 5): "pixels",
     ("report/results_figure.py", 10): "pixels",
     ("report/sound.py", 10): "seconds of sound; the base of decibels",
-    ("report/sound.py", 88): "the pitch of the last damper; the seed of the room's noise",
+    ("report/sound.py", 88): "the seed of the room's noise",
+    ("report/tone.py", 88): "the pitch of the last damper",
     ("scene/scene.py", 10): "MuJoCo's ratio of frictional to normal impedance",
     ("studio/practising.py", 10): "how nice a process is to others",
-    ("studio/server.py", 5): "seconds that a connection is kept",
+    ("studio/watchable.py", 5): "seconds that a connection is kept",
     ("tasks/config.py", 10): "steps of the lookahead",
 }
 COINCIDENCES = {

@@ -78,7 +78,7 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
     practising.practise(order(str(song), tmp_path), told.append)
     said = [json.loads(message.content) for message in told if message.kind == JSON]
     assert said[-1]["state"] == "done"
-    played = worker.play(order(str(song), tmp_path), lambda _: None)
+    played, _ = worker.play(order(str(song), tmp_path), lambda _: None)
     assert played.settings["agent"] == "playback"
     assert played.metrics["f1"] == pytest.approx(max(said[-1]["f1"]))
     with worker.set_up_as_asked(order(str(song), tmp_path), lambda *_: None) as setup:

@@ -90,6 +90,12 @@ def song(path: Path, count: int = 6) -> bytes:
     return path.read_bytes()
 
 
+def press(browser: Browser, within: str, name: str) -> None:
+    """The first button of that name."""
+    buttons = f"[...document.querySelectorAll('{within} button')]"
+    browser.evaluate(f"{buttons}.find((button) => button.textContent === '{name}').click()")
+
+
 def text(browser: Browser, id: str) -> str:
     return browser.evaluate(f"document.getElementById('{id}').innerText")
 
@@ -121,6 +127,70 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     browser.call("Page.navigate", url=url)
     wait(browser, "!!window.cadenza && cadenza.ready")
     assert browser.evaluate("origin") == "null"
+    assert browser.problems() == []
+
+
+def test_two_performances_are_watched_in_step(browser: Browser, address: str) -> None:
+    """That of the test before twice: it is kept."""
+    visit(browser, address)
+    press(browser, "#kept", "Compare")
+    assert "First watch another" in text(browser, "error")
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.began")
+    press(browser, "#kept", "Compare")
+    assert "is shown" in text(browser, "error")
+    ids = browser.evaluate("location.hash").removeprefix("#job=")
+    assert len(ids) == 16
+    browser.call("Page.navigate", url=f"{address}#job={ids},{ids}")
+    wait(browser, "cadenza.began")
+    browser.evaluate("cadenza.seek(1.5)")
+    browser.settle()
+    wait(browser, "document.querySelectorAll('.caption b')[1]?.textContent.length > 3")
+    shown = browser.evaluate("[...document.querySelectorAll('.caption b')].map((b) => b.innerText)")
+    assert shown[0] == shown[1]
+    press(browser, ".half:last-child", "Listen")
+    pressed = "[...document.querySelectorAll('.caption [aria-pressed]')].map((b) => b.ariaPressed)"
+    assert browser.evaluate(pressed) == ["false", "true"]
+    wait(browser, "cadenza.finished")
+    press(browser, ".half:first-child", "×")
+    wait(browser, "document.querySelectorAll('.half').length === 1")
+    assert browser.evaluate("location.hash") == f"#job={ids}"
+    assert browser.problems() == []
+
+
+def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.time > 0.5")
+    whole = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
+    scrub = "((scrub) => { scrub.value = 2; scrub.dispatchEvent(new Event('input')); })"
+    browser.evaluate(f"{scrub}(document.getElementById('scrub'))")
+    browser.settle()
+    assert 2 <= browser.evaluate("cadenza.time") < 3
+    browser.evaluate("cadenza.seek(0)")
+    for key in " ", "ArrowRight", "ArrowRight", "ArrowLeft":
+        browser.call("Input.dispatchKeyEvent", type="keyDown", key=key)
+    browser.settle()
+    time = browser.evaluate("cadenza.time")
+    assert 0.5 <= time < 1.5
+    last = browser.evaluate("cadenza.live.states.findLastIndex((state) => state && state < 4)")
+    assert last // 88 * 0.05 <= time + 0.05  # nothing later is shown as played
+    browser.evaluate("cadenza.seek(99)")
+    browser.settle()
+    assert browser.evaluate("cadenza.time") == pytest.approx(whole - 0.05, abs=1e-6)
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")
+    wait(browser, "cadenza.finished")
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")  # once more
+    wait(browser, "!cadenza.finished && cadenza.time < 2")
+
+
+def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) -> None:
+    visit(browser, address)
+    browser.evaluate("window.confirm = () => true")
+    before = len(list((folder / "uploads").iterdir()))
+    press(browser, "#songs", "×")
+    wait(browser, "!document.getElementById('songs').innerText.includes('×')")
+    assert (before, len(list((folder / "uploads").iterdir()))) == (2, 0)
     assert browser.problems() == []
 
 
@@ -226,11 +296,37 @@ def test_a_server_that_ends_is_noticed(browser: Browser, tmp_path: Path) -> None
     with studio(tmp_path / "short") as short:
         visit(browser, short)
         drop(browser, song(tmp_path / "e.mid", 60), "e.mid")
-        wait(browser, "cadenza.live")
+        wait(browser, "cadenza.time > 0.5")
     wait(browser, "cadenza.error !== null || cadenza.state === 'cancelled'")
-    if browser.evaluate("cadenza.state") != "cancelled":
-        assert "does not answer" in text(browser, "error")
     assert not list((tmp_path / "short").glob(".*"))
+    with studio(tmp_path / "short") as again:
+        assert again == short
+        browser.call("Page.reload")
+        wait(browser, "!!window.cadenza && cadenza.ready && cadenza.state === 'gone'")
+        assert "Press Play" in text(browser, "doing")
+        assert text(browser, "start") == "Play e"
+        assert browser.evaluate("document.getElementById('agent').value") == "sight"
+        press(browser, ".actions", "Play e")
+        wait(browser, "cadenza.began")
+
+
+def test_a_server_that_is_killed_and_started_again(browser: Browser, tmp_path: Path) -> None:
+    """The page waits for it, and then says what became of the performance."""
+    line = [sys.executable, "-m", "cadenza", "studio", "--folder", str(tmp_path / "killed")]
+    for turn in range(2):
+        with subprocess.Popen([*line, "--no-browser"], stdout=subprocess.PIPE, text=True) as server:
+            assert server.stdout is not None
+            address = server.stdout.readline().split()[-1]
+            if not turn:
+                visit(browser, address)
+                drop(browser, song(tmp_path / "f.mid", 60), "f.mid")
+                wait(browser, "cadenza.time > 0.5")
+            else:
+                wait(browser, "cadenza.state === 'gone'")
+                assert browser.evaluate("cadenza.error") is None
+            server.kill()
+        if not turn:
+            wait(browser, "cadenza.error?.includes('does not answer')")
 
 
 def test_kept_performances_and_settings_are_found_after_a_restart(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 from asyncio.subprocess import PIPE
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="needs cadenza[studio]")
@@ -18,12 +22,17 @@ pytest.importorskip("httpx2", reason="needs the development group")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from cadenza.errors import CadenzaError
+from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs
-from cadenza.studio.request import PlayRequest
+from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.server import Studio
+from cadenza.studio.shelf import Kept
+from cadenza.studio.synthesizer import Synthesizer
 from cadenza.studio.trainings import Trainings
+from cadenza.studio.watchable import serve
 
 ADDRESS = "http://127.0.0.1:8000"
 SAME = {"origin": ADDRESS}
@@ -94,8 +103,65 @@ def test_others_cannot_watch(client: TestClient, path: str, headers: dict[str, s
 
 
 def test_a_job_that_is_gone_is_said_to_be(client: TestClient) -> None:
-    with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as socket:
-        assert socket.receive_json() == {"state": "gone"}
+    with client.websocket_connect("ws://127.0.0.1:8000/TOKEN/watch/x", headers=SAME) as told:
+        assert told.receive_json() == {"state": "gone"}
+
+
+def test_a_tone_is_made_for_who_asks(client: TestClient) -> None:
+    answer = client.get("/TOKEN/tones/60/3")
+    samples = np.frombuffer(answer.content[4:], "<i2")
+    assert np.abs(samples).max() == 32767
+    assert np.frombuffer(answer.content[:4], "<f4") > 0
+    assert "immutable" in answer.headers["cache-control"]
+    for wrong in "60/4", "128/0", "60/99999":
+        assert client.get(f"/TOKEN/tones/{wrong}").status_code == 400
+
+
+def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
+    id, wanted = "0123456789abcdef", asdict(PlayRequest("OdeToJoy"))
+    folder, rows = tmp_path / "studio" / id, bytes(range(256)) * 4000  # more than is sent at once
+    folder.mkdir()
+    write_json(folder / "studio.json", asdict(Kept("Ode", wanted, 0.9, 8.0, 1.0)))
+    (folder / TOLD).write_bytes(b'{"steps": 3}')
+    (folder / ROWS).write_bytes(rows)
+    (kept,) = client.get("/TOKEN/api/performances").json()
+    assert kept["told"]
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
+        said = told.receive_json()
+        assert (said["title"], said["request"]["song"]) == ("Ode", "OdeToJoy")
+        assert told.receive_json()["state"] == "kept"
+        assert told.receive_json() == {"steps": 3}
+        heard = b""
+        while len(heard) < len(rows):
+            heard += told.receive_bytes()
+        assert heard == rows
+        with pytest.raises(WebSocketDisconnect):
+            told.receive_bytes()
+    (folder / ROWS).unlink()  # as in a folder of an earlier version
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
+        assert told.receive_json() == {"state": "gone"}
+
+
+def test_links_stay_valid(tmp_path: Path) -> None:
+    known, heard = tmp_path / "address.json", list[str]()
+
+    def stop(address: str) -> None:
+        heard.append(address)
+        raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            serve(Studio(tmp_path), ready=stop, known=known)
+    assert heard[0] == heard[1]
+    assert known.stat().st_mode & 0o077 == 0
+    port = int(heard[0].split(":")[2].split("/")[0])
+    with socket.create_server(("127.0.0.1", port)), pytest.raises(KeyboardInterrupt):
+        serve(Studio(tmp_path), ready=stop, known=known)  # somebody else has the port now
+    assert heard[2].split("/")[3] == heard[0].split("/")[3]
+    assert heard[2] != heard[0]
+    with pytest.raises(KeyboardInterrupt):
+        serve(Studio(tmp_path), ready=stop)
+    assert heard[3].split("/")[3] != heard[0].split("/")[3]
 
 
 def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:
@@ -131,8 +197,9 @@ def test_only_so_many_songs_wait(client: TestClient) -> None:
     assert "wait already" in answers[-1].json()["error"]
     id = answers[0].json()["id"]
     assert client.delete(f"/TOKEN/api/jobs/{id}", headers=SAME).status_code == 204
-    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as socket:
-        assert socket.receive_json() == {"state": "cancelled"}
+    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
+        assert told.receive_json()["title"] == "Ode to Joy"
+        assert told.receive_json() == {"state": "cancelled"}
     assert ask(song="OdeToJoy").status_code == 201
     assert ask(song="../x").json()["error"].startswith("there is no such song")
     assert client.post("/TOKEN/api/jobs", content=b"{", headers=SAME).status_code == 400
@@ -165,4 +232,22 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
     monkeypatch.setattr(jobs, "started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_a_synthesizer_that_ends_is_started_again() -> None:
+    async def run() -> None:
+        synthesizer = Synthesizer()
+        await synthesizer.warm()
+        low = asyncio.create_task(synthesizer.tone(30, 0))
+        await asyncio.sleep(0.01)
+        low.cancel()  # its answer must not be that to the next question
+        assert len(await synthesizer.tone(100, 0)) == 4 + 2 * (2 * 32_000 + 1)
+        assert synthesizer._process is not None
+        synthesizer._process.kill()
+        with suppress(CadenzaError):
+            await synthesizer.tone(100, 0)
+        assert await synthesizer.tone(60, 3)
+        await synthesizer.close()
+
     asyncio.run(asyncio.wait_for(run(), 60))

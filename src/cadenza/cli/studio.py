@@ -28,7 +28,7 @@ class StudioCommand:
     runs: Path = Path("runs")
     """Where policies learn, and those lie that have learnt."""
     port: int = 0
-    """Port to listen on; any free one by default."""
+    """Port to listen on; the one of the last time, or any free one, by default."""
     host: Advanced[str] = "127.0.0.1"
     """Address to listen on. With any other than this machine's own, whoever has the address of the
     page can use this machine to play."""
@@ -45,11 +45,13 @@ def run(command: StudioCommand) -> None:
     jobs = whole_number(command.jobs, "--jobs", 1, 64)
     check_writable(command.folder)
     need_server()
-    from cadenza.studio.server import Studio, announce, serve
+    from cadenza.studio.server import Studio
+    from cadenza.studio.watchable import announce, serve
 
     studio = Studio(command.folder, command.runs, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
-        serve(studio, command.host, port, partial(announce, browser=command.browser))
+        ready = partial(announce, browser=command.browser)
+        serve(studio, command.host, port, ready, studio.shelf.folder / "address.json")
 
 
 def need_server() -> None:

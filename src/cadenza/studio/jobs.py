@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import shutil
 from asyncio.subprocess import Process
@@ -13,42 +12,34 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
-from cadenza.studio.messages import JSON, ROWS, TONE
 from cadenza.studio.practice import PracticeRoom
 from cadenza.studio.processes import kill, messages, started, tell
 from cadenza.studio.request import PRACTISED, Order, PlayRequest, performance_folder
+from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
 
 MOST_WAITING = 8
 _MOST_WRITING = 2  # that write their files while others play
-_FINISHED_KEPT = 2  # whose rows stay in memory, to be watched again
-_OVER = ("kept", "failed", "cancelled")
+_ENDED_KNOWN = 8  # of which one can be told what became of them
 
 
-@dataclass
-class Job:
+@dataclass(eq=False)
+class Job(Stream):
     """One performance, from the request to its files.
 
     Attributes:
-        status: what is going on; `state` is queued, preparing, playing, played, writing, or one
-            of `_OVER`.
-        about: what is to be played, once that is known; see `cadenza.studio.live`.
-        rows: those of all steps so far.
-        tones: those that were needed so far.
-        known: all tones that any job needed, by pitch and band: they sound the same.
-        changed: is set whenever there is more to tell, and replaced.
+        order: what is played.
         is_busy: whether a process works on it; `process` once that has started.
     """
 
-    order: Order
-    status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
-    about: bytes | None = None
-    rows: bytearray = field(default_factory=bytearray)
-    tones: list[bytes] = field(default_factory=list)
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
-    known: dict[bytes, bytes] = field(default_factory=dict)
+    order: Order = field(kw_only=True)
     is_busy: bool = False
     process: Process | None = None
+
+    @classmethod
+    def of(cls, order: Order) -> Job:
+        """Before it has begun."""
+        return cls(order.title, asdict(order.request), order=order)
 
     @property
     def id(self) -> str:
@@ -56,45 +47,16 @@ class Job:
         return self.order.id
 
     @property
-    def is_over(self) -> bool:
-        """Whether nothing more happens."""
-        return self.status["state"] in _OVER
-
-    @property
     def summary(self) -> dict[str, Any]:
-        """As the list of jobs shows it."""
-        return {"id": self.id, "title": self.order.title, "request": asdict(self.order.request)} | {
-            "status": self.status
-        }
-
-    def tell(self) -> None:
-        """Wakes those who watch."""
-        event, self.changed = self.changed, asyncio.Event()
-        event.set()
-
-    def hear(self, kind: bytes, content: bytes) -> None:
-        """Takes in a message of the process."""
-        if kind == ROWS:
-            self.rows += content
-            if self.status["state"] == "preparing":
-                self.status = {"state": "playing"}
-        elif kind == TONE:
-            self.tones.append(self.known.setdefault(content[:2], TONE + content))
-        elif kind == JSON:
-            said = json.loads(content)
-            if "state" not in said:
-                self.about = content
-            elif said["state"] != "preparing" or self.status["state"] != "playing":
-                kept = {k: self.status[k] for k in ("metrics", "spent") if k in self.status}
-                self.status = kept | said
-        self.tell()
+        """As it is answered to whoever asks for it."""
+        return {"id": self.id, "title": self.title, "status": self.status}
 
 
 class Jobs:
     """The queue. `at_once` play at the same time; while any does, nobody practises or learns.
 
     Attributes:
-        jobs: those that wait or play, and the last ones.
+        jobs: those that wait or play, and the last that came to nothing.
         practice: where a song goes on being practised whose player asked for that.
         trainings: where policies learn.
     """
@@ -105,7 +67,6 @@ class Jobs:
         self._folder, self._at_once, self._video = folder, at_once, video
         self.jobs: dict[str, Job] = {}
         self.practice, self.trainings = PracticeRoom(), trainings
-        self._tones: dict[bytes, bytes] = {}
         self._waiting: deque[Job] = deque()
         self._spare: Process | None = None
         self._tasks: set[asyncio.Task[None]] = set()
@@ -124,7 +85,7 @@ class Jobs:
             raise CadenzaError(f"{MOST_WAITING} songs wait already; cancel one, or wait")
         id, folder = secrets.token_hex(8), str(self._folder)
         order = Order(request, title, source, uploaded, id, folder, self._video, agent)
-        job = Job(order, known=self._tones)
+        job = Job.of(order)
         self.jobs[job.id] = job
         self._waiting.append(job)
         self._pump()
@@ -140,7 +101,7 @@ class Jobs:
             self._waiting.remove(job)
         if job.process is not None:
             kill(job.process)
-        job.tell()
+        job.wake()
         self._pump()
 
     async def close(self) -> None:
@@ -157,23 +118,38 @@ class Jobs:
 
     def _pump(self) -> None:
         """Starts what can be started."""
-        while self._waiting and not self._closed:
-            busy = [job for job in self.jobs.values() if job.is_busy]
-            writing = [job for job in busy if job.status["state"] in ("played", "writing")]
-            if len(busy) - len(writing) >= self._at_once or len(writing) > _MOST_WRITING:
-                return
-            job = self._waiting.popleft()
-            job.status, job.is_busy = {"state": "preparing"}, True
-            spare, self._spare = self._spare, None
-            task = asyncio.create_task(self._run(job, spare))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+        while self._waiting and self._has_room():
+            self._start(self._waiting.popleft())
+        busy = sum(job.is_busy for job in self.jobs.values())
+        for before, job in enumerate(self._waiting, start=busy):
+            job.status = {"state": "queued", "before": before}
+            job.wake()
+        self._forget()
+        self.practice.pause(busy > 0)
+        self.trainings.pause(busy > 0)
+
+    def _has_room(self) -> bool:
+        states = [job.status["state"] for job in self.jobs.values() if job.is_busy]
+        writing = sum(state in ("played", "writing") for state in states)
+        playing = len(states) - writing
+        return not self._closed and playing < self._at_once and writing <= _MOST_WRITING
+
+    def _start(self, job: Job) -> None:
+        job.status, job.is_busy = {"state": "preparing"}, True
+        spare, self._spare = self._spare, None
+        task = asyncio.create_task(self._run(job, spare))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _forget(self) -> None:
+        """What is kept is told from its folder, and of what came to nothing only that it did."""
         over = [job for job in self.jobs.values() if job.is_over and not job.is_busy]
-        for job in over[:-_FINISHED_KEPT]:
-            del self.jobs[job.id]
-        playing = any(job.is_busy for job in self.jobs.values())
-        self.practice.pause(playing)
-        self.trainings.pause(playing)
+        failed = [job for job in over if job.status["state"] != "kept"]
+        for job in failed:
+            job.about, job.rows = None, b""
+        for job in over:
+            if job not in failed[-_ENDED_KNOWN:]:
+                del self.jobs[job.id]
 
     async def _run(self, job: Job, process: Process | None) -> None:
         try:
@@ -185,25 +161,30 @@ class Jobs:
             await self._listen(job, process)
         finally:
             job.process, job.is_busy = None, False
+            if not job.is_over:
+                job.status = {"state": "failed", "error": "the player ended unexpectedly"}
+            if job.status["state"] != "kept":
+                shutil.rmtree(performance_folder(self._folder, job.id), ignore_errors=True)
+            job.wake()
             self._pump()
             await self.warm()
 
     async def _listen(self, job: Job, process: Process) -> None:
         assert process.stdout is not None
         await tell(process, job.order)
-        job.tell()
         async for kind, content in messages(process.stdout):
             was = job.status["state"]
             if was != "cancelled":
                 job.hear(kind, content)
             if job.status["state"] != was:
-                if job.status["state"] == "kept" and job.order.request.agent == PRACTISED:
-                    self.practice.begin(job.order)
-                self._pump()
+                await self._changed(job)
         kill(process)
         await process.wait()
-        if not job.is_over:
-            job.status = {"state": "failed", "error": "the player ended unexpectedly"}
-        if job.status["state"] != "kept":
-            shutil.rmtree(performance_folder(self._folder, job.id), ignore_errors=True)
-        job.tell()
+
+    async def _changed(self, job: Job) -> None:
+        state = job.status["state"]
+        if state == "kept" and job.order.request.agent == PRACTISED:
+            self.practice.begin(job.order)
+        self._pump()
+        if state == "played":
+            await self.warm()

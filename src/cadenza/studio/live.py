@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.music.performance import STRIKE_TIME, strike_velocity
 from cadenza.report.recording import packed
-from cadenza.report.sound import DAMPING, LAST_DAMPER, LOUDER, tone
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import JSON, ROWS, TONE, Message, row_bytes
+from cadenza.studio.messages import JSON, ROWS, Message, row_bytes
+from cadenza.studio.tones import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
-
-_RATE = 32_000  # [Hz]
-_SECONDS = {60: 5.0, 84: 3.5, 128: 2.0}  # [s] that tones last below a pitch: high ones die sooner
-_FADE = 0.5  # [s] at its end
-_BAND = 32  # velocities that share a tone
 
 Send = Callable[[Message], None]
 
@@ -33,7 +26,12 @@ def as_json(**content: Any) -> Message:
 
 
 class Live:
-    """Sends what is to be played, then each step, and each tone before the key that needs it."""
+    """Sends what is to be played, then each step.
+
+    Attributes:
+        about: what is to be played, as JSON.
+        rows: those of all steps so far.
+    """
 
     def __init__(self, task: PianoTask, send: Send) -> None:
         self._task, self._send = task, send
@@ -43,33 +41,27 @@ class Live:
         still = np.zeros(keyboard.num_keys)
         self._depths = deque([still] * before, before)
         self._sounded = still.astype(bool)
-        self._tones: set[tuple[int, int]] = set()
+        self.about, self.rows = b"", bytearray()
 
     def begin(self) -> None:
         """Tells what is to be played by whom; all of a piece but how it goes."""
         scene, goals = self._task.scene, self._task.tracks[0].goals
         joints = len(scene.hand_start)
-        self._send(
-            as_json(
-                dt=self._dt,
-                steps=goals.num_steps,
-                keys=scene.keyboard.num_keys,
-                lowest=self._lowest,
-                joints=joints,
-                row=row_bytes(joints, scene.keyboard.num_keys),
-                start=[round(float(x), 6) for x in scene.hand_start],
-                scene=drawing(scene),
-                goal=packed(goals.keys.astype(np.uint8)),
-                pedal=packed(goals.sustain.astype(np.uint8)),
-                sound={
-                    "rate": _RATE,
-                    "band": _BAND,
-                    "damping": DAMPING,
-                    "last_damper": LAST_DAMPER,
-                    "louder": LOUDER,
-                },
-            )
+        message = as_json(
+            dt=self._dt,
+            steps=goals.num_steps,
+            keys=scene.keyboard.num_keys,
+            lowest=self._lowest,
+            joints=joints,
+            row=row_bytes(joints, scene.keyboard.num_keys),
+            start=[round(float(x), 6) for x in scene.hand_start],
+            scene=drawing(scene),
+            goal=packed(goals.keys.astype(np.uint8)),
+            pedal=packed(goals.sustain.astype(np.uint8)),
+            sound=INSTRUMENT,
         )
+        self.about = message.content
+        self._send(message)
 
     def step(self) -> None:
         """Tells what the step that was just taken has come to."""
@@ -79,11 +71,8 @@ class Live:
         sounding = task.sounding[0]
         sounds = sounding.astype(np.uint8)
         struck = np.flatnonzero(sounding & ~self._sounded)
-        velocity = strike_velocity(np.array(self._depths)[:, struck].T)
-        sounds[struck] = velocity
+        sounds[struck] = strike_velocity(np.array(self._depths)[:, struck].T)
         self._sounded = sounding.copy()
-        for key, hard in zip(struck.tolist(), velocity.tolist(), strict=True):
-            self._tone(key + self._lowest, hard // _BAND)
         row = b"".join(
             (
                 state.hand_qpos[0].astype("<f4").tobytes(),
@@ -92,22 +81,6 @@ class Live:
                 bytes([bool(task.pedal_down[0])]),
             )
         )
-        self._send(Message(ROWS, row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")))
-
-    def _tone(self, pitch: int, band: int) -> None:
-        """Sends it unless it has been sent."""
-        if (pitch, band) in self._tones:
-            return
-        self._tones.add((pitch, band))
-        seconds = next(seconds for above, seconds in _SECONDS.items() if pitch < above)
-        samples = tone(pitch, (band + 0.5) * _BAND / 127, seconds, _RATE)
-        self._send(Message(TONE, struct.pack("<BBxx", pitch, band) + _encoded(samples)))
-
-
-def _encoded(samples: NDArray[np.float32]) -> bytes:
-    """Peak and samples (n,), faded at their end."""
-    fade = int(_FADE * _RATE)
-    samples = samples.copy()
-    samples[-fade:] *= np.linspace(1, 0, fade, dtype=np.float32)
-    peak = float(np.abs(samples).max())
-    return struct.pack("<f", peak) + np.rint(samples / peak * 32767).astype("<i2").tobytes()
+        row = row.ljust(row_bytes(state.hand_qpos.shape[1], len(depth)), b"\0")
+        self.rows += row
+        self._send(Message(ROWS, row))

@@ -1,13 +1,11 @@
-"""What the process that plays says, and the page hears: JSON, rows of the episode, and tones.
+"""What a process that plays says: JSON, and rows of the episode.
 
-A message is a kind and bytes. Between processes its length comes first; a WebSocket has JSON as
-text, and all else as binary frames that begin with the kind. All numbers are little-endian.
+A message is a kind, its length, and bytes. The page hears the same over a WebSocket, JSON as text
+and rows as binary frames. All numbers are little-endian.
 
 Rows: each (J,) float32 joints of the hands [m, rad]; (K,) uint8 how far keys are down, 255 all the
 way; (K,) uint8 what sounds: 0 nothing, 1 what sounded before, else a key struck now, and its MIDI
 velocity; uint8 whether the pedal is down; zeros up to a multiple of four bytes.
-
-A tone: uint8 pitch, uint8 band of velocities, two zeros, float32 its peak, int16 samples.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from __future__ import annotations
 import struct
 from typing import IO, NamedTuple
 
-JSON, ROWS, TONE = b"J", b"R", b"T"
+JSON, ROWS = b"J", b"R"
 HEADER = struct.Struct("<cI")
 MOST_BYTES = 1 << 26  # of a message
 

@@ -13,11 +13,14 @@ from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
 
+TOLD, ROWS = "live.json", "live.rows"
+"""Files of a performance, with what was told while it was played."""
 PRACTISED, SIGHT = "practised", "sight"
 PLANNERS = PRACTISED, SIGHT
 """Agents of `AGENTS` that are the planner under another name."""
 AGENTS = {
     "planner": "Planner",
+    "generalist": "Generalist: what was learnt from the planner",
     PRACTISED: "Planner that goes on practising",
     SIGHT: "Planner, without refinement",
     "pretrained": "Learnt policy (Twinkle only)",

@@ -1,27 +1,18 @@
-"""The studio's server: pages and files, requests to play, and what is played as it is made."""
+"""The studio's server: songs, requests to play, practise and learn them, and what is kept."""
 
 from __future__ import annotations
 
 import asyncio
-import json
-import os
-import secrets
-import socket
-import webbrowser
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext, suppress
-from functools import cache
-from importlib import resources
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
-from starlette.routing import BaseRoute, Route, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.routing import BaseRoute, Route
 
 from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.agents.registry import PLANNER
@@ -29,100 +20,21 @@ from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
 from cadenza.hands.named import HANDS
-from cadenza.report.asset import asset
-from cadenza.studio.guard import Guard
-from cadenza.studio.jobs import Job, Jobs
+from cadenza.studio.jobs import Jobs
 from cadenza.studio.limits import MOST_BYTES
-from cadenza.studio.messages import ROWS
 from cadenza.studio.processes import read_upload, write_comparison
 from cadenza.studio.request import AGENTS, PLANNERS, PlayRequest, read_request
 from cadenza.studio.shelf import FILES, Shelf, Upload
+from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
+from cadenza.studio.watchable import Watchable, plainly
 
 _MOST_JSON = 1 << 14  # bytes of a request
 _READING_AT_ONCE = 2
-_SHARED = (
-    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
-    "controls.js",
-)
-_OWN = ("instrument.js", "keyboard.js", "stream.js", "studio.js")
-_MOST_SENT = 1 << 18  # bytes of rows in a frame
-_WATCHERS = 16  # at once
 # Pages that were written bring their own policy; here they may not reach the studio either. One
 # that compares looks into pages within it, which a sandbox would keep it from.
 _ALONE = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
 _COMPARING = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
-
-Handler = Callable[[Request], Awaitable[Response]]
-
-
-class Watchable:
-    """A page, and performances that can be watched on it as they are made."""
-
-    def __init__(self) -> None:
-        self._watchers = 0
-
-    @property
-    def performing(self) -> Mapping[str, Job]:
-        """Those that wait or play, and the last ones."""
-        raise NotImplementedError
-
-    def routes(self) -> list[BaseRoute]:
-        """What is answered."""
-        return [
-            Route("/", self.page),
-            Route("/{name:str}.{ending:str}", self.script),
-            Route("/api/jobs", _plainly(self.list_jobs)),
-            WebSocketRoute("/watch/{id}", self.watch),
-        ]
-
-    def app(self, token: str, host: str) -> Guard:
-        """What answers; see `Guard`."""
-        return Guard(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
-
-    def lifespan(self, _: Starlette) -> AbstractAsyncContextManager[None]:
-        """What goes on while it answers."""
-        return nullcontext()
-
-    async def page(self, _: Request) -> Response:
-        """The page; its address must end in a slash, so that what it names lies below."""
-        return Response(_own("studio.html"), media_type="text/html")
-
-    async def script(self, request: Request) -> Response:
-        """Looks and scripts."""
-        name = "{name}.{ending}".format(**request.path_params)
-        if name not in _PARTS:
-            return _error("there is no such file", 404)
-        kind, make = _PARTS[name]
-        return Response(make(), media_type=kind)
-
-    async def list_jobs(self, _: Request) -> Response:
-        """Those that wait or play, and the last ones."""
-        return JSONResponse([job.summary for job in self.performing.values()])
-
-    async def watch(self, socket: WebSocket) -> None:
-        """Sends what a job has to tell, from its beginning on, until it is over."""
-        job = self.performing.get(socket.path_params["id"])
-        if self._watchers >= _WATCHERS:
-            await socket.close(1013)
-            return
-        await socket.accept()
-        if job is None:
-            await socket.send_text(json.dumps({"state": "gone"}))
-            await socket.close()
-            return
-        self._watchers += 1
-        telling = asyncio.create_task(_tell(job, socket))
-        listening = asyncio.create_task(_until_gone(socket))
-        try:
-            await asyncio.wait((telling, listening), return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            self._watchers -= 1
-            for task in telling, listening:
-                task.cancel()
-            await asyncio.gather(telling, listening, return_exceptions=True)
-        with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
-            await socket.close()
 
 
 class Studio(Watchable):
@@ -151,39 +63,44 @@ class Studio(Watchable):
         }
         self._reading = asyncio.Semaphore(_READING_AT_ONCE)
 
-    @property
-    def performing(self) -> Mapping[str, Job]:
+    async def stream(self, id: str) -> Stream | None:
         """See `Watchable`."""
-        return self.jobs.jobs
+        if id in self.jobs.jobs:
+            return self.jobs.jobs[id]
+        try:
+            return await run_in_threadpool(self.shelf.stream, id)
+        except CadenzaError:
+            return None
 
     def routes(self) -> list[BaseRoute]:
         """See `Watchable`."""
         return [
             *super().routes(),
-            Route("/api/songs", _plainly(self.songs)),
-            Route("/api/songs", _plainly(self.upload), methods=["POST"]),
-            Route("/api/songs/{id}", _plainly(self.forget), methods=["DELETE"]),
-            Route("/api/jobs", _plainly(self.play), methods=["POST"]),
-            Route("/api/jobs/{id}", _plainly(self.cancel), methods=["DELETE"]),
-            Route("/api/background", _plainly(self.background)),
-            Route("/api/practice", _plainly(self.stop_practice), methods=["DELETE"]),
-            Route("/api/trainings", _plainly(self.train), methods=["POST"]),
-            Route("/api/trainings/{name}/resume", _plainly(self.resume), methods=["POST"]),
-            Route("/api/trainings/{name}/stop", _plainly(self.stop_training), methods=["POST"]),
-            Route("/api/performances", _plainly(self.performances)),
-            Route("/api/performances/{id}", _plainly(self.remove), methods=["DELETE"]),
-            Route("/performances/{id}/{name}", _plainly(self.file)),
-            Route("/comparisons/{first}/{second}", _plainly(self.compare)),
+            Route("/api/songs", plainly(self.songs)),
+            Route("/api/songs", plainly(self.upload), methods=["POST"]),
+            Route("/api/songs/{id}", plainly(self.forget), methods=["DELETE"]),
+            Route("/api/jobs", plainly(self.play), methods=["POST"]),
+            Route("/api/jobs/{id}", plainly(self.cancel), methods=["DELETE"]),
+            Route("/api/background", plainly(self.background)),
+            Route("/api/practice", plainly(self.stop_practice), methods=["DELETE"]),
+            Route("/api/trainings", plainly(self.train), methods=["POST"]),
+            Route("/api/trainings/{name}/resume", plainly(self.resume), methods=["POST"]),
+            Route("/api/trainings/{name}/stop", plainly(self.stop_training), methods=["POST"]),
+            Route("/api/performances", plainly(self.performances)),
+            Route("/api/performances/{id}", plainly(self.remove), methods=["DELETE"]),
+            Route("/performances/{id}/{name}", plainly(self.file)),
+            Route("/comparisons/{first}/{second}", plainly(self.compare)),
         ]
 
     @asynccontextmanager
-    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+    async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
         """See `Watchable`."""
-        await self.jobs.warm()
-        try:
-            yield
-        finally:
-            await self.jobs.close()
+        async with super().lifespan(app):
+            await self.jobs.warm()
+            try:
+                yield
+            finally:
+                await self.jobs.close()
 
     async def songs(self, _: Request) -> Response:
         """What can be played, and who plays."""
@@ -292,53 +209,6 @@ class Studio(Watchable):
         return FileResponse(page, media_type="text/html; charset=utf-8", headers=_COMPARING)
 
 
-async def _tell(job: Job, socket: WebSocket) -> None:
-    about, tones, rows, status = False, 0, 0, None
-    while True:
-        changed = job.changed
-        if status != job.status:
-            status = job.status
-            await socket.send_text(json.dumps(status))
-        if not about and job.about is not None:
-            about = True
-            await socket.send_text(job.about.decode())
-        while tones < len(job.tones):
-            await socket.send_bytes(job.tones[tones])
-            tones += 1
-        while rows < len(job.rows):
-            part = bytes(job.rows[rows : rows + _MOST_SENT])
-            await socket.send_bytes(ROWS + part)
-            rows += len(part)
-        if job.is_over and status == job.status and rows == len(job.rows):
-            return
-        await changed.wait()
-
-
-async def _until_gone(socket: WebSocket) -> None:
-    """The page says nothing; whatever it sends is not read for long."""
-    with suppress(WebSocketDisconnect, RuntimeError):
-        while (await socket.receive())["type"] != "websocket.disconnect":
-            pass
-
-
-def _plainly(handle: Handler) -> Handler:
-    """What is wrong is said in a line."""
-
-    async def answer(request: Request) -> Response:
-        try:
-            return await handle(request)
-        except CadenzaError as error:
-            return _error(" ".join(str(error).split()), 400)
-        except OSError as error:
-            return _error(error.strerror or "the disk cannot be read or written", 500)
-
-    return answer
-
-
-def _error(message: str, status: int) -> Response:
-    return JSONResponse({"error": message}, status)
-
-
 async def _body(request: Request, most: int, what: str) -> bytes:
     """Raises: CadenzaError: it is larger."""
     too_large = CadenzaError(f"{what} is larger than {most / 2**20:.3g} MiB")
@@ -351,75 +221,3 @@ async def _body(request: Request, most: int, what: str) -> bytes:
         if len(content) > most:
             raise too_large
     return bytes(content)
-
-
-def _own(name: str) -> str:
-    return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
-
-
-@cache
-def _scripts() -> str:
-    parts = [*map(asset, _SHARED), *map(_own, _OWN)]
-    return '"use strict";(async () => {\n' + "\n".join(parts) + "\n})();\n"
-
-
-@cache
-def _looks() -> str:
-    return asset("page.css") + _own("studio.css")
-
-
-_PARTS: dict[str, tuple[str, Callable[[], str]]] = {
-    "studio.css": ("text/css", _looks),
-    "studio.js": ("text/javascript", _scripts),
-    "three.js": ("text/javascript", lambda: asset("three.min.js")),
-}
-
-
-def announce(address: str, browser: bool = True) -> None:
-    """Says what to open, and opens it where there is a screen."""
-    print(f"Open {address}", flush=True)
-    if browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        webbrowser.open(address)
-
-
-def serve(
-    what: Watchable,
-    host: str = "127.0.0.1",
-    port: int = 0,
-    ready: Callable[[str], None] = announce,
-) -> None:
-    """Serves until the process is told to end.
-
-    Args:
-        what: is served.
-        host, port: where to listen; any free port by default.
-        ready: is told the address to open, which holds a random token.
-
-    Raises:
-        CadenzaError: somebody else listens there, or there is no such address.
-    """
-    token = secrets.token_urlsafe(16)
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        listening = socket.create_server((host, port), family=family)
-    except OSError as error:
-        raise CadenzaError(f"cannot listen on {host}, port {port}: {error.strerror}") from error
-    with listening:
-        port = listening.getsockname()[1]
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-        shown = f"[{shown}]" if ":" in shown else shown
-        app = what.app(token, host)
-        ready(f"http://{shown}:{port}/{token}/")
-        config = uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            proxy_headers=False,
-            date_header=False,
-            limit_concurrency=64,
-            timeout_keep_alive=5,
-            timeout_graceful_shutdown=2,
-            ws_max_size=1 << 12,
-        )
-        uvicorn.Server(config).run(sockets=[listening])

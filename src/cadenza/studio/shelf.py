@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
+from cadenza.studio.request import ROWS, TOLD
+from cadenza.studio.stream import Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
@@ -177,7 +180,8 @@ class Shelf:
             except CadenzaError:
                 continue
             files = [name for name in FILES if (path / name).is_file()]
-            found.append(asdict(kept) | {"id": path.name, "files": files})
+            told = (path / TOLD).is_file()
+            found.append(asdict(kept) | {"id": path.name, "files": files, "told": told})
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
@@ -190,6 +194,23 @@ class Shelf:
         if name not in FILES or not path.is_file():
             raise CadenzaError("there is no such file")
         return path
+
+    def stream(self, id: str) -> Stream:
+        """What was told while it was played.
+
+        Raises:
+            CadenzaError: there is no such performance, or it is of an earlier version.
+        """
+        folder = self._performance(id)
+        kept = read_json(folder / _ABOUT, Kept)
+        status = {"state": "kept", "performance": id, "metrics": {"f1": kept.f1}}
+        try:
+            about = (folder / TOLD).read_bytes()
+            with (folder / ROWS).open("rb") as file:
+                rows = mmap(file.fileno(), 0, access=ACCESS_READ)
+        except (OSError, ValueError) as error:
+            raise CadenzaError("of this performance there is only the report") from error
+        return Stream(kept.title, kept.request, status, about, rows)
 
     def remove(self, id: str) -> None:
         """Raises: CadenzaError: there is no such performance."""

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
 
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -16,10 +17,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from cadenza.files import parsed_json
-from cadenza.studio.jobs import Job
 from cadenza.studio.processes import messages
 from cadenza.studio.request import Order
-from cadenza.studio.server import Watchable, serve
+from cadenza.studio.stream import Stream
+from cadenza.studio.watchable import Watchable, serve
 
 
 class Watching(Watchable):
@@ -27,12 +28,12 @@ class Watching(Watchable):
 
     def __init__(self, order: Order) -> None:
         super().__init__()
-        self._job = Job(order, {"state": "preparing"})
+        self._id = order.id
+        self._stream = Stream(order.title, asdict(order.request), {"state": "preparing"})
 
-    @property
-    def performing(self) -> Mapping[str, Job]:
+    async def stream(self, id: str) -> Stream | None:
         """See `Watchable`."""
-        return {self._job.id: self._job}
+        return self._stream if id == self._id else None
 
     def routes(self) -> list[BaseRoute]:
         """See `Watchable`."""
@@ -44,32 +45,33 @@ class Watching(Watchable):
 
     async def songs(self, _: Request) -> Response:
         """None but the one."""
-        return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._job.id})
+        return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._id})
 
     async def performances(self, _: Request) -> Response:
         """Whoever plays says where the files are."""
         return JSONResponse([])
 
     @asynccontextmanager
-    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+    async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
         """See `Watchable`."""
-        listening = asyncio.create_task(self._listen())
-        try:
-            yield
-        finally:
-            listening.cancel()
-            with suppress(asyncio.CancelledError):
-                await listening
+        async with super().lifespan(app):
+            listening = asyncio.create_task(self._listen())
+            try:
+                yield
+            finally:
+                listening.cancel()
+                with suppress(asyncio.CancelledError):
+                    await listening
 
     async def _listen(self) -> None:
         reader = asyncio.StreamReader()
         protocol = asyncio.StreamReaderProtocol(reader)
         await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
         async for kind, content in messages(reader):
-            self._job.hear(kind, content)
-        if not self._job.is_over:
-            self._job.status = {"state": "cancelled"}
-            self._job.tell()
+            self._stream.hear(kind, content)
+        if not self._stream.is_over:
+            self._stream.status = {"state": "cancelled"}
+            self._stream.wake()
 
 
 def main() -> None:

@@ -33,7 +33,15 @@ from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Live, Send, as_json
 from cadenza.studio.messages import Message
 from cadenza.studio.reading import check_size, without_path
-from cadenza.studio.request import PRACTISED, SIGHT, Order, performance_folder, practice_folder
+from cadenza.studio.request import (
+    PRACTISED,
+    ROWS,
+    SIGHT,
+    TOLD,
+    Order,
+    performance_folder,
+    practice_folder,
+)
 
 __all__ = ["ScorePlanner", "main"]
 
@@ -61,9 +69,9 @@ def main() -> None:
 
         keeping = False
         try:
-            performance = play(order, send)
+            performance, live = play(order, send)
             keeping = True
-            keep(performance, order, send)
+            keep(performance, live, order, send)
         except (CadenzaError, OSError) as error:
             send(as_json(state="failed", error=without_path(error, Path(order.source))))
         except MemoryError:
@@ -76,8 +84,8 @@ def warm_up() -> None:
         perform(setup, stop=lambda: True)
 
 
-def play(order: Order, send: Send) -> Performance:
-    """Plays, telling every step."""
+def play(order: Order, send: Send) -> tuple[Performance, Live]:
+    """Plays, telling every step; also what was told."""
     began = time.monotonic()
     told = Told(send)
     with _as_practised(order) or set_up_as_asked(order, told.stage) as setup:
@@ -93,7 +101,7 @@ def play(order: Order, send: Send) -> Performance:
         performance = perform(setup, progress)
         spent = round(time.monotonic() - began, 3)
         send(as_json(state="played", metrics=plain(performance.metrics), spent=spent))
-        return performance
+        return performance, live
 
 
 def set_up_as_asked(order: Order, tell: Progress) -> AbstractContextManager[Setup]:
@@ -133,8 +141,11 @@ def _score(order: Order, arrangement: Arrangement) -> Score:
     return replace(score, title=order.title)
 
 
-def keep(performance: Performance, order: Order, send: Send) -> None:
-    """Writes what `cadenza play` leaves; the folder appears when all of it is there."""
+def keep(performance: Performance, live: Live, order: Order, send: Send) -> None:
+    """Writes what `cadenza play` leaves, and what was told, to be told again.
+
+    The folder appears when all of it is there.
+    """
     root, told = Path(order.folder), Told(send, "writing")
     folder = performance_folder(root, order.id)
     about: dict[str, Any] = {
@@ -146,6 +157,8 @@ def keep(performance: Performance, order: Order, send: Send) -> None:
     }
     try:
         performance.save(folder, order.video, told.stage)
+        (folder / TOLD).write_bytes(live.about)
+        (folder / ROWS).write_bytes(live.rows)
         write_json(folder / "studio.json", about)
         folder.rename(root / order.id)
     finally:

@@ -2,12 +2,28 @@
 
 const VOLUME = 0.25; // of a note struck as hard as can be, before what is set on the page
 
-/** What strikes when: `row(number, at)` is told what happens at a time of the audio clock [s]. */
 function createInstrument() {
-  let context = null, master = null, volume = 0.8, muted = false, settings = null, live = null;
-  const tones = new Map(), ringing = new Map(); // of a key: { source, gain, held }
+  let context = null, master = null, volume = 0.8, muted = false, settings = null, live = null, asked = 0;
+  const tones = new Map(); // by name: { due, buffer, peak }; without a buffer until it has come
+  const ringing = new Map(); // of a key: { source, gain }
 
   const level = () => { if (master) master.gain.value = muted ? 0 : volume; };
+  const nameOf = (key, velocity) => `${key + live.lowest}/${Math.floor(velocity / settings.band)}`;
+  async function fetchTone(name, due) {
+    const tone = { due, buffer: null, peak: 0 };
+    tones.set(name, tone);
+    try {
+      const answer = await fetch(`tones/${name}`);
+      if (!answer.ok) throw new Error(`The studio answered ${answer.status}.`);
+      const bytes = await answer.arrayBuffer(), samples = new Int16Array(bytes, 4);
+      const buffer = new AudioBuffer({ length: samples.length, sampleRate: settings.rate });
+      const channel = buffer.getChannelData(0);
+      for (let i = 0; i < samples.length; i++) channel[i] = samples[i] / 32767;
+      Object.assign(tone, { buffer, peak: new DataView(bytes).getFloat32(0, true) });
+    } catch {
+      tones.delete(name); // it is asked for again when another key needs it
+    }
+  }
   function damp(key, at) {
     const note = ringing.get(key);
     if (!note) return;
@@ -17,15 +33,15 @@ function createInstrument() {
     note.source.stop(at + 8 * fade);
   }
   function strike(key, velocity, at) {
-    const tone = tones.get(`${key + live.lowest} ${Math.floor(velocity / settings.band)}`);
-    if (!tone) return;
+    const tone = tones.get(nameOf(key, velocity));
+    if (!tone?.buffer) return;
     damp(key, at);
     const source = new AudioBufferSourceNode(context, { buffer: tone.buffer });
     const gain = new GainNode(context, { gain: VOLUME * tone.peak * (velocity / 127) ** settings.louder });
     const pan = new StereoPannerNode(context, { pan: 0.45 * ((2 * key) / (live.keys - 1) - 1) });
     source.connect(gain).connect(pan).connect(master);
     source.start(at);
-    ringing.set(key, { source, gain, held: true });
+    ringing.set(key, { source, gain });
   }
 
   return {
@@ -43,29 +59,32 @@ function createInstrument() {
       }
       return context.resume();
     },
+    /** What is heard from now on. */
     begin(recording) {
       this.silence();
-      [live, settings] = [recording, recording.sound];
-      tones.clear();
+      [live, settings, asked] = [recording, recording.sound, 0];
     },
-    /** A tone as `cadenza.studio.messages` has it. */
-    learn(bytes) {
-      const [pitch, band] = bytes, view = new DataView(bytes.buffer, bytes.byteOffset);
-      const samples = new Int16Array(bytes.slice(8).buffer);
-      const buffer = new AudioBuffer({ length: samples.length, sampleRate: settings.rate });
-      const channel = buffer.getChannelData(0);
-      for (let i = 0; i < samples.length; i++) channel[i] = samples[i] / 32767;
-      tones.set(`${pitch} ${band}`, { buffer, peak: view.getFloat32(4, true) });
+    /** Asks for the tones of all rows that have come. */
+    prepare() {
+      for (; live && asked < live.rows; asked++) {
+        for (let key = 0; key < live.keys; key++) {
+          const velocity = live.sounds(asked, key);
+          if (velocity > 1 && !tones.has(nameOf(key, velocity))) fetchTone(nameOf(key, velocity), asked * live.dt);
+        }
+      }
     },
+    /** Whether tones that are needed before `time` [s] have yet to come. */
+    lacks(time) {
+      for (const { due, buffer } of tones.values()) if (!buffer && due < time) return true;
+      return false;
+    },
+    /** What strikes and what is damped in a row, at a time of the audio clock [s]. */
     row(number, at) {
       const down = live.pedalDown(number);
       for (let key = 0; key < live.keys; key++) {
-        const sounds = live.sounds(number, key), note = ringing.get(key);
+        const sounds = live.sounds(number, key);
         if (sounds > 1) strike(key, sounds, at);
-        else if (!sounds && note) {
-          note.held = false;
-          if (!down) damp(key, at);
-        }
+        else if (!sounds && !down) damp(key, at);
       }
     },
     silence() {

@@ -1,7 +1,61 @@
-// A performance that arrives while it is played: like a recording (see recording.js), but its rows
-// come one after the other, and their states hold only what has been shown.
+// A performance that arrives while it is played.
 
-/** `about` is what the server says before the first row, see `cadenza.studio.live`. */
+const OVER = ["kept", "failed", "cancelled", "gone"], COMPLETE = ["played", "writing", "kept"];
+const PATIENCE = 5000; // [ms] between two attempts to reach the server, at most
+
+/**
+ * Listens to what the server tells of a performance: its `title` and `request`, `status`, and
+ * `live` once it is known what is to be played. `changed(performance, what)` hears of each.
+ */
+function createPerformance(id, changed) {
+  let socket = null, tries = 0, closed = false;
+  const performance = {
+    id, title: "", request: null, status: { state: "queued" }, live: null,
+    came: [], // when how many rows were there: [s], count
+    get over() { return OVER.includes(this.status.state); },
+    /** Whether nothing more is to come of the music. */
+    get complete() { return COMPLETE.includes(this.status.state); },
+    close() {
+      closed = true;
+      socket.close();
+    },
+  };
+  async function hear(data) {
+    if (typeof data !== "string") {
+      performance.live.add(new Uint8Array(data));
+      performance.came.push([window.performance.now() / 1000, performance.live.rows]);
+      return;
+    }
+    const said = JSON.parse(data);
+    let what = "live";
+    if (said.state) [performance.status, what] = [said, "status"];
+    else if (said.request) [what] = ["request", Object.assign(performance, said)];
+    else if (performance.live) return performance.live.restart(); // told again
+    else performance.live = await createLive(said);
+    if (!closed) changed(performance, what);
+  }
+  (function listen() {
+    const ours = socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}${location.pathname}watch/${id}`);
+    ours.binaryType = "arraybuffer";
+    let order = Promise.resolve();
+    ours.onopen = () => {
+      tries = 0;
+      if (cadenza.error === SILENT) calm();
+    };
+    ours.onmessage = ({ data }) => { order = order.then(() => (closed ? null : hear(data))); };
+    ours.onclose = () => order.then(() => {
+      if (closed || performance.over) return;
+      if (tries++ > 1) complain(SILENT);
+      setTimeout(() => { if (!closed) listen(); }, Math.min(500 * tries, PATIENCE));
+    });
+  })();
+  return performance;
+}
+
+/**
+ * Like a recording (see recording.js), but its rows come one after the other, and its states hold
+ * only what has been shown. `about` is what the server says first, see `cadenza.studio.live`.
+ */
 async function createLive(about) {
   const { dt, steps, keys, lowest, joints: width, row: size, start, scene, sound } = about;
   const goal = await unpacked(about.goal, steps, Uint8Array), goalPedal = await unpacked(about.pedal, steps, Uint8Array);
@@ -46,9 +100,11 @@ async function createLive(about) {
       }
       return posture;
     },
-    /** Shows what became of all keys up to a time; whether there was anything new. */
+    /** Shows what became of all keys up to a time, and of nothing later; whether that is new. */
     show(time) {
-      const end = Math.min(Math.floor(time / dt + 1e-6) + 1, rows()), first = shown;
+      const end = Math.min(Math.floor(time / dt + 1e-6) + 1, rows());
+      if (end < shown) clear();
+      const first = shown;
       for (; shown < end; shown++) {
         let hits = 0, played = 0, want = 0;
         for (let key = 0; key < keys; key++) {
@@ -65,6 +121,5 @@ async function createLive(about) {
     },
     /** F1, precision and recall of the steps shown, as `cadenza.music.metrics` has them. */
     get scores() { return sums.map((sum) => (shown ? sum / shown : null)); },
-    clear,
   };
 }

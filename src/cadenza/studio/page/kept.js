@@ -1,0 +1,42 @@
+// What is kept, to watch again, compare and take away.
+
+const KEPT = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI" };
+
+async function listKept() {
+  const kept = await ask("api/performances");
+  $("kept").replaceChildren(...kept.map(keptOne));
+}
+function keptOne(each) {
+  const item = make("li"), links = make("nav"), { id, title, told } = each;
+  const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+  const about = `F1 ${each.f1.toFixed(3)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
+  if (told) {
+    links.append(act("Watch", `Watch ${title}`, () => { instrument.wake(); calm(); watch([id]); }));
+    links.append(act("Compare", `Compare ${title} with what is shown`, () => compare(each)));
+  }
+  for (const [file, name] of Object.entries(KEPT)) {
+    if (!each.files.includes(file)) continue;
+    const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener" });
+    if (file !== "report.html") link.download = `${title}${file.slice(file.lastIndexOf("."))}`;
+    link.setAttribute("aria-label", `${name} of ${title}`);
+    links.append(link);
+  }
+  links.append(act("Delete", `Delete ${title}`, () => remove(each)));
+  item.append(make("b", title), make("small", howPlayed(each.request)), make("small", about), links);
+  return item;
+}
+async function remove({ id, title }) {
+  if (!confirm(`Delete this performance of ${title}?`)) return;
+  await ask(`api/performances/${id}`, "DELETE");
+  await listKept();
+}
+
+/** Puts a performance beside the one that is shown. */
+function compare({ id, title, request: { song, tempo } }) {
+  const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo;
+  calm();
+  if (!alike) return complain(`First watch another performance of ${title} at the same tempo, then press Compare here.`);
+  if (other.id === id) return complain("This is the performance that is shown. Press Compare at another of the same song.");
+  instrument.wake();
+  putBeside(id);
+}

@@ -1,0 +1,104 @@
+// What can be played, and how.
+
+const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
+const MOST_SHOWN = 200; // songs at once
+let songs = [], chosen = null, only = null; // the one performance that can be watched
+
+async function listSongs() {
+  const { songs: found, agents, hands, only: one = null } = await ask("api/songs");
+  [songs, only] = [found, one];
+  document.body.classList.toggle("one", only !== null);
+  offer("agent", agents);
+  offer("hand", hands);
+  showSongs();
+}
+/** Lets the visitor choose among values by their names. */
+function offer(id, names) {
+  const { value } = $(id);
+  $(id).replaceChildren(...Object.entries(names).map(([value, name]) => make("option", name, { value })));
+  if (value in names) $(id).value = value;
+}
+function showSongs() {
+  const words = $("search").value.toLowerCase().split(/\s+/);
+  const matches = ({ title, composer = "", id }) => words.every((word) => `${title} ${composer} ${id}`.toLowerCase().includes(word));
+  const found = songs.filter(matches), more = found.length - MOST_SHOWN;
+  $("songs").replaceChildren(...found.slice(0, MOST_SHOWN).map(listed));
+  if (!found.length) $("songs").append(make("li", "Nothing of that name.", { className: "remark" }));
+  if (more > 0) $("songs").append(make("li", `${more} more: search for them.`, { className: "remark" }));
+}
+function listed(song) {
+  const button = make("button", "", { type: "button", title: song.title }), item = make("li");
+  const about = song.uploaded ? "yours" : song.composer;
+  button.append(make("span", song.title), make("small", minutes(song.seconds).split(".")[0]), make("small", about));
+  if (song.grade) button.append(make("small", `level ${song.grade.toFixed(1)}`, { title: "How hard it is for robot hands, from 1 to 10" }));
+  press(button, song === chosen);
+  button.addEventListener("click", () => { choose(song.id); begin(); });
+  item.append(button);
+  if (song.uploaded) item.append(act("×", `Delete ${song.title}`, () => forget(song)));
+  return item;
+}
+/** Deletes an upload; what was played of it stays. */
+async function forget(song) {
+  if (!confirm(`Delete your file ${song.title}? Its performances stay.`)) return;
+  await ask(`api/songs/${song.id}`, "DELETE");
+  await listSongs();
+  if (chosen?.id === song.id) choose(null);
+}
+function choose(id) {
+  chosen = songs.find((song) => song.id === id) ?? null;
+  for (const id of ["start", "link", "train"]) $(id).disabled = !chosen;
+  $("start").textContent = $("start").title = chosen ? `Play ${chosen.title}` : "Play";
+  const tracks = chosen?.tracks ?? [];
+  $("tracks").hidden = tracks.length < 2;
+  $("tracks").replaceChildren(make("legend", "Tracks"), ...tracks.map(({ number, name, instrument, notes: count }) => {
+    const label = make("label"), box = make("input", "", { type: "checkbox", value: number, checked: true });
+    label.append(box, make("span", `${name || instrument || `Track ${number}`}, ${count} notes`));
+    return label;
+  }));
+  showSongs();
+}
+function request() {
+  const wanted = { song: chosen.id };
+  for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
+  const boxes = [...$("tracks").querySelectorAll("input")], on = boxes.filter((box) => box.checked);
+  if (boxes.length && !on.length) throw new Error("Choose at least one of the tracks.");
+  if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
+  return wanted;
+}
+function set(wanted) {
+  choose(wanted.song);
+  for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
+  const tracks = wanted.tracks ?? [];
+  if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
+}
+/** What a link says after its #. */
+const asHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();
+function fromHash() {
+  const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+  if (wanted.tracks) wanted.tracks = wanted.tracks.split(",").map(Number);
+  return wanted;
+}
+
+async function upload(file) {
+  calm();
+  say(`Reading ${file.name}`, null, null, Boolean(shown.length));
+  try {
+    const { id } = await ask(`api/songs?name=${encodeURIComponent(file.name)}`, "POST", file);
+    await listSongs();
+    choose(id);
+    $("songs").scrollTop = 0;
+  } catch (error) {
+    say("Drop another file, or choose a piece.", null, null, Boolean(shown.length));
+    throw error;
+  }
+  await begin();
+}
+/** Has what is chosen played, instead of what is being planned for this page. */
+async function begin() {
+  calm();
+  instrument.wake();
+  const wanted = JSON.stringify(request());
+  for (const each of shown) if (!each.over && !each.complete) await ask(`api/jobs/${each.id}`, "DELETE");
+  const { id } = await ask("api/jobs", "POST", wanted);
+  watch([id]);
+}

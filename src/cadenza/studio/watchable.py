@@ -1,0 +1,255 @@
+"""A page on which performances are watched as they are made, and how it is served."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import socket
+import webbrowser
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict, astuple, dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from cadenza.errors import CadenzaError
+from cadenza.files import read_json, write_json
+from cadenza.report.asset import asset
+from cadenza.studio.guard import Guard
+from cadenza.studio.stream import Stream
+from cadenza.studio.synthesizer import Synthesizer
+
+_SHARED = (
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
+    "controls.js",
+)
+_OWN = (
+    *("asking.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
+    *("kept.js", "background.js", "studio.js"),
+)
+_MOST_WATCHERS = 16  # at once
+_FOR_LONG = {"cache-control": "private, max-age=31536000, immutable"}
+
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+class Watchable:
+    """A page, and performances that can be watched on it as they are made."""
+
+    def __init__(self) -> None:
+        self._watchers = 0
+        self._synthesizer = Synthesizer()
+
+    async def stream(self, id: str) -> Stream | None:
+        """A performance by its id, if there is one."""
+        raise NotImplementedError
+
+    def routes(self) -> list[BaseRoute]:
+        """What is answered."""
+        return [
+            Route("/", self.page),
+            Route("/{name:str}.{ending:str}", self.script),
+            Route("/tones/{pitch:int}/{band:int}", plainly(self.tone)),
+            WebSocketRoute("/watch/{id}", self.watch),
+        ]
+
+    def app(self, token: str, host: str) -> Guard:
+        """What answers; see `Guard`."""
+        return Guard(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
+
+    @asynccontextmanager
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        """What goes on while it answers."""
+        await self._synthesizer.warm()
+        try:
+            yield
+        finally:
+            await self._synthesizer.close()
+
+    async def page(self, _: Request) -> Response:
+        """The page; its address must end in a slash, so that what it names lies below."""
+        return Response(_own("studio.html"), media_type="text/html")
+
+    async def script(self, request: Request) -> Response:
+        """Looks and scripts."""
+        name = "{name}.{ending}".format(**request.path_params)
+        if name not in _PARTS:
+            return refusal("there is no such file", 404)
+        kind, make = _PARTS[name]
+        return Response(make(), media_type=kind)
+
+    async def tone(self, request: Request) -> Response:
+        """How a key sounds, see `cadenza.studio.tones`."""
+        made = await self._synthesizer.tone(**request.path_params)
+        return Response(made, media_type="application/octet-stream", headers=_FOR_LONG)
+
+    async def watch(self, socket: WebSocket) -> None:
+        """Sends what there is to tell of a performance, from its beginning on, until it is over."""
+        await socket.accept()
+        self._watchers += 1
+        telling = asyncio.create_task(self._tell(socket))
+        listening = asyncio.create_task(_until_gone(socket))
+        try:
+            await asyncio.wait((telling, listening), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._watchers -= 1
+            for task in telling, listening:
+                task.cancel()
+            await asyncio.gather(telling, listening, return_exceptions=True)
+        with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
+            await socket.close()
+
+    async def _tell(self, socket: WebSocket) -> None:
+        if self._watchers > _MOST_WATCHERS:
+            error = f"{_MOST_WATCHERS} pages watch already; close one of them"
+            await socket.send_json({"state": "failed", "error": error})
+        elif (stream := await self.stream(socket.path_params["id"])) is None:
+            await socket.send_json({"state": "gone"})
+        else:
+            await stream.tell(socket.send_text, socket.send_bytes)
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    """The page says nothing; whatever it sends is not read for long."""
+    with suppress(WebSocketDisconnect, RuntimeError):
+        while (await socket.receive())["type"] != "websocket.disconnect":
+            pass
+
+
+def plainly(handle: Handler) -> Handler:
+    """What is wrong is said in a line."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            return await handle(request)
+        except CadenzaError as error:
+            return refusal(" ".join(str(error).split()), 400)
+        except OSError as error:
+            return refusal(error.strerror or "the disk cannot be read or written", 500)
+
+    return answer
+
+
+def refusal(message: str, status: int) -> Response:
+    """A line that says what is wrong."""
+    return JSONResponse({"error": message}, status)
+
+
+def _own(name: str) -> str:
+    return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
+
+
+@cache
+def _scripts() -> str:
+    parts = [*map(asset, _SHARED), *map(_own, _OWN)]
+    return '"use strict";(async () => {\n' + "\n".join(parts) + "\n})();\n"
+
+
+@cache
+def _looks() -> str:
+    return asset("page.css") + _own("studio.css")
+
+
+_PARTS: dict[str, tuple[str, Callable[[], str]]] = {
+    "studio.css": ("text/css", _looks),
+    "studio.js": ("text/javascript", _scripts),
+    "three.js": ("text/javascript", lambda: asset("three.min.js")),
+}
+
+
+def announce(address: str, browser: bool = True) -> None:
+    """Says what to open, and opens it where there is a screen."""
+    print(f"Open {address}", flush=True)
+    if browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        webbrowser.open(address)
+
+
+@dataclass(frozen=True)
+class _Address:
+    """What stays of the page's address from one time to the next."""
+
+    token: str
+    port: int
+
+
+def _known(path: Path | None) -> _Address:
+    """What was used before, or a new token at any port."""
+    if path is not None:
+        with suppress(CadenzaError, OSError):
+            return read_json(path, _Address)
+    return _Address(secrets.token_urlsafe(16), 0)
+
+
+def _keep(path: Path, address: _Address) -> None:
+    """For nobody else to read."""
+    path.touch(0o600)  # which the file that takes its place keeps
+    write_json(path, asdict(address))
+
+
+def _listening(host: str, ports: Sequence[int]) -> socket.socket:
+    """At the first of the ports that is free.
+
+    Raises:
+        CadenzaError: none is, or there is no such address.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for port in ports:
+        try:
+            return socket.create_server((host, port), family=family)
+        except OSError as error:
+            if port == ports[-1]:
+                raise CadenzaError(
+                    f"cannot listen on {host}, port {port}: {error.strerror}"
+                ) from error
+    raise AssertionError
+
+
+def serve(
+    what: Watchable,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    ready: Callable[[str], None] = announce,
+    known: Path | None = None,
+) -> None:
+    """Serves until the process is told to end.
+
+    Args:
+        what: is served.
+        host, port: where to listen; port 0 is the one of the last time, or any.
+        ready: is told the address to open, which holds a random token.
+        known: a file that keeps token and port for the next time, so that links stay valid.
+
+    Raises:
+        CadenzaError: somebody else listens there, or there is no such address.
+    """
+    token, before = astuple(_known(known))
+    with _listening(host, [port] if port else [before, 0]) as listening:
+        port = listening.getsockname()[1]
+        if known is not None and not known.exists():
+            _keep(known, _Address(token, port))
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        shown = f"[{shown}]" if ":" in shown else shown
+        app = what.app(token, host)
+        ready(f"http://{shown}:{port}/{token}/")
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            date_header=False,
+            limit_concurrency=64,
+            timeout_keep_alive=5,
+            timeout_graceful_shutdown=2,
+            ws_max_size=1 << 12,
+        )
+        uvicorn.Server(config).run(sockets=[listening])
