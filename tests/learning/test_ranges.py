@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,12 +11,15 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
+from cadenza.agents.planning.song_plan import plan_song
 from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.ranges import ranges_of
+from cadenza.music.etudes import etude
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.setups import setup_named
 from numbered import finger
 
 THUMB, LITTLE = 0, 4
@@ -84,6 +89,27 @@ def test_only_the_forearms_along_the_keyboard_are_kept_to_less(hands: str) -> No
     names = [task.scene.hand_joint_names[j] for j in moved]
     assert names == ["rh_forearm_tx", "lh_forearm_tx"][: len(names)]
     assert len(names) == len(slides(task))
+
+
+@pytest.mark.parametrize("drill", ["notes-6-0", "notes-6-2", "dyads-3-1"])
+def test_the_plan_of_a_hand_that_stays_near_its_rest_is_within_reach(drill: str) -> None:
+    """Forearms are where fingers at rest, not stretched ones, are over their keys."""
+    options = setup_named("mini-allegro")
+    scene, config = SceneConfig(**options.of(SceneConfig)), TaskConfig(initial_buffer_time=0.5)
+    with closing(PianoTask([etude(f"etudes/{drill}")], config, scene)) as task:
+        ranges = ranges_of(task)
+        forearm = slides(task)[0]
+        plan = plan_song(task.tracks[0], task.state.hand_qpos[0]).nominal.tracking[0][:, forearm]
+    low, high = ranges.actions[:, forearm]
+    played = plan[5:]  # it begins in the middle of the keyboard
+    assert np.quantile(played, 0.05) >= low
+    assert np.quantile(played, 0.95) <= high
+    assert high - low < 0.15
+    knuckle = task.scene.actuator_names.index("rh_A_ffJ1")
+    rest, travel = (task.scene.hand.servo("ffJ1").rest, task.scene.hand.servo("ffJ1").travel)
+    assert_allclose(ranges.actions[:, knuckle], [rest - travel, rest + travel])
+    joint = task.scene.hand_joint_names.index("rh_ffJ1")
+    assert_allclose(ranges.joints[:, joint], ranges.actions[:, knuckle])
 
 
 def test_acts_and_sees_on_that_scale() -> None:

@@ -602,6 +602,8 @@ def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
         ({"initial_buffer_time": float("inf")}, "initial_buffer_time inf"),
         ({"fingering": "on"}, "fingering 'on': choose from auto, transport, off"),
         ({"repeats": "left out"}, "repeats 'left out': choose from published, shortened"),
+        ({"key_press": "soft"}, "key_press 'soft': choose from published, graded"),
+        ({"fingering_margin": 0.0}, "fingering_margin 0.0: choose more than 0"),
         ({"energy_coefficient": -1.0}, "energy_coefficient -1.0"),
         ({"random_hand_position": -0.1}, "random_hand_position -0.1"),
         ({"random_hand_position": 0.5}, "end after 0.46 m; choose less"),

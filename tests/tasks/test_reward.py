@@ -77,11 +77,24 @@ def test_key_press(data: st.DataObject, n: int) -> None:
         assert_allclose(ours[env], 0.5 * (sum(near) / max(len(near), 1)) + 0.5 * silent, **CLOSE)
 
 
-def test_key_press_with_nothing_to_press() -> None:
+@few
+@given(st.data(), sizes)
+def test_graded_key_press(data: st.DataObject, n: int) -> None:
+    state = reward.key_state(data.draw(key_angles(n)), PIANO.travel)
+    sounds, goal = data.draw(masks(n, NUM_KEYS)), data.draw(masks(n, NUM_KEYS))
+    ours = reward.graded_key_press(state, sounds, goal)
+    for env in range(n):
+        worth = [state[env, k] / 2 + sounds[env, k] / 2 for k in range(NUM_KEYS) if goal[env, k]]
+        silent = not any(sounds[env, k] and not goal[env, k] for k in range(NUM_KEYS))
+        assert_allclose(ours[env], 0.5 * (sum(worth) / max(len(worth), 1)) + 0.5 * silent, **CLOSE)
+
+
+@pytest.mark.parametrize("key_press", [reward.key_press, reward.graded_key_press])
+def test_key_press_with_nothing_to_press(key_press: Any) -> None:
     nothing = np.zeros((2, NUM_KEYS), bool)
     wrong = nothing.copy()
     wrong[1, 40] = True
-    assert_array_equal(reward.key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
+    assert_array_equal(key_press(nothing.astype(float), wrong, nothing), [0.5, 0.0])
 
 
 def point(key: int, centre: np.ndarray) -> np.ndarray:
@@ -132,6 +145,8 @@ def test_a_finger_at_its_key_gets_all(key: int) -> None:
     assert_allclose(reward.score_fingering(tips, centres, PRESS, fingers), [1.0])
     tips[0, 7, 0] += 0.11  # 1 cm of grace, then a tenth at 10 cm
     assert_allclose(reward.score_fingering(tips, centres, PRESS, fingers), [0.1], rtol=1e-6)
+    tips[0, 7, 0] -= 0.06
+    assert_allclose(reward.score_fingering(tips, centres, PRESS, fingers, 0.04), [0.1], rtol=1e-6)
 
 
 @few
@@ -214,6 +229,11 @@ def test_jax_compiles_the_terms() -> None:
         (reward.key_activation, angles, PIANO.sounds_from),
         (
             reward.key_press,
+            rng.random((n, NUM_KEYS)),
+            *(rng.random((2, n, NUM_KEYS)) < 0.01),
+        ),
+        (
+            reward.graded_key_press,
             rng.random((n, NUM_KEYS)),
             *(rng.random((2, n, NUM_KEYS)) < 0.01),
         ),

@@ -40,6 +40,8 @@ _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "n_steps_lookahead",
     "n_seconds_lookahead",
     "fingering",
+    "fingering_margin",
+    "key_press",
     "energy_coefficient",
     "sustain_term",
     "forearm_term",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -19,6 +20,8 @@ class Servo:
     """The most that an iteration of inverse kinematics moves it."""
     noise: float = 0.08
     """Standard deviation of the candidates that a planner tries around its plan."""
+    travel: float = math.inf
+    """The most that a policy without a plan moves it from rest."""
     correction: float = 0.25
     """The most that a residual policy corrects it."""
     lift: float = 0.0

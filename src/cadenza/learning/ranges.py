@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.keyboards.piano import PIANO
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.piano_task import PianoTask
@@ -20,7 +21,7 @@ from cadenza.tasks.view import to_range
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-_SPARE = 0.05  # [m] on either side: hands turn and fingers spread
+_SPARE = 0.05  # [m] on either side, at a piano: hands turn and fingers spread
 _ALONG_KEYBOARD = 1  # axis y
 
 
@@ -43,19 +44,25 @@ class Ranges(NamedTuple):
 
 
 def ranges_of(task: PianoTask) -> Ranges:
-    """Those of a task with hands: of the model, and of the forearms where its scores need them."""
+    """Those of a task with hands: near their rest, and of forearms where its scores need them."""
     scene, servos = task.scene, servos_of(task.scene)
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
     actions = np.stack([task.action_low, task.action_high])
     keys = _keys_of_fingers(task)
-    points, jacobian = Kinematics(scene, servos).fingers(np.zeros((1, len(servos.names))))
+    rest, travel = np.array([(s.rest, s.travel) for s in map(scene.hand.servo, servos.names)]).T
+    near = np.isfinite(travel)
+    actions[:, :-1] = np.clip((rest - travel, rest + travel), *actions[:, :-1])
+    moved = servos.joints[near].any(axis=0)
+    joints[:, moved] = (actions[:, :-1][:, near] @ servos.joints[near])[:, moved]
+    points, jacobian = Kinematics(scene, servos).fingers(np.where(near, rest, 0.0)[None])
     tips = points[0, :, TIP, _ALONG_KEYBOARD]
+    spare = _SPARE * scene.keyboard.spacing / PIANO.spacing
     for servo in servos.along_keyboard:
         along = jacobian[0, :, TIP, _ALONG_KEYBOARD, servo]  # (F,) 0 for the other hand's fingers
         finger, key = np.nonzero(keys & (along != 0)[:, None])
         wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
         wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
-        ends = np.array([wanted.min() - _SPARE, wanted.max() + _SPARE])
+        ends = np.array([wanted.min() - spare, wanted.max() + spare])
         actions[:, servo] = np.clip(ends, *actions[:, servo])
         joints[:, np.flatnonzero(servos.joints[servo])] = actions[:, servo, None]
     return Ranges(joints, actions)

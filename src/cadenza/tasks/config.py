@@ -8,6 +8,7 @@ from typing import Literal
 from cadenza.configs import added
 
 Fingering = Literal["auto", "transport", "off"]
+KeyPress = Literal["published", "graded"]
 Repeats = Literal["published", "shortened"]
 
 
@@ -38,6 +39,12 @@ class TaskConfig:
     fingering: Fingering = "auto"
     """Fingering reward. auto: fingers from the score, or from a search for notes without any.
     transport: the assignment of fingers to keys with the shortest total distance. off: none."""
+    fingering_margin: float = 0.1
+    """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
+    costs nothing [m]."""
+    key_press: KeyPress = "published"
+    """Reward for the keys to press. published: little for a key before it is nearly down; graded:
+    half for how far it is down, and half if it sounds."""
     energy_coefficient: float = 0.005
     """Weight of the energy penalty."""
     sustain_term: bool = False

@@ -22,6 +22,7 @@ _MOST = {  # of options that are 0 or more
     "n_steps_lookahead": 100_000,
     "n_seconds_lookahead": 3600,
     "initial_buffer_time": 3600,
+    "fingering_margin": 10,
     "energy_coefficient": 1000,
     "random_hand_position": 1,
     "control_noise": 1,
@@ -71,8 +72,9 @@ def _arranged(score: Score, config: TaskConfig) -> Score:
 
 
 def _check(config: TaskConfig) -> None:
-    if not config.control_timestep > 0:
-        raise CadenzaError(f"control_timestep {config.control_timestep}: choose more than 0")
+    for name in ("control_timestep", "fingering_margin"):
+        if not (value := getattr(config, name)) > 0:
+            raise CadenzaError(f"{name} {value}: choose more than 0")
     for name, most in _MOST.items():
         value = getattr(config, name)
         if value is not None and not 0 <= value <= most:

@@ -294,7 +294,9 @@ class PianoTask:
 
     def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
         config, state, keys = self.config, self.state, goal[:, :-1]
-        terms = {"key_press": reward.key_press(self.key_state, self.sounding, keys)}
+        graded = config.key_press == "graded"
+        key_press = reward.graded_key_press if graded else reward.key_press
+        terms = {"key_press": key_press(self.key_state, self.sounding, keys)}
         if self.scene.sides:
             if config.fingering != "off":
                 terms["fingering"] = self._fingering_term(keys, fingers)
@@ -342,11 +344,12 @@ class PianoTask:
 
     def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
         tips, key_xpos, press = self.state.fingertip_xpos, self.state.key_xpos, self._press
+        margin = self.config.fingering_margin
         if self.config.fingering == "transport":
             there = self.scene.fingers_there
             assigned = keys_by_transport_on_host(tips, key_xpos, press, keys, there)
-            return reward.transport_fingering(tips, key_xpos, press, assigned)
-        return reward.score_fingering(tips, key_xpos, press, fingers)
+            return reward.transport_fingering(tips, key_xpos, press, assigned, margin)
+        return reward.score_fingering(tips, key_xpos, press, fingers, margin)
 
     # What is seen
 

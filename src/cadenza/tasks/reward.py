@@ -78,12 +78,27 @@ def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     """Half for goal keys that are down, half for no other key sounding; arrays (N, K) to (N,)."""
     xp = state.__array_namespace__()
-    down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
+    return _keys(_tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN), activation, goal)
+
+
+def graded_key_press(state: Array, activation: Mask, goal: Mask) -> Array:
+    """The same, where a goal key that is `state` down gets that as a share of a half.
+
+    It gets the other half of it once it sounds. So a touch already tells the right key.
+    """
+    return _keys(0.5 * (state + activation), activation, goal)
+
+
+def _keys(down: Array, activation: Mask, goal: Mask) -> Array:
+    """(N,) of what each key (N, K) would be worth as a goal."""
+    xp = down.__array_namespace__()
     wrong = (activation > goal).any(-1)
     return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
 
 
-def score_fingering(fingertips: Array, key_xpos: Array, press: Array, fingers: Ids) -> Array:
+def score_fingering(
+    fingertips: Array, key_xpos: Array, press: Array, fingers: Ids, margin: float = _FINGER_MARGIN
+) -> Array:
     """(N,) mean nearness of fingers to the keys that the score gives them, 0 where it gives none.
 
     Args:
@@ -91,14 +106,17 @@ def score_fingering(fingertips: Array, key_xpos: Array, press: Array, fingers: I
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
         fingers: (N, K) for the keys, of 0..F-1, -1 for none.
+        margin: over which nearness falls to a tenth, from 1 cm on [m].
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(fingers))[:, None]
     offset = fingertips[rows, fingers] - key_xpos - press
-    return _masked_mean(xp, _nearness(xp, offset), fingers >= 0)
+    return _masked_mean(xp, _nearness(xp, offset, margin), fingers >= 0)
 
 
-def transport_fingering(fingertips: Array, key_xpos: Array, press: Array, keys: Ids) -> Array:
+def transport_fingering(
+    fingertips: Array, key_xpos: Array, press: Array, keys: Ids, margin: float = _FINGER_MARGIN
+) -> Array:
     """(N,) mean nearness of fingers to the keys assigned to them, 1 where none is (RP1M).
 
     Args:
@@ -106,12 +124,13 @@ def transport_fingering(fingertips: Array, key_xpos: Array, press: Array, keys: 
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
         keys: (N, F) for the fingers, -1 for none, see `optimal_transport`.
+        margin: over which nearness falls to a tenth, from 1 cm on [m].
     """
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(keys))[:, None]
     offset = fingertips - key_xpos[rows, keys] - press[keys]
     assigned = keys >= 0
-    mean = _masked_mean(xp, _nearness(xp, offset), assigned)
+    mean = _masked_mean(xp, _nearness(xp, offset, margin), assigned)
     return xp.where(assigned.any(-1), mean, 1.0)
 
 
@@ -140,10 +159,10 @@ def _tolerance(xp: Any, beyond: Array, margin: float) -> Array:
     return xp.exp(distance * distance * (_LOG_VALUE_AT_MARGIN / margin**2))
 
 
-def _nearness(xp: Any, offset: Array) -> Array:
+def _nearness(xp: Any, offset: Array, margin: float) -> Array:
     """(N, P) of fingers that are (N, P, 3) away from where they are wanted [m]."""
     distance = xp.sqrt(xp.vecdot(offset, offset))
-    return _tolerance(xp, distance - _FINGER_BOUND, _FINGER_MARGIN)
+    return _tolerance(xp, distance - _FINGER_BOUND, margin)
 
 
 def _masked_mean(xp: Any, values: Array, mask: Mask) -> Array:

@@ -61,6 +61,9 @@ MINI_ALLEGRO = NamedSetup(
         "hands": "right",
         "hand_spacing": 0.0,
         "touch": True,
+        "fingering_margin": 0.04,
+        "key_press": "graded",
+        "energy_coefficient": 0.001,
     }
 )
 ARM_ALLEGRO = NamedSetup(

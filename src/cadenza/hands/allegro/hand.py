@@ -17,6 +17,9 @@ _NAMES = ("th", "ff", "mf", "rf")
 # to be gentle, and what is tried around them small.
 _NOISE = 0.04  # [rad]
 _CORRECTION = 0.1  # [rad]
+# A fingertip goes 3 cm either way. Over their whole range random actions move it by 10 cm, and
+# hardly ever press a single key.
+_TRAVEL = 0.3  # [rad]
 _ACCELERATION = 40.0  # [rad/s^2]
 _LINKS = ("proximal", "medial", "distal")
 # Fingers are as wide as keys. On neighbouring keys they have room one behind the other.
@@ -58,6 +61,7 @@ def _servos(name: str) -> dict[str, Servo]:
             rest,
             acceleration=_ACCELERATION,
             noise=_NOISE,
+            travel=_TRAVEL,
             correction=_CORRECTION,
             lift=lift,
             finger=finger,
