@@ -32,6 +32,13 @@ def test_a_chord_as_wide_as_the_hand_is_played_by_all_fingers(players: Players) 
     assert nearest_fingers(chord(48, 52, 55, 59), 1, players) == [3, 2, 1, 0]
 
 
+def test_notes_a_moment_apart_are_a_chord_wherever_they_are(players: Players) -> None:
+    for start in np.arange(0.0, 0.03, 0.005):
+        low, *others = chord(84, 88, 91, 95, start=start)  # to the right of where the hand is
+        later = [Note(start + 0.002, 0.4, note.pitch) for note in others]
+        assert nearest_fingers([low, *later], 0, players) == [0, 1, 2, 3]
+
+
 @pytest.mark.parametrize("hand", range(len(SIDES)))
 def test_one_finger_plays_one_key_of_a_chord(players: Players, hand: int) -> None:
     rng = np.random.default_rng(0)

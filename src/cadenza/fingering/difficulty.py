@@ -26,14 +26,15 @@ EASIEST, HARDEST = 1, 10
 ODDS = 1.6
 
 _FINGER_TO_FINGER = 12 / 7  # [semitones] between fingers at rest: they lie on white keys
-_TIME_TO_MOVE = 0.3  # [s] that a finger has no hurry to get to another key
-_TIME_TO_CROSS = 0.5  # [s] after which the hand is moved rather than fingers crossed
+_AT_LEISURE = 0.3  # [s] in which a finger gets to another key without hurry
+_SOON = 0.5  # [s] within which fingers are crossed rather than the hand moved
 _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES])
 
 
 @dataclass(frozen=True)
 class Features:
-    """What makes a score hard for two hands. All are 0 or more; hands without fingers count not."""
+    """What makes a score hard for two hands. All are 0 or more. Notes without fingers count for no
+    hand."""
 
     notes: float
     """Notes a second."""
@@ -169,7 +170,7 @@ def _crossings(
     start: Array, moment: NDArray[np.intp], outward: Array, place: NDArray[np.intp]
 ) -> float:
     """From a note of one hand to the next: keys outwards, but fingers inwards, or the reverse."""
-    soon = (np.diff(moment) > 0) & (np.diff(start) < _TIME_TO_CROSS)
+    soon = (np.diff(moment) > 0) & (np.diff(start) < _SOON)
     return float((soon & (np.diff(outward) * np.diff(place) < 0)).sum())
 
 
@@ -179,4 +180,4 @@ def _hurry(start: Array, end: Array, pitch: Array, finger: NDArray[np.intp]) -> 
     start, end, pitch, finger = start[order], end[order], pitch[order], finger[order]
     another = (np.diff(finger) == 0) & (np.diff(pitch) != 0) & (finger[1:] >= 0)
     gap = start[1:] - end[:-1]
-    return float((another * np.clip(1 - gap / _TIME_TO_MOVE, 0, 1)).sum())
+    return float((another * np.clip(1 - gap / _AT_LEISURE, 0, 1)).sum())

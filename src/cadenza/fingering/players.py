@@ -19,7 +19,7 @@ from cadenza.hands.reach import Array, Reach
 if TYPE_CHECKING:
     from cadenza.keyboards.keyboard import Keyboard
 
-_NUM_STANDS = 32
+_NUM_STANDS = 32  # places where a hand without notes may be
 _BEYOND = 0.15
 """How far beyond the outermost keys there is room for a hand that slides [m]."""
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 from cadenza.fingers import Finger
-from cadenza.music.score import TOGETHER, Score
+from cadenza.music.score import Score, chords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,10 +32,12 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Press]
         lowest_pitch: of key 0.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
-    for i, note in enumerate(score.notes):
-        if not moments or note.start > moments[-1][0] + TOGETHER:
-            moments.append((note.start, {}))
-        moments[-1][1].setdefault(note.pitch - lowest_pitch, []).append(i)
+    index = count()
+    for chord in chords(score.notes):
+        indices_of: dict[int, list[int]] = {}
+        for note in chord:
+            indices_of.setdefault(note.pitch - lowest_pitch, []).append(next(index))
+        moments.append((chord[0].start, indices_of))
     struck_again: dict[int, float] = {}
     ends: dict[int, float] = {}
     for time, keys in reversed(moments):

@@ -27,7 +27,7 @@ LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
 FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey: colours are for what became of a key
 DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
 _SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
-_TOUCHED = 1.1
+_TOUCHED = 1.1  # radius of the sphere in which contacts count, in radii of the tip
 
 _GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -196,9 +196,14 @@ def add_fingertip_site(spec: mujoco.MjSpec, side: Side, finger: str, link: str, 
 
 
 def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None:
-    """Measures the normal force on a round fingertip, whose site is named [N].
+    """Measures the normal force on a round fingertip [N].
 
     What touches its link counts in and behind a sphere that is a little larger than the tip.
+
+    Args:
+        spec: with the hand.
+        fingertip: the name of its site.
+        radius: of the tip [m].
     """
     site = spec.site(fingertip)
     site.size = np.full(3, _TOUCHED * radius)

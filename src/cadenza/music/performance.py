@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.episode import Episode
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
 SOFTEST, LOUDEST = 30, 120  # MIDI velocities
@@ -62,6 +63,17 @@ def performed_score(
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
     pedal = (PedalEvent(float(i * dt), 127 if sustain[i] else 0) for i in moved)
     return Score(tuple(notes), tuple(pedal))
+
+
+def played_in(episode: Episode) -> Score:
+    """The notes and the pedal that sounded in an episode."""
+    return performed_score(
+        episode["key_activation"],
+        episode["sustain_activation"],
+        episode.dt,
+        episode.key_depth,
+        episode.lowest_pitch,
+    )
 
 
 def with_loudness_of(played: Score, score: Score) -> Score:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
-from cadenza.music.score import LETTING_GO, TOGETHER, Note, Score
+from cadenza.music.score import LETTING_GO, Note, Score, chords
 
 _SINGLE = 0.9  # of a track's onsets are one note, where it is a voice and no chords
 _FILL = 0.25  # of the notes of the busiest voice; a track with fewer only fills in
@@ -20,7 +20,7 @@ def melody_and_bass_tracks(tracks: Mapping[int, Score]) -> tuple[int, ...]:
     voices = {
         number: score.notes
         for number, score in tracks.items()
-        if sum(1 for _ in _onsets(score)) >= _SINGLE * len(score.notes)
+        if sum(1 for _ in chords(score.notes)) >= _SINGLE * len(score.notes)
     }
     busiest = max(map(len, voices.values()), default=0)
     height = {
@@ -43,7 +43,7 @@ def melody_and_bass(score: Score) -> Score:
     """
     kept: list[Note] = []
     voices = {"melody": -1, "bass": -1}  # where in `kept` their latest notes are
-    for notes in _onsets(score):
+    for notes in chords(score.notes):
         time = notes[0].start
         latest = {i for i in voices.values() if i >= 0}
         sounding = [kept[i].pitch for i in latest if kept[i].end > time + LETTING_GO]
@@ -60,15 +60,3 @@ def melody_and_bass(score: Score) -> Score:
         for i in latest - set(voices.values()):
             kept[i] = replace(kept[i], end=min(kept[i].end, time))
     return replace(score, notes=tuple(kept))
-
-
-def _onsets(score: Score) -> Iterator[list[Note]]:
-    """Notes that begin together."""
-    together: list[Note] = []
-    for note in score.notes:
-        if together and note.start > together[0].start + TOGETHER:
-            yield together
-            together = []
-        together.append(note)
-    if together:
-        yield together

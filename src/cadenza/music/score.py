@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
@@ -221,6 +221,18 @@ class Score:
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
         bars = tuple(replace(bar, time=move(bar.time)) for bar in self.bars)
         return replace(self, notes=notes, pedal=pedal, bars=bars)
+
+
+def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
+    """Of notes by time, those that begin together: within `TOGETHER` of the first of them."""
+    chord: list[Note] = []
+    for note in notes:
+        if chord and note.start > chord[0].start + TOGETHER:
+            yield chord
+            chord = []
+        chord.append(note)
+    if chord:
+        yield chord
 
 
 def check_length(seconds: float, what: str) -> None:

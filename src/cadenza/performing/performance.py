@@ -21,7 +21,7 @@ from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import read_json, write_json
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.performance import performed_score, with_loudness_of
+from cadenza.music.performance import played_in, with_loudness_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
@@ -63,7 +63,7 @@ class Performance:
     @property
     def played(self) -> Score:
         """The notes and the pedal that sounded."""
-        return _played(self.episode)
+        return played_in(self.episode)
 
     @property
     def energy(self) -> float | None:
@@ -159,17 +159,7 @@ def add_page(folder: Path, goal: Score) -> None:
     settings = read_json(folder / "settings.json", dict[str, Any])
     lost = folder / "misses.json"
     misses = read_json(lost, list[dict[str, Any]]) if lost.exists() else []
-    _write_page(folder, episode, metrics, settings, synthesize(_played(episode)), misses, goal)
-
-
-def _played(episode: Episode) -> Score:
-    return performed_score(
-        episode["key_activation"],
-        episode["sustain_activation"],
-        episode.dt,
-        episode.key_depth,
-        episode.lowest_pitch,
-    )
+    _write_page(folder, episode, metrics, settings, synthesize(played_in(episode)), misses, goal)
 
 
 def _write_page(

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cadenza.episode import Episode
 from cadenza.music.keyboard import is_black, note_name
-from cadenza.music.performance import key_runs, performed_score
+from cadenza.music.performance import key_runs, played_in
 from cadenza.report.asset import asset
 from cadenza.report.bars import Bar, bars
 from cadenza.report.page import own_parts, pieces, shared_parts, write_page
@@ -114,9 +114,7 @@ def _name(run: Run) -> str:
 def _embedded(run: Run) -> Iterator[str]:
     """The page of a run as JSON: its texts, and a list of a name for a part that all runs share."""
     episode = run.episode
-    rows = episode["key_activation"], episode["sustain_activation"]
-    depth, lowest = episode.key_depth, episode.lowest_pitch
-    audio = synthesize(performed_score(*rows, episode.dt, depth, lowest))
+    audio = synthesize(played_in(episode))
     shared = dict.fromkeys(shared_parts(), "")
     settings = {"agent": run.agent, "seed": run.seed}
     own = own_parts(episode, run.figures, settings, embedded(episode, audio, SAMPLE_RATE))

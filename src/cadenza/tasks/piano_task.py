@@ -105,7 +105,7 @@ class PianoTask:
         """
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
-        self.num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
+        self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.tracks = music.prepare(scores, self.config, self.scene, progress)
         if self.config.model_error:
             factors = np.random.default_rng(self.config.model_seed)

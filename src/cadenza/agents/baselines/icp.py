@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +23,12 @@ from cadenza.fingering.players import Players
 from cadenza.fingering.search import Dropped
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
-from cadenza.music.score import Note
+from cadenza.music.score import Note, chords
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
 _MOVES = 20  # of the hand; the matches repeat after two or three
 _LIFT = 0.1  # [s] that a finger takes from one key to another
-_TOGETHER = 0.03  # [s] within which notes are a chord
 
 
 class ICP(PlannerPerEnv["PlanFollower"]):
@@ -105,12 +103,9 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     if forearm is None:
         return [None] * len(notes)
     y, moving = players.key_y(hand), _Hand(players.reach, forearm.home)
-    chords = [
-        list(chord) for _, chord in groupby(notes, lambda note: round(note.start / _TOGETHER))
-    ]
     return [
         finger
-        for chord in chords
+        for chord in chords(notes)
         for finger in moving.play(chord, y[[note.pitch - lowest for note in chord]])
     ]
 
