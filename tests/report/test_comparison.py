@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from made_up_episode import make_episode
 
+from cadenza.cli.compare import in_text
 from cadenza.report.asset import asset
-from cadenza.report.comparison import COLUMNS, Run, in_text, means, write_comparison
+from cadenza.report.comparison import COLUMNS, Run, means, write_comparison
 from headless import Browser, needs_chromium
 
 

@@ -19,15 +19,14 @@ from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
 from cadenza.cli.performing import TRAIN, Again, Options, agents_in
 from cadenza.cli.stopping import asked_to_stop
-from cadenza.cli.under_way import shown, tell_what_is_left
+from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
-from cadenza.sim.threads import MOST_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import Executor, State
+    from cadenza.evaluation.bench import State
     from cadenza.evaluation.job import Job
     from cadenza.evaluation.matrix import Contender
 
@@ -73,14 +72,11 @@ class Bench(Options):
 def run(command: Bench, again: Again[Bench]) -> None:
     from cadenza.evaluation.bench import bench
     from cadenza.evaluation.matrix import matrix, write_plan
+    from cadenza.evaluation.run import carry_out
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
-    for name in "num_threads", "jobs":
-        if (number := getattr(command, name)) is not None:
-            whole_number(number, name, 1, MOST_THREADS)
-    if command.executor == "local" and command.address is not None:
-        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
+    check_executor(command)
     who = _contenders(command, again, agents)
     jobs = matrix(open_library(command.songs), who, seeds, command.arrangement, command.pages)
     if not jobs:
@@ -90,7 +86,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     trains = any(job.spec.training is not None for job in jobs)
     what_comes = "a checkpoint of the runs that train" if trains else "ending the runs under way"
     with (
-        closing(_executor(command)) as executor,
+        closing(executor_of(command, carry_out)) as executor,
         shown(_result) as table,
         asked_to_stop(what_comes) as stop,
     ):
@@ -206,16 +202,6 @@ def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
     config = replace(begun, task=own.task, scene=own.scene, num_steps=steps)
     check(config)
     return Contender(agent, own.task, own.scene, config)
-
-
-def _executor(command: Bench) -> Executor:
-    if command.executor == "ray":
-        from cadenza.evaluation.executors.ray import Ray
-
-        return Ray(command.num_threads, command.jobs, command.address)
-    from cadenza.evaluation.executors.local import Local
-
-    return Local(command.num_threads, command.jobs)
 
 
 def _result(folder: Path, job: Job) -> str:

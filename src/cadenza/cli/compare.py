@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -12,7 +13,7 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, current_name
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.output import check_writable
+from cadenza.cli.output import check_writable, in_columns
 from cadenza.cli.performing import (
     Again,
     Performing,
@@ -48,7 +49,7 @@ class Compare(Performing):
 
 
 def compare(command: Compare, again: Again[Compare]) -> None:
-    from cadenza.report.comparison import in_text, means, write_comparison
+    from cadenza.report.comparison import means, write_comparison
 
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
@@ -94,6 +95,16 @@ def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
     ):
         performance = perform(setup, progress)
     return Run(name, seed, _figures(performance), performance.episode)
+
+
+def in_text(runs: Sequence[Run]) -> str:
+    """The table of means, for a terminal."""
+    from cadenza.report.comparison import COLUMNS, means, shown
+
+    rows = [["", *(title for title, _ in COLUMNS.values())]]
+    for agent, figures in means(runs).items():
+        rows.append([agent, *(shown(name, figures[name]) for name in COLUMNS)])
+    return in_columns(rows)
 
 
 def _differing(own: Compare, command: Compare) -> str:

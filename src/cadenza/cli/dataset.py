@@ -17,15 +17,14 @@ from cadenza.cli.output import check_writable
 from cadenza.cli.performing import Again, Options
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
-from cadenza.cli.under_way import shown, tell_what_is_left
+from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation, varied
-from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import Executor, State
+    from cadenza.evaluation.bench import State
     from cadenza.evaluation.collecting.episode import Demonstrator
     from cadenza.evaluation.job import Job
 
@@ -68,7 +67,7 @@ class Collect(Options):
 
 def collect(command: Collect, _again: Again[Collect]) -> None:
     from cadenza.evaluation.bench import bench
-    from cadenza.evaluation.collecting.episode import episodes, is_complete
+    from cadenza.evaluation.collecting.episode import episodes, is_complete, record
     from cadenza.evaluation.matrix import write_plan
     from cadenza.music.libraries.library import open_library
 
@@ -80,7 +79,7 @@ def collect(command: Collect, _again: Again[Collect]) -> None:
     check_writable(command.output)
     write_plan(command.output, shlex.join(["cadenza", *sys.argv[1:]]), jobs)
     with (
-        closing(_executor(command)) as executor,
+        closing(executor_of(command, record)) as executor,
         shown(_how_it_went) as table,
         asked_to_stop("ending the episodes under way") as stop,
     ):
@@ -98,9 +97,7 @@ def collect(command: Collect, _again: Again[Collect]) -> None:
 
 def _check(command: Collect) -> None:
     """Raises: CadenzaError: an option makes no sense."""
-    for name in "num_threads", "jobs":
-        if (number := getattr(command, name)) is not None:
-            whole_number(number, name, 1, MOST_THREADS)
+    check_executor(command)
     whole_number(command.episodes, "episodes", 1, _MOST_EPISODES)
     check_ranges(command, {"least_f1": (0, 1)})
     check_ranges(command.variation, {"noise": (0, 10)})
@@ -110,8 +107,6 @@ def _check(command: Collect) -> None:
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.scene.touch:
         raise CadenzaError("--touch: no forces are kept of an episode; leave it out")
-    if command.executor == "local" and command.address is not None:
-        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
 
 
 def _who(command: Collect) -> Demonstrator:
@@ -136,18 +131,6 @@ def _who(command: Collect) -> Demonstrator:
         command.variation,
         student_config,
     )
-
-
-def _executor(command: Collect) -> Executor:
-    from cadenza.evaluation.collecting.episode import record
-
-    if command.executor == "ray":
-        from cadenza.evaluation.executors.ray import Ray
-
-        return Ray(command.num_threads, command.jobs, command.address, record)
-    from cadenza.evaluation.executors.local import Local
-
-    return Local(command.num_threads, command.jobs, record)
 
 
 def _how_it_went(folder: Path, _job: Job) -> str:

@@ -1,7 +1,8 @@
-"""Where results go: whether files can be written there."""
+"""What commands print, and where results go: whether files can be written there."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
@@ -25,3 +26,13 @@ def check_writable(folder: Path) -> None:
             f"{folder}: results cannot be written there ({error.strerror}); "
             "choose another folder with --output"
         ) from error
+
+
+def in_columns(rows: Sequence[Sequence[str]]) -> str:
+    """A table: names to the left, and figures, in all other columns, to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join([name.ljust(widths[0]), *map(str.rjust, figures, widths[1:])]).rstrip()
+        for name, *figures in rows
+    )
+    return "\n".join(lines)

@@ -22,7 +22,7 @@ _UNITS = {  # of stages that do not count steps
     "motions": "motions",
     "postures": "iterations",
     "practising": "%",
-    "writing sound and page": "files",
+    "making the sound": "files",
     "drawing": "frames",
 }
 

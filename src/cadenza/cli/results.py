@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.output import check_name, check_writable
+from cadenza.cli.output import check_name, check_writable, in_columns
 
 if TYPE_CHECKING:
     from cadenza.report.overview import Overview
@@ -67,9 +67,4 @@ def _in_text(told: Overview) -> str:
             f1, *others = (shown(name, of.iqm[name].value) for name in HEADLINES)
             interval = in_interval(HEADLINES[0], of.iqm[HEADLINES[0]])
             rows.append([f"  {agent}", str(of.pieces), str(of.runs), f1, interval, *others])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = (
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
-        for row in rows
-    )
-    return "\n".join(["Interquartile means", *lines])
+    return f"Interquartile means\n{in_columns(rows)}"

@@ -1,4 +1,4 @@
-"""How far many runs are: a table on a terminal, a line for each that ends, what is left."""
+"""Many runs: where they are carried out, and how far they are, in a table or line by line."""
 
 from __future__ import annotations
 
@@ -9,14 +9,50 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from cadenza.cli.progress import QUIET
+from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
+from cadenza.sim.threads import MOST_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import State
+    from cadenza.evaluation.bench import CarryOut, Executor, State
     from cadenza.evaluation.job import Job
+
+
+class _Command(Protocol):
+    """One that carries out many runs."""
+
+    @property
+    def num_threads(self) -> int: ...
+    @property
+    def jobs(self) -> int | None: ...
+    @property
+    def executor(self) -> Literal["local", "ray"]: ...
+    @property
+    def address(self) -> str | None: ...
+
+
+def check_executor(command: _Command) -> None:
+    """Raises: CadenzaError: an option of where runs are carried out makes no sense."""
+    for name in "num_threads", "jobs":
+        if (number := getattr(command, name)) is not None:
+            whole_number(number, name, 1, MOST_THREADS)
+    if command.executor == "local" and command.address is not None:
+        raise CadenzaError("--address is that of a Ray cluster: add --executor ray")
+
+
+def executor_of(command: _Command, carry_out: CarryOut) -> Executor:
+    """Where the runs of a command are carried out."""
+    if command.executor == "ray":
+        from cadenza.evaluation.executors.ray import Ray
+
+        return Ray(command.num_threads, command.jobs, command.address, carry_out)
+    from cadenza.evaluation.executors.local import Local
+
+    return Local(command.num_threads, command.jobs, carry_out)
+
 
 HowItWent = Callable[[Path, "Job"], str]
 """Says in a line how a run in its folder went that has finished."""

@@ -65,17 +65,6 @@ def _mean(values: Sequence[float]) -> float:
     return math.fsum(defined) / len(defined) if defined else math.nan
 
 
-def in_text(runs: Sequence[Run]) -> str:
-    """The table of means, for a terminal."""
-    rows = [["", *(title for title, _ in COLUMNS.values())]]
-    for agent, figures in means(runs).items():
-        rows.append([agent, *(_shown(name, figures[name]) for name in COLUMNS)])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
-    )
-
-
 def write_comparison(path: Path, runs: Sequence[Run], remarks: Sequence[str] = ()) -> None:
     """Writes the page of `runs`, of at least one, to `path`, with `remarks` on how they differ."""
     longest = max((run.episode for run in runs), key=_duration)
@@ -136,7 +125,8 @@ def _facts(runs: Sequence[Run], longest: Episode) -> str:
     return "".join(f"<span>{name} <b>{value}</b></span>" for name, value in facts.items())
 
 
-def _shown(name: str, value: float) -> str:
+def shown(name: str, value: float) -> str:
+    """A figure of `COLUMNS`; a dash if it is not defined."""
     if math.isnan(value):
         return "–"
     return f"{value * (1000 if name == 'timing_error' else 1):z.{COLUMNS[name][1]}f}"
@@ -146,7 +136,7 @@ def _table(figures: Mapping[str, Mapping[str, float]]) -> str:
     head = "".join(f'<th scope="col">{title}</th>' for title, _ in COLUMNS.values())
     rows = (
         f'<tr><th scope="row">{html.escape(agent)}</th>'
-        + "".join(f"<td>{_shown(name, of_agent[name])}</td>" for name in COLUMNS)
+        + "".join(f"<td>{shown(name, of_agent[name])}</td>" for name in COLUMNS)
         + "</tr>"
         for agent, of_agent in figures.items()
     )
@@ -159,7 +149,7 @@ def _bars(name: str, runs: Sequence[Run]) -> str:
     for agent, figures in means(runs).items():
         each = [run.figures[name] for run in runs if run.agent == agent]
         dots = each if len(each) > 1 else ()
-        lines.append(Bar(agent, figures[name], _shown(name, figures[name]), dots))
+        lines.append(Bar(agent, figures[name], shown(name, figures[name]), dots))
     return bars(COLUMNS[name][0], lines)
 
 
