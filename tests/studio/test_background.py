@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
 import sys
 import time
 from asyncio.subprocess import PIPE
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.config import preset
 from cadenza.learning.run_folder import RunFolder
@@ -162,3 +165,23 @@ def test_a_run_that_was_stopped_has_no_error(
         assert (found.runs()[0]["state"], found.runs()[0]["error"]) == ("stopped", "")
 
     asyncio.run(asyncio.wait_for(run(), 60))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", ["planner", "generalist"])
+def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: str) -> None:
+    """The same bits, so nothing is lost by it."""
+    song = tmp_path / "three.mid"
+    write_midi(SCORE, song)
+    request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3)
+    ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path), agent=agent)
+    streamed, live = worker.play(ours, lambda _: None)
+    options = ["--agent", agent, "--seed", "3", "--stretch", "0.8", "--transpose", "2"]
+    command = ["play", str(song), "-o", str(tmp_path / "out"), "--no-video", *options]
+    subprocess.run([sys.executable, "-m", "cadenza", *command], check=True)
+    written = load_episode(tmp_path / "out" / "episode.npz")
+    assert written.arrays.keys() == streamed.episode.arrays.keys()
+    for name, values in written.arrays.items():
+        if name != "metrics":  # which have times among them
+            np.testing.assert_array_equal(values, streamed.episode[name], err_msg=name)
+    assert len(live.rows) % written.num_steps == 0

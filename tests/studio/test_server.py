@@ -6,7 +6,7 @@ import asyncio
 import socket
 import sys
 from asyncio.subprocess import PIPE
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +19,7 @@ pytest.importorskip("starlette", reason="needs cadenza[studio]")
 pytest.importorskip("uvicorn", reason="needs cadenza[studio]")
 pytest.importorskip("httpx2", reason="needs the development group")
 
+from starlette.requests import Request
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -26,7 +27,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.studio import jobs
+from cadenza.studio import jobs, server
 from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.server import Studio
 from cadenza.studio.shelf import Kept
@@ -233,6 +234,37 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
 
     monkeypatch.setattr(jobs, "started", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_one_player_waits_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = []
+
+    async def waiting(*_: str) -> Any:
+        await asyncio.sleep(0.01)
+        begun.append(await asyncio.create_subprocess_exec("sleep", "60", stdin=PIPE, stdout=PIPE))
+        return begun[-1]
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path, Trainings(tmp_path))
+        await asyncio.gather(*(queue.warm() for _ in range(3)))
+        await queue.close()
+
+    monkeypatch.setattr(jobs, "started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))
+    assert len(begun) == 1
+
+
+def test_a_file_that_does_not_come_is_given_up(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def never(_: Any) -> AsyncIterator[bytes]:
+        yield b"MThd"
+        await asyncio.sleep(60)
+
+    monkeypatch.setattr(Request, "stream", never)
+    monkeypatch.setattr(server, "_PATIENCE", 0.05)
+    answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
+    assert answer.json()["error"] == "the file takes too long to come"
 
 
 def test_a_synthesizer_that_ends_is_started_again() -> None:

@@ -70,12 +70,13 @@ class Jobs:
         self._waiting: deque[Job] = deque()
         self._spare: Process | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._closed = False
+        self._warming, self._closed = asyncio.Lock(), False
 
     async def warm(self) -> None:
         """Has a process ready, so that the first song begins soon."""
-        if self._spare is None and not self._closed:
-            self._spare = await started("cadenza.studio.worker")
+        async with self._warming:  # two would each start one, and lose one
+            if self._spare is None and not self._closed:
+                self._spare = await started("cadenza.studio.worker")
 
     def submit(
         self, request: PlayRequest, title: str, source: str, uploaded: bool, agent: str
@@ -109,9 +110,10 @@ class Jobs:
         self._closed = True
         for job in list(self.jobs.values()):
             self.cancel(job.id)
-        if self._spare is not None:
-            kill(self._spare)
-            await self._spare.wait()
+        async with self._warming:
+            if self._spare is not None:
+                kill(self._spare)
+                await self._spare.wait()
         await self.practice.close()
         await self.trainings.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)

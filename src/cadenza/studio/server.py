@@ -30,7 +30,8 @@ from cadenza.studio.trainings import Trainings
 from cadenza.studio.watchable import Watchable, plainly
 
 _MOST_JSON = 1 << 14  # bytes of a request
-_READING_AT_ONCE = 2
+_RECEIVING_AT_ONCE, _READING_AT_ONCE = 4, 2  # files
+_PATIENCE = 60.0  # [s] for all of a request to come
 # Pages that were written bring their own policy; here they may not reach the studio either. One
 # that compares looks into pages within it, which a sandbox would keep it from.
 _ALONE = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
@@ -61,6 +62,7 @@ class Studio(Watchable):
             for name, entry in REGISTERED.entries().items()
             if name not in REGISTERED.own
         }
+        self._receiving = asyncio.Semaphore(_RECEIVING_AT_ONCE)
         self._reading = asyncio.Semaphore(_READING_AT_ONCE)
 
     async def stream(self, id: str) -> Stream | None:
@@ -115,7 +117,8 @@ class Studio(Watchable):
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
-        content = await _body(request, MOST_BYTES, "the file")
+        async with self._receiving:
+            content = await _body(request, MOST_BYTES, "the file")
         name = request.query_params.get("name", "")
         put = await run_in_threadpool(self.shelf.put, content, name)
         path, id, title, ending = put
@@ -216,8 +219,12 @@ async def _body(request: Request, most: int, what: str) -> bytes:
     if not length.isascii() or not length.isdigit() or int(length) > most:
         raise too_large
     content = bytearray()
-    async for chunk in request.stream():
-        content += chunk
-        if len(content) > most:
-            raise too_large
+    try:
+        async with asyncio.timeout(_PATIENCE):
+            async for chunk in request.stream():
+                content += chunk
+                if len(content) > most:
+                    raise too_large
+    except TimeoutError as error:
+        raise CadenzaError(f"{what} takes too long to come") from error
     return bytes(content)
