@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
 from cadenza.studio.request import ROWS, TOLD
-from cadenza.studio.stream import Stream
+from cadenza.studio.stream import Stored, Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
@@ -205,10 +204,8 @@ class Shelf:
         kept = read_json(folder / _ABOUT, Kept)
         status = {"state": "kept", "performance": id, "metrics": {"f1": kept.f1}}
         try:
-            about = (folder / TOLD).read_bytes()
-            with (folder / ROWS).open("rb") as file:
-                rows = mmap(file.fileno(), 0, access=ACCESS_READ)
-        except (OSError, ValueError) as error:
+            about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)
+        except OSError as error:
             raise CadenzaError("of this performance there is only the report") from error
         return Stream(kept.title, kept.request, status, about, rows)
 

@@ -6,13 +6,29 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from mmap import mmap
+from pathlib import Path
 from typing import Any
 
 from cadenza.studio.messages import JSON, ROWS
 
 _OVER = ("kept", "failed", "cancelled")
 _MOST_SENT = 1 << 18  # bytes of rows at once
+
+
+class Stored:
+    """Bytes in a file, of which only those that are asked for take memory."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises: OSError: it cannot be read."""
+        self._path, self._size = path, path.stat().st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        with self._path.open("rb") as file:
+            file.seek(part.start)
+            return file.read(part.stop - part.start)
 
 
 @dataclass(eq=False)
@@ -33,7 +49,7 @@ class Stream:
     request: dict[str, Any]
     status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
     about: bytes | None = None
-    rows: bytearray | mmap | bytes = field(default_factory=bytearray)
+    rows: bytearray | bytes | Stored = field(default_factory=bytearray)
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
@@ -81,7 +97,7 @@ class Stream:
             while rows < len(self.rows):
                 part = bytes(self.rows[rows : rows + _MOST_SENT])
                 await send(part)
-                rows += len(part)
+                rows += len(part) or len(self.rows)  # of a file that was cut off meanwhile
             if self.is_over and told == self.status:
                 return
             await changed.wait()
