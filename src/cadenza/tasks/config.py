@@ -39,10 +39,10 @@ class TaskConfig:
     fingering: Fingering = "auto"
     """Fingering reward. auto: fingers from the score, or from a search for notes without any.
     transport: the assignment of fingers to keys with the shortest total distance. off: none."""
-    fingering_margin: float = 0.1
+    fingering_margin: float = field(default=0.1, metadata=added(before=0.1))
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
-    key_press: KeyPress = "published"
+    key_press: KeyPress = field(default="published", metadata=added(before="published"))
     """Reward for the keys to press. published: little for a key before it is nearly down; graded:
     half for how far it is down, and half if it sounds."""
     energy_coefficient: float = 0.005
