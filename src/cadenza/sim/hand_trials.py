@@ -78,10 +78,8 @@ class HandTrials:
         mujoco.mj_copyData(data, model, start)
         for row in ctrl:
             data.ctrl = row
-            mujoco.mj_step2(model, data)
-            if self._substeps > 1:
-                mujoco.mj_step(model, data, self._substeps - 1)
-            mujoco.mj_step1(model, data)
+            mujoco.mj_step(model, data, self._substeps)
+            mujoco.mj_kinematics(model, data)
             yield data.qpos[hand.keys], data.site_xpos[hand.fingertips]
 
     def hand_joints(self, place: int = 0) -> tuple[Array, Array]:
@@ -135,4 +133,3 @@ class _HandOnKeys:
         start.qacc_warmstart = whole.qacc_warmstart[self._dofs]
         asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _SOON_ASLEEP, asleep)
-        mujoco.mj_step1(self.model, start)
