@@ -204,7 +204,7 @@ def test_info_on_a_file(tune: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["info", str(tune)])
     told = facts(capsys.readouterr().out)
     assert told["length"] == "0.6 s, 13 steps"
-    assert told["range"] == "MIDI 60 to 67"
+    assert told["range"] == "C4 to G4 (MIDI 60 to 67)"
     assert told["at once"] == "up to 2 keys"
     assert told["fingering"] == "given for 0 of 3 notes; found for 3"
     assert told["pedal"] == "1 movement"
@@ -602,7 +602,7 @@ def test_tracks_tempo_changes_and_notes_off_the_keyboard(
     told = facts(capsys.readouterr().out)
     assert told["length"] == "1.5 s, 31 steps"
     assert told["notes"] == "3"
-    assert told["range"] == "MIDI 48 to 76"
+    assert told["range"] == "C3 to E5 (MIDI 48 to 76)"
     assert "88 keys" in told["repaired 1"]
     main(["play", str(path), *QUICK, "-o", str(tmp_path / "played")])
     assert "88 keys" in capsys.readouterr().err

@@ -47,8 +47,8 @@ def test_info_lists_the_tracks(trio: Path, capsys: pytest.CaptureFixture[str]) -
     main(["info", str(trio)])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     heading = lines.index(["track", "notes", "range", "channel", "instrument", "name"])
-    assert lines[heading + 1] == ["1", "4", "MIDI", "76", "to", "79", "1", "flute", "Flute"]
-    assert lines[heading + 3] == ["3", "4", "MIDI", "45", "to", "48", "3", "clarinet", "Cello"]
+    assert lines[heading + 1] == ["1", "4", "E5", "to", "G5", "1", "flute", "Flute"]
+    assert lines[heading + 3] == ["3", "4", "A2", "to", "C3", "3", "clarinet", "Cello"]
 
 
 def test_info_tells_of_the_tracks_that_are_chosen(

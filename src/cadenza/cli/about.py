@@ -11,6 +11,7 @@ from cadenza.agents.registry import AGENTS
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.keyboard import note_name
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -53,14 +54,14 @@ def _song_facts(score: Score) -> dict[str, Any]:
     trimmed = score.with_silence_trimmed()
     goals = score_to_goals(trimmed, TaskConfig().control_timestep)
     most = int(goals.keys.sum(axis=1).max())
+    pitches = [note.pitch for note in score.notes]
+    ends = min(pitches), max(pitches)
     return {
         "title": score.title,
         "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",
         **({"bars": len(score.bars)} if score.bars else {}),
         "notes": len(score.notes),
-        "range": _pitch_range(
-            min(note.pitch for note in score.notes), max(note.pitch for note in score.notes)
-        ),
+        "range": f"{_notes(*ends)} (MIDI {ends[0]} to {ends[1]})",
         "at once": f"up to {_counted(most, 'key')}",
         "fingering": _about_fingering(score),
         "pedal": _counted(len(score.pedal), "movement"),
@@ -71,8 +72,8 @@ def _counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s'[: number != 1]}"
 
 
-def _pitch_range(lowest: int, highest: int) -> str:
-    return f"MIDI {lowest} to {highest}"
+def _notes(lowest: int, highest: int) -> str:
+    return f"{note_name(lowest)} to {note_name(highest)}"
 
 
 def _table_of_tracks(tracks: Sequence[Track]) -> str:
@@ -81,7 +82,7 @@ def _table_of_tracks(tracks: Sequence[Track]) -> str:
         (
             str(t.number),
             str(t.notes),
-            _pitch_range(t.lowest, t.highest),
+            _notes(t.lowest, t.highest),
             str(t.channel or ""),
             t.instrument,
             t.name,

@@ -1,4 +1,8 @@
-"""What can be chosen about the scene. Imports nothing heavy: the command line shows it."""
+"""What can be chosen about the scene. Imports nothing heavy: the command line shows it.
+
+A new option says what was so before there was it, see `cadenza.configs.added`: else all runs that
+were kept without it would be carried out again.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ LIBRARIES = Registry(
         "bundled": Entry(
             "cadenza.music.libraries.bundled:bundled", "the pieces that come with Cadenza"
         ),
-        "debug": Entry("cadenza.music.libraries.bundled:debug", "a few short ones of them"),
+        "debug": Entry("cadenza.music.libraries.bundled:debug", "six of them that are short"),
         "etude-12": Entry("cadenza.music.libraries.pig:etude_12", "the twelve published etudes"),
         ETUDES: Entry(
             "cadenza.music.etudes.library:etude_library", "etudes:N has N practice pieces"
