@@ -110,9 +110,9 @@ def score_to_goals(
         lifted = step - 1 if spare else step
         keys[lifted, key], fingers[lifted, key] = False, NO_FINGER
 
-    sustain = np.zeros(num_steps, bool)
-    for event in score.pedal:
-        sustain[int(event.time * fps) :] = event.value >= SUSTAIN_ON
+    moves = [int(event.time * fps) for event in score.pedal]
+    down = np.array([False, *(event.value >= SUSTAIN_ON for event in score.pedal)])
+    sustain = down[np.searchsorted(moves, np.arange(num_steps), side="right")]
     return Goals(keys, fingers, sustain, hands.count)
 
 
