@@ -85,8 +85,9 @@ def test_graded_key_press(data: st.DataObject, n: int) -> None:
     ours = reward.graded_key_press(state, sounds, goal)
     for env in range(n):
         worth = [state[env, k] / 2 + sounds[env, k] / 2 for k in range(NUM_KEYS) if goal[env, k]]
-        silent = not any(sounds[env, k] and not goal[env, k] for k in range(NUM_KEYS))
-        assert_allclose(ours[env], 0.5 * (sum(worth) / max(len(worth), 1)) + 0.5 * silent, **CLOSE)
+        wrong = sum(sounds[env, k] and not goal[env, k] for k in range(NUM_KEYS))
+        right = 1 - wrong / (len(worth) + wrong) if wrong else 1.0
+        assert_allclose(ours[env], 0.5 * (sum(worth) / max(len(worth), 1)) + 0.5 * right, **CLOSE)
 
 
 @pytest.mark.parametrize("key_press", [reward.key_press, reward.graded_key_press])

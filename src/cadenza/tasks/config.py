@@ -47,8 +47,8 @@ class TaskConfig:
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
     key_press: KeyPress = field(default="published", metadata=added(before="published"))
-    """Reward for the keys to press. published: little for a key before it is nearly down; graded:
-    half for how far it is down, and half if it sounds."""
+    """Reward for the keys to press. published: hardly any for a key before it is nearly down, and
+    as much for no wrong key; graded: for every touch, less for every wrong key."""
     energy_coefficient: float = 0.005
     """Weight of the energy penalty."""
     sustain_term: bool = False

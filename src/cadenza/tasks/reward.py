@@ -78,22 +78,21 @@ def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
     """Half for goal keys that are down, half for no other key sounding; arrays (N, K) to (N,)."""
     xp = state.__array_namespace__()
-    return _keys(_tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN), activation, goal)
+    down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
+    wrong = (activation > goal).any(-1)
+    return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
 
 
 def graded_key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """The same, where a goal key that is `state` down gets that as a share of a half.
+    """The same, where every touch of a goal key counts and a wrong key is not as bad as silence.
 
-    It gets the other half of it once it sounds. So a touch already tells the right key.
+    A goal key is worth half of how far it is down, and as much again once it sounds. Of the half
+    for no other key, what is lost is the share of wrong keys among goal keys and wrong ones.
     """
-    return _keys(0.5 * (state + activation), activation, goal)
-
-
-def _keys(down: Array, activation: Mask, goal: Mask) -> Array:
-    """(N,) of what each key (N, K) would be worth as a goal."""
-    xp = down.__array_namespace__()
-    wrong = (activation > goal).any(-1)
-    return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
+    xp = state.__array_namespace__()
+    wrong = (activation > goal).sum(-1)
+    share = wrong / xp.maximum(goal.sum(-1) + wrong, 1)
+    return 0.5 * (_masked_mean(xp, 0.5 * (state + activation), goal) + 1.0 - share)
 
 
 def score_fingering(
