@@ -66,6 +66,8 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     },
 }
 """A command, or several under one name."""
+_ABOUT = {"dataset": "Record demonstrations to learn from, and use them"}
+"""What several commands under one name are for."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -184,6 +186,7 @@ def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[st
 def _about_all(arguments: list[str]) -> None:
     help_or_completion(
         _kinds(_COMMANDS),
+        _ABOUT,
         "cadenza",
         "Two simulated robot hands play the piano from any MIDI file.\n\n"
         'Run "cadenza COMMAND --help" for the options of a command.',

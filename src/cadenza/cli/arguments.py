@@ -102,13 +102,22 @@ def parse(
 
 
 def help_or_completion(
-    commands: Mapping[str, Any], prog: str, description: str, arguments: Sequence[str]
+    commands: Mapping[str, Any],
+    about: Mapping[str, str],
+    prog: str,
+    description: str,
+    arguments: Sequence[str],
 ) -> None:
     """Prints what there is, for --help, or what completes it, and exits.
 
-    `commands` has a type for each, or such a mapping for several under one name.
+    Args:
+        commands: by name a type, or such a mapping for several commands under one name.
+        about: what these several are for, in a line.
+        prog: what stands before the name of a command.
+        description: of all of them.
+        arguments: --help, or what asks for the completion of a shell.
     """
-    kinds: Any = _any_of(commands)
+    kinds: Any = _any_of(commands, about)
     overall = make_dataclass(
         "Overall",
         [
@@ -128,8 +137,9 @@ def help_or_completion(
     )
 
 
-def _any_of(commands: Mapping[str, Any]) -> Any:
-    return Union[tuple(_subcommand(*command) for command in commands.items())]  # noqa: UP007
+def _any_of(commands: Mapping[str, Any], about: Mapping[str, str]) -> Any:
+    kinds = (_subcommand(name, kind, about) for name, kind in commands.items())
+    return Union[tuple(kinds)]  # noqa: UP007
 
 
 def _all(commands: Mapping[str, Any]) -> Iterator[type]:
@@ -140,15 +150,15 @@ def _all(commands: Mapping[str, Any]) -> Iterator[type]:
             yield kind
 
 
-def _subcommand(name: str, kind: Any) -> Any:
+def _subcommand(name: str, kind: Any, about: Mapping[str, str]) -> Any:
     """With the first line of what the help of the command says."""
     if isinstance(kind, Mapping):
-        several: Any = Annotated[_any_of(kind), tyro.conf.OmitSubcommandPrefixes]
-        about = f"One of: {', '.join(kind)}."
+        several: Any = Annotated[_any_of(kind, {}), tyro.conf.OmitSubcommandPrefixes]
+        line = f"{about[name]}: {', '.join(kind)}."
         kind = make_dataclass(name.capitalize(), [("command", several)])
     else:
-        about = about_in_a_line(kind)
-    return Annotated[kind, tyro.conf.subcommand(name, description=about)]
+        line = about_in_a_line(kind)
+    return Annotated[kind, tyro.conf.subcommand(name, description=line)]
 
 
 def about_in_a_line(kind: type) -> str:
