@@ -28,6 +28,7 @@ from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
+from cadenza.hands.forearm import WIDTH
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
@@ -552,6 +553,21 @@ def test_postures_are_such_that_their_controls_reach_them() -> None:
     inwards = servos_of(scene).names.index("forearm_ty")
     lacking = np.abs(plan.postures - plan.tracking.expected[:, :, 0])[:, inwards]
     assert lacking[keys.any(axis=1).nonzero()[0] + 1].max() < 0.005
+
+
+def test_forearms_of_hands_that_play_close_together_do_not_touch() -> None:
+    scene = build_scene()
+    keys, fingers = np.zeros((40, 88), bool), np.full((40, 88), np.int8(-1))
+    for first, (left, right) in enumerate(((39, 43), (37, 45), (39, 43))):  # C4 and E4, and apart
+        for key, hand in (left, 1), (right, 0):
+            steps = slice(10 + 10 * first, 20 + 10 * first)
+            keys[steps, key] = True
+            fingers[steps, key] = scene.fingers.per_hand * hand + 2
+    *_, plan = nominal_plans(scene, keys, fingers, np.zeros(len(scene.hand_joint_names)), 0.05)
+    right, left = (i for i, name in enumerate(servos_of(scene).names) if name == "forearm_tx")
+    mounted = scene.config.hand_spacing
+    apart = mounted + plan.postures[:, right] - plan.postures[:, left]
+    assert apart.min() > WIDTH
 
 
 def test_a_thumb_strikes_in_time_without_a_search() -> None:

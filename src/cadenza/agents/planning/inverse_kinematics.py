@@ -31,7 +31,7 @@ _OVERLAP = 0.002  # [m] of links that counts as one
 _WALL = 0.001  # [m] into black keys
 _LACKING = 0.02  # of a servo's stride that it does not go, as its control would leave its range
 _FOREARMS_APART = WIDTH + 0.011  # [m]
-_FOREARMS_SIGMA = 0.005  # [m]
+_FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 _ITERATIONS = 25
