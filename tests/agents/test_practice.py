@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import signal
 from collections.abc import Callable
+from copy import copy, deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 
 import cadenza
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.practice import Practice, PractisedPlanner
+from cadenza.agents.planning.practice import Practice
+from cadenza.agents.planning.practised_planner import PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.takes import Take
 from cadenza.agents.playback import Playback, load_plan, tracking_of
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
@@ -26,6 +29,7 @@ from cadenza.files import locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -148,6 +152,31 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
         left = again
     assert left.run(EFFORT)
     assert_same(left, practised)
+
+
+def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
+    one = practice(config=ScorePlannerConfig())
+    one.run(0.0)
+    first, rngs = 8, [np.random.default_rng(hand) for hand in range(2)]
+    pushed = one.take.part(0, first)
+    pushed.ctrl[-2:] += 0.05 * (-1.0) ** np.arange(pushed.ctrl.shape[1])
+    start = one._stage.beginning()
+    one._stage.play(start, 0, pushed, one.take.heard(0), one.num_steps)
+    rest = one.take.part(first, one.num_steps)
+
+    def played(act: Callable[[State], NDArray[np.float64]] | None = None) -> Take:
+        heard = one.take.heard(first)
+        return one._stage.play(copy(start), first, rest, heard, one.num_steps, act)[0]
+
+    def searched() -> Take:
+        tracking, hands = one._stage.tracking(one.take), deepcopy(rngs)
+        one._searching.follow(tracking, one.take.sounding, first, hands)
+        return played(one._searching.act)
+
+    once, again = searched(), searched()
+    assert once.loss.sum() < 0.7 * played().loss.sum()
+    assert one._searching.simulated > 0
+    np.testing.assert_array_equal(once.ctrl, again.ctrl)  # whatever they did before
 
 
 def test_practice_of_something_else_is_refused(practised: Practice) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.agents.agent import PlannerPerEnv, Progress, silent
-from cadenza.agents.planning.practice import Practice, PractisedPlanner
+from cadenza.agents.planning.practice import Practice
+from cadenza.agents.planning.practised_planner import PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.files import read_arrays, write_atomically
 from cadenza.performing.performance import perform

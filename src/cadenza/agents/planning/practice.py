@@ -28,16 +28,16 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
-from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.refinement import HandOfTwo, HandPart, Memory
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.practised_planner import Rehearsal
+from cadenza.agents.planning.refinement import HandPart, Memory
+from cadenza.agents.planning.searching import SearchingHands
+from cadenza.agents.planning.song_plan import plan_song
 from cadenza.agents.planning.takes import Moments, Stage, Take
-from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
-from cadenza.fingers import Side
 from cadenza.music.metrics import playing_metrics, step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
@@ -51,24 +51,6 @@ _WINDOW = 4  # times _BETWEEN are worked on at a time
 _ADVANCE = 3  # times it later begins the next window
 _AFTER = 2  # times it after a window must not suffer
 _AROUND = 0.15  # [s] before and after a step that share its failures
-
-
-class Rehearsal(NamedTuple):
-    """How both hands have played a song of T steps in the whole scene."""
-
-    tracking: Tracking
-    """What they did, and the feedback that leads them back to it."""
-    f1: float
-    note_onset_f1: float
-
-    @property
-    def worth(self) -> float:
-        """The more, the better, as long as F1 does not fall."""
-        return self.f1 + ONSETS * self.note_onset_f1
-
-    def no_worse_than(self, other: Rehearsal) -> bool:
-        """Neither in worth nor in F1."""
-        return self.worth >= other.worth and self.f1 >= other.f1
 
 
 class _Sweep(NamedTuple):
@@ -119,13 +101,10 @@ class Practice:
         plan = self.plan = plan_song(track, self._start, progress)
         sides, nominal, dt = plan.scene.sides, plan.nominal.tracking, track.config.control_timestep
         self._threads = Threads(num_threads)
-        self._at_sight = [  # as `SongPlanner` has them
-            HandOfTwo.of(plan, side, nominal, config, hand_rng, self._threads)
-            for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
-        ]
+        parts = [HandPart(plan, side) for side in sides]
+        self._searching = SearchingHands(plan, parts, config, rng, self._threads)
         self._seed = int(rng.integers(2**63))
         self._about = repr((self._seed, config)).encode()
-        parts = [HandPart(plan, side) for side in sides]
         self.hands = [
             HandPractice(plan, side, part, self._threads)
             for side, part in zip(sides, parts, strict=True)
@@ -198,20 +177,17 @@ class Practice:
     def _play_on(self) -> None:
         """Adds a chunk to the first take."""
         first, last = self.played, min(self.played + self._chunk, self.num_steps)
-        (simulation,) = self._moments.values()
-        heard, self.at = self.take.heard(first), [first]
-        ctrl = np.zeros(self.take.ctrl.shape[1])
-        for row in range(first, last):
-            state, here = simulation.state, self._stage.posture(simulation)
-
-            def act(i: int) -> None:
-                ctrl[self._at_sight[i].servos] = self._at_sight[i].act(state)  # noqa: B023
-
-            self._threads.for_each(range(len(self.hands)), act)
-            simulation.step(ctrl[None])
-            step, heard = self._stage.judged(simulation, row, heard)
-            self.take.put(row, Take(ctrl[None], here[None], *step))
-        self.played, self._moments = last, {last: simulation}
+        played, moments = self._stage.play(
+            self._before_step(first),
+            first,
+            self.take.part(first, last),
+            self.take.heard(first),
+            self._chunk,
+            self._searching.act,
+        )
+        self.take.put(first, played)
+        self.at, self.played = [first], last
+        self._moments = {step: moment for step, moment in moments.items() if step == last}
         if last == self.num_steps:
             self._note()
 
@@ -226,7 +202,7 @@ class Practice:
         until = self.simulated + self._steps_of(_SWEEP) * weight / weight[-1]
         self._sweep = _Sweep(0, until, self.take.part(0, self.num_steps))
         self._moments = {0: self._stage.beginning()}
-        self._extend(0, self._ahead)
+        self._extend(self._sweep, 0, self._ahead)
 
     def _go_on(self, sweep: _Sweep) -> None:
         """Works on the window, or goes on to the next; after the last, the sweep is over."""
@@ -236,7 +212,7 @@ class Practice:
             self._mend(sweep, last)
         elif last < self.num_steps:
             first, known = sweep.first + self._advance, sweep.first + self._ahead
-            self._extend(known, known + self._advance)
+            self._extend(sweep, known, known + self._advance)
             self._moments = {step: m for step, m in self._moments.items() if step >= first}
             self._sweep = sweep._replace(first=first)
         else:
@@ -254,10 +230,21 @@ class Practice:
         self._sweep = None
         self._note()
 
-    def _extend(self, first: int, last: int) -> None:
-        """Plays the take anew from one step to another, from where the hands have come to."""
-        if first < self.num_steps:
+    def _extend(self, sweep: _Sweep, first: int, last: int) -> None:
+        """Plays the take anew from one step to another, from where the hands have come to.
+
+        If that is not where they were, they search for what sounded before the sweep.
+        """
+        if first >= self.num_steps:
+            return
+        before = sweep.before
+        if (self.take.ctrl[:first] == before.ctrl[:first]).all():
             self._put(first, *self._played(self.take, first, last))
+            return
+        rngs = [np.random.default_rng((self._seed, self._units, i)) for i in range(len(self.hands))]
+        self._searching.follow(self._stage.tracking(before), before.sounding, first, rngs)
+        self._put(first, *self._played(self.take, first, last, self._searching.act))
+        self.simulated += self._searching.simulated
 
     def _mend(self, sweep: _Sweep, last: int) -> None:
         """Has each hand that loses something in the window up to `last` try to lose less."""
@@ -308,11 +295,14 @@ class Practice:
         self._put(first, played, moments)
         return True
 
-    def _played(self, take: Take, first: int, last: int) -> tuple[Take, Moments]:
+    def _played(
+        self, take: Take, first: int, last: int, act: Callable[[State], Array] | None = None
+    ) -> tuple[Take, Moments]:
         """What comes of some steps of a take, from the moment before the first on."""
         simulation, part = self._before_step(first), take.part(first, last)
         self.simulated += len(part.ctrl) * len(self.hands)
-        return self._stage.play(simulation, first, part, self.take.heard(first), self._between)
+        heard = self.take.heard(first)
+        return self._stage.play(simulation, first, part, heard, self._between, act)
 
     def _f1(self, sounding: NDArray[np.bool_], first: int) -> float:
         """Of the steps from `first` on, in sum; `sounding` is (L, K)."""
@@ -334,13 +324,11 @@ class Practice:
     # What has come of it
 
     def _rehearsal(self, take: Take) -> Rehearsal:
-        goals, track, nominal = self.plan.goals, self.plan.track, self.plan.nominal.tracking
+        goals, track = self.plan.goals, self.plan.track
         pedal, lowest = goals.sustain, self.plan.scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.on_the_clock
         scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
-        expected = np.append(take.expected, nominal.expected[-1:], axis=0)
-        tracking = Tracking(take.ctrl, nominal.gain, expected)
-        return Rehearsal(tracking, scores["f1"], scores["note_onset_f1"])
+        return Rehearsal(self._stage.tracking(take), scores["f1"], scores["note_onset_f1"])
 
     def best(self) -> Rehearsal:
         """The best so far; within the first take, and within a sweep, with what is left to play."""
@@ -378,8 +366,8 @@ class Practice:
             "take": self.take._asdict(),
         }
         if at_sight:
-            for side, hand in zip(self.plan.scene.sides, self._at_sight, strict=True):
-                parts[side] = hand.refinement.memory._asdict()
+            for side, memory in zip(self.plan.scene.sides, self._searching.memories, strict=True):
+                parts[side] = memory._asdict()
         if sweep:
             facts = {"first": sweep.first, "until": sweep.until}
             parts |= {"sweep": facts, "before": sweep.before._asdict()}
@@ -433,11 +421,9 @@ class Practice:
         """To where the first take was left."""
         (simulation,) = self._moments.values()
         for ctrl in self.take.ctrl[: self.played]:
-            for hand in self._at_sight:
-                hand.again(simulation.state, ctrl[hand.servos])
+            self._searching.again(simulation.state, ctrl)
             simulation.step(ctrl[None])
-        for hand, memory in zip(self._at_sight, memories, strict=True):
-            hand.refinement.remember(memory)
+        self._searching.remember(memories)
         self._moments = {self.played: simulation}
 
     def _digest(self) -> str:
@@ -447,52 +433,3 @@ class Practice:
         for values in (*nominal.tracking, keys, self._start):
             digest.update(values.tobytes())
         return digest.hexdigest()
-
-
-class PractisedPlanner:
-    """Plays one song as it was practised.
-
-    From the first step on before which the hands are not where they were in the rehearsal, it
-    searches as the planner does, around what was practised.
-
-    Attributes:
-        plan: before practice.
-    """
-
-    def __init__(
-        self,
-        plan: SongPlan,
-        rehearsal: Rehearsal,
-        config: ScorePlannerConfig,
-        rng: np.random.Generator,
-        num_threads: int,
-    ) -> None:
-        """Args:
-        plan: before practice.
-        rehearsal: what is played.
-        config: how to search.
-        rng: what is random in it.
-        num_threads: that share it.
-        """
-        self.plan, self._tracking = plan, rehearsal.tracking
-        self._posture = Follower(plan.scene, rehearsal.tracking).posture
-        self._config, self._rng, self._threads = config, rng, Threads(num_threads)
-        self._hands: list[HandOfTwo] = []
-
-    def act(self, view: View) -> Array:
-        """(A,) the next action."""
-        state, step = view.state, int(view.steps[0])
-        ctrl = self._tracking.ctrl[step].copy()
-        if not self._hands:
-            here = self._posture(state.hand_qpos[0], state.hand_qvel[0])
-            if not (here == self._tracking.expected[step]).all():
-                self._hands = [self._searching(side, step) for side in self.plan.scene.sides]
-        for hand in self._hands:
-            ctrl[hand.servos] = hand.act(state)
-        return np.append(ctrl, self.plan.goals.sustain[step])
-
-    def _searching(self, side: Side, step: int) -> HandOfTwo:
-        (rng,) = self._rng.spawn(1)
-        hand = HandOfTwo.of(self.plan, side, self._tracking, self._config, rng, self._threads)
-        hand.refinement.skip_to(step)
-        return hand

@@ -7,6 +7,7 @@ in about a third of the time that both take. Sampling is only done where the nom
 
 from __future__ import annotations
 
+from copy import copy
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -101,6 +102,12 @@ class HandPart:
                 self.playing[about : press.last + rise, press.finger - first] = True
         self.weight = np.where(self.playing, _ASTRAY, _IDLE_ASTRAY)
 
+    def holding(self, sounding: Mask) -> HandPart:
+        """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
+        part = copy(self)
+        part.planned = self.mine & sounding
+        return part
+
 
 class Memory(NamedTuple):
     """What a hand remembers of the steps that it has played, beside where they led."""
@@ -114,7 +121,11 @@ class Memory(NamedTuple):
 
 
 class HandRefinement:
-    """Controls of one hand, step by step."""
+    """Controls of one hand, step by step.
+
+    Attributes:
+        simulated: control steps, in trials.
+    """
 
     def __init__(
         self,
@@ -155,11 +166,18 @@ class HandRefinement:
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
-        self._step = 0
+        self.simulated = 0
+        self._step, self._lost = 0, False
 
     def skip_to(self, step: int) -> None:
         """Goes on with that step, from the state that it is told."""
-        self._step = step
+        self._step, self._lost = step, True
+
+    def start_over(self, step: int, rng: np.random.Generator) -> None:
+        """Goes on with that step as if it had played nothing before."""
+        self.skip_to(step)
+        self._correction, self._savings = np.zeros_like(self._correction), 0.0
+        self._rng, self.simulated = rng, 0
 
     @property
     def memory(self) -> Memory:
@@ -200,8 +218,9 @@ class HandRefinement:
         self._go_on(ctrl)
 
     def _be_at(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
-        if np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
+        if self._lost or np.abs(self._twin.state.hand_qpos[0] - hand_qpos).max() > _DRIFT:
             self._twin.place(hand_qpos, hand_qvel, key_qpos)
+            self._lost = False
 
     def _go_on(self, ctrl: Array) -> None:
         self._twin.step(ctrl[None])
@@ -392,6 +411,7 @@ class HandRefinement:
         """Reckons with a trial."""
         taken = len(trial.steps)
         self._savings -= taken
+        self.simulated += taken
         self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -86,6 +87,7 @@ class Stage:
         scene, tracking = plan.scene, plan.nominal.tracking
         servos = servos_of(scene)
         self.gain, self._low, self._high = tracking.gain, servos.low, servos.high
+        self._after = tracking.expected[-1:]
         self._to_posture = Follower(scene, tracking).posture
         self._fingers = [part.fingers for part in parts]
         self._losses = [Losses(plan, part) for part in parts]
@@ -101,10 +103,20 @@ class Stage:
         """(A, 2) position and speed of each servo."""
         return self._to_posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
 
+    def tracking(self, take: Take) -> Tracking:
+        """What leads back to a take of the whole song."""
+        return Tracking(take.ctrl, self.gain, np.append(take.expected, self._after, axis=0))
+
     def play(
-        self, simulation: PlanningSimulation, first: int, take: Take, heard: Heard, every: int
+        self,
+        simulation: PlanningSimulation,
+        first: int,
+        take: Take,
+        heard: Heard,
+        every: int,
+        act: Callable[[State], Array] | None = None,
     ) -> tuple[Take, Moments]:
-        """What comes of a part of a take if it is played from a simulation on, with feedback.
+        """What comes of a part of a take if it is played from a simulation on.
 
         Args:
             simulation: before the step `first`; it is played in.
@@ -112,14 +124,19 @@ class Stage:
             take: the part.
             heard: before it.
             every: so many steps there is a moment to keep, also at the end.
+            act: the controls (A,) of the next step in a state; by default those of the take, with
+                feedback.
         """
         played, moments, last = take.part(0, len(take.ctrl)), {}, first + len(take.ctrl)
         for k, row in enumerate(range(first, last)):
             if row % every == 0:
                 moments[row] = copy(simulation)
             here = self.posture(simulation)
-            back = (self.gain[row] * (here - take.expected[k])).sum(axis=1)
-            ctrl = np.clip(take.ctrl[k] - back, self._low, self._high)
+            if act:
+                ctrl = act(simulation.state)
+            else:
+                back = (self.gain[row] * (here - take.expected[k])).sum(axis=1)
+                ctrl = np.clip(take.ctrl[k] - back, self._low, self._high)
             simulation.step(ctrl[None])
             step, heard = self.judged(simulation, row, heard)
             played.put(k, Take(ctrl[None], here[None], *step))
