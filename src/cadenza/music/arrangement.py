@@ -18,7 +18,7 @@ class Arrangement:
     reduce: Literal["off", "melody-bass"] = "off"
     """Reduce the song to its melody and its bass: the highest and the lowest voice."""
     first_seconds: float | None = None
-    """Play only what begins in so many seconds from the first note on [s]."""
+    """Play only what begins within this time from the first note on [s]."""
 
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.

@@ -59,11 +59,11 @@ class TaskConfig:
     """Randomise the initial position of both hands along the keyboard, up to this far either way
     [m]."""
     control_noise: float = field(default=0.0, metadata=added(before=0.0))
-    """Noise on the controls of the servos, normal and drawn anew at each step: its standard
-    deviation, as a fraction of half the range of each."""
+    """Normal noise on the controls of the servos, drawn anew in each step: its standard deviation,
+    as a fraction of half the control range."""
     model_error: float = field(default=0.0, metadata=added(before=0.0))
-    """Scale masses, damping, friction, springs and gains of what is simulated by 1 - e to 1 + e,
-    each by another factor. Planners do not know of it unless they copy the simulation."""
+    """Scale masses, damping, friction, springs and gains in the simulation, each by a random factor
+    from 1 - e to 1 + e. Planners do not know of it unless they copy the simulation."""
     model_seed: int = field(default=0, metadata=added(before=0))
     """Random seed of these factors."""
     random_stretch: float = 0.0

@@ -74,8 +74,8 @@ class ICPConfig:
     """nearest: the fingertips that come nearest to the keys of each chord. found: those that the
     search finds for the whole song."""
     rehearse: bool = True
-    """Play the plan through in simulation before, each hand by itself, refined by the planner's
-    sampling. Otherwise it is played as inverse kinematics have it."""
+    """Rehearse the plan in simulation first, each hand by itself, refined by the planner's
+    sampling. Otherwise it is played as inverse kinematics made it."""
 
 
 @dataclass(frozen=True)
