@@ -255,6 +255,20 @@ def test_jumps_from_white_octaves_to_black_ones_land(white: int, black: int) -> 
     assert play_episode(task, agent).metrics["f1"] > 0.85
 
 
+def test_fingertips_that_go_astray_are_corrected() -> None:
+    hand = searching(melody(60, 64, 67, length=0.4), "right")
+    for _ in range(6):
+        state = hand._twin.state
+        hand.act(state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0])
+    rows, nominal = hand._nominal(7)
+    hand._begin_trials(rows)
+    astray = hand._clip(nominal + 2 * hand._sigma)
+    before = hand._try(astray)
+    after = [hand._try(plan) for plan in hand._corrected(astray, before)]
+    assert min(trial.cost for trial in after) < 0.5 * before.cost
+    assert min(trial.mistakes for trial in after) < before.mistakes
+
+
 def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     task = PianoTask([melody(60, 72, 61, length=0.2)], BUFFER, SceneConfig(hands="right"))
     agent = ScorePlanner()
@@ -273,8 +287,8 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     bounded = [hand._try(plan, float(np.median([trial.cost for trial in tried]))) for plan in plans]
     kept = [pair for pair in zip(tried, bounded, strict=True) if np.isfinite(pair[1].cost)]
     assert 0 < len(kept) < len(plans)
-    assert all(before == then for before, then in kept)
-    assert min(tried) == min(bounded)
+    assert all(before[:3] == then[:3] for before, then in kept)
+    assert min(trial.cost for trial in tried) == min(trial.cost for trial in bounded)
 
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,7 +305,8 @@ def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatc
     config = ScorePlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]
     full_search = 5 * 8 * 7  # for 0.35 s each
-    assert 0.15 < sum(simulated) / steps / full_search < 0.3
+    share = sum(simulated) / steps / full_search
+    assert 0.5 < share / refinement._SUSTAINED < 1.05
 
 
 def test_planning_tells_how_far_it_has_come() -> None:

@@ -47,6 +47,25 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     assert touched
 
 
+def test_fingertips_move_with_joints_as_told() -> None:
+    scene, _, _ = hand_alone(build_scene(), "left")
+    simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)
+    trials = HandTrials(scene, simulation.control_timestep)
+    y = scene.keyboard.centre[:, 1]
+    trials.begin_from(simulation, y[30], y[50])
+    rng = np.random.default_rng(0)
+    low, high = scene.model.jnt_range[scene.model.dof_jntid[scene.hand_qvel]].T
+    posture = rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high)
+    (motion,) = trials.fingertip_motion(posture[None])
+    step = 1e-6 * rng.standard_normal(len(posture))
+    for simulated, qpos in ((simulation, posture), (moved, posture + step)):
+        simulated.place(qpos, np.zeros_like(qpos), np.zeros(len(y)))
+    before, after = (
+        each.state.fingertip_xpos[0, scene.fingers_there] for each in (simulation, moved)
+    )
+    np.testing.assert_allclose(motion @ step, after - before, atol=1e-10)
+
+
 @pytest.mark.parametrize("hand", ["shadow", "allegro"])
 def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
     scene = build_scene(SceneConfig(hands="left", hand=hand))

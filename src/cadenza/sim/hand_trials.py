@@ -92,6 +92,19 @@ class HandTrials:
         hand = self._hand
         return hand.data[place].site_xpos[hand.fingertips]
 
+    def fingertip_motion(self, hand_qpos: Array) -> Array:
+        """(N, F, 3, J) how fingertips move with the hand's joints, in positions (N, J) of these."""
+        hand = self._hand
+        model, data, first = hand.model, hand.posed, hand.keys.stop
+        motion = np.zeros((len(hand_qpos), len(hand.fingertips), 3, model.nv))
+        for qpos, columns in zip(hand_qpos, motion, strict=True):
+            data.qpos[first:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            for column, site in zip(columns, hand.fingertips, strict=True):
+                mujoco.mj_jacSite(model, data, column, None, site)
+        return motion[..., first:]
+
     def unstable(self, place: int = 0) -> bool:
         """Whether the last trial there has diverged."""
         return bool(self._hand.data[place].warning.number[UNSTABLE].any())
@@ -110,6 +123,7 @@ class _HandOnKeys:
         model: see `hand_on_keys`.
         start: the state that trials begin in.
         data: the states that trials are in, one for each place.
+        posed: a state of which only the posture counts.
         keys: where the keys are in qpos.
         fingertips: the sites of the fingertips.
     """
@@ -118,6 +132,7 @@ class _HandOnKeys:
         self.model = hand_on_keys(scene, keys, parts)
         self.start = mujoco.MjData(self.model)
         self.data = [mujoco.MjData(self.model) for _ in range(PLACES)]
+        self.posed = mujoco.MjData(self.model)
         joints = [whole.model.joint(self.model.joint(j).name) for j in range(self.model.njnt)]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._dofs = np.array([joint.dofadr[0] for joint in joints])

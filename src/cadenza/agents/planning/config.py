@@ -55,8 +55,9 @@ class ScorePlannerConfig:
     any."""
     method: SamplingMethod | Literal["none"] = "predictive-sampling"
     """Sampling method that refines the plan. With none, the plan is executed with feedback only."""
-    num_candidates: int = 16
-    """Candidate plans per hand and iteration, where the plan makes mistakes."""
+    num_candidates: int = 4
+    """Candidate plans that are drawn per hand and iteration, where the plan makes mistakes. Some
+    that are not drawn are tried as well."""
     iterations: int = 3
     """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35

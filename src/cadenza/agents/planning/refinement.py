@@ -40,7 +40,9 @@ _STUCK = 0.005  # [m] that it moves in them if it is there to stay
 _DETOURS = (0.1, 0.2, 0.3)  # [s] for which it or the hand is lifted
 _UP = 0.1  # [s] of them, straight up: what pushes against a key is kept from rising by friction
 _FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys that it holds
-_HALVED = 0.05  # [s] in which half of the correction to the nominal plan fades
+_CORRECTED = np.array([1.0, 2.0])  # times the way that fingertips are off, a plan is corrected by
+_NEAR = 0.001  # [m] to which they are corrected with servos that move as far as noise moves them
+_HALVED = 0.4  # [s] in which half of the correction to the nominal plan fades
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
 _ALMOST = (
@@ -55,7 +57,7 @@ _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails.
-_SUSTAINED = 0.3
+_SUSTAINED = 0.45
 EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
@@ -235,13 +237,15 @@ class HandRefinement:
         trial = self._try(best)
         self._note(trial)
         here = self._twin.state.fingertip_xpos[0, self._part.fingers]
-        if trial.mistakes:
-            caught, affordable = self._caught(), self._savings > 0
-            best = self._search(nominal, best, trial.cost, rows, caught)
-            if caught.any() and affordable:
+        affordable = self._savings > 0
+        if trial.mistakes and affordable:
+            caught = self._caught()
+            best = self._search(nominal, best, trial, rows, caught)
+            if caught.any():
                 best = self._free_for_good(best, here)
-        # What is on its way back to the plan goes on as it has begun.
-        kept = 1.0 if self._astray(here, self._step).any() else self._kept
+        # What is on its way back to the plan, or cannot be searched, goes on as it has begun.
+        goes_on = self._astray(here, self._step).any() or (trial.mistakes and not affordable)
+        kept = 1.0 if goes_on else self._kept
         self._correction[:-1] = kept * (best - nominal)[1:]
         self._correction[-1] = 0.0
         return best[0]
@@ -281,7 +285,7 @@ class HandRefinement:
         detours = [self._detours(nominal, caught, up) for up in (0.0, _UP)]
         candidates = np.concatenate([unchanged[None], *detours])
         self._begin_trials(rows)
-        costs, _ = self._try_all(candidates, np.inf)
+        costs = [trial.cost for trial in self._try_all(candidates, np.inf)]
         return candidates[int(np.argmin(costs)), : len(best)]
 
     def _detours(self, nominal: Array, caught: Mask, up: float = 0.0) -> Array:
@@ -308,7 +312,7 @@ class HandRefinement:
         return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
     def _search(
-        self, nominal: Array, best: Array, cost: float, rows: NDArray[np.intp], caught: Mask
+        self, nominal: Array, best: Array, known: _Trial, rows: NDArray[np.intp], caught: Mask
     ) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
 
@@ -320,26 +324,56 @@ class HandRefinement:
         for iteration in range(self._iterations):
             if self._savings <= iteration * self._candidates * self._horizon:
                 break
-            candidates = self._draw(around)
-            candidates[: len(self._lifts)] = self._clip(around.mean + self._lifts)
+            guided = self._corrected(best, known)
             if iteration == 0:
-                candidates[len(self._lifts)] = self._clip(nominal)
-                if caught.any():
-                    candidates = np.concatenate([candidates, self._detours(nominal, caught)])
-            costs, mistakes = self._try_all(candidates, self._most(cost))
+                guided = np.concatenate([guided, self._fresh(nominal, best, caught)])
+            candidates = np.concatenate([guided, self._draw(around)])
+            trials = self._try_all(candidates, self._most(known.cost))
+            costs = np.array([trial.cost for trial in trials])
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
-            if costs[first] < cost:
-                best, cost = candidates[first], float(costs[first])
-                if not mistakes[first]:
+            if costs[first] < known.cost:
+                best, known = candidates[first], trials[first]
+                if not known.mistakes:
                     return best
         mean = self._clip(around.mean)
         if not (mean == best).all():
-            trial = self._try(mean, cost)
+            trial = self._try(mean, known.cost)
             self._note(trial)
-            if trial.cost < cost:
+            if trial.cost < known.cost:
                 return mean
         return best
+
+    def _fresh(self, nominal: Array, best: Array, caught: Mask) -> Array:
+        """(N, H, A) the plan without a correction, and ways to free fingers that are `caught`.
+
+        How long something is lifted changes from step to step.
+        """
+        long = self._step % len(_LIFTED)
+        candidates = [self._clip(nominal), self._clip(best + self._lifts[long])]
+        if caught.any():
+            candidates += [
+                *self._detours(nominal, caught)[self._step % len(_DETOURS) :: len(_DETOURS)]
+            ]
+        return np.array(candidates)
+
+    def _corrected(self, plan: Array, trial: _Trial) -> Array:
+        """(C, H, A) the plan, changed so that fingertips go where they should.
+
+        A control changes by what would take fingertips there, in least squares, from where the
+        trial of the plan has them a step later: iterative learning control (Arimoto et al., 1984).
+        There are none if the trial was given up.
+        """
+        if not np.isfinite(trial.cost):
+            return plan[None][:0]
+        off, weight = self._ahead.astray(np.array(trial.fingertips))
+        motion = self._trials.fingertip_motion(np.array(trial.hand_qpos)) @ self._servos.joints.T
+        slope = (motion * self._sigma).reshape(len(off), -1, len(self._sigma))  # of noise
+        pull = slope.transpose(0, 2, 1) * np.repeat(weight, 3, axis=1)[:, None] / _NEAR**2
+        square = pull @ slope + np.eye(len(self._sigma))
+        change = np.linalg.solve(square, pull @ off.reshape(len(off), -1, 1))[..., 0] * self._sigma
+        rows = np.minimum(np.arange(1, len(plan) + 1), len(change) - 1)
+        return self._clip(plan + _CORRECTED[:, None, None] * change[rows])
 
     def _draw(self, around: Around) -> Array:
         """(N, H, A) candidates: noise that changes evenly from the first step to the last."""
@@ -373,23 +407,23 @@ class HandRefinement:
         self._ahead = _Ahead(self._part, inside, self._keyboard, self._trials.keys)
         self._least = np.full(len(inside), np.inf)
 
-    def _try_all(self, candidates: Array, most: float) -> tuple[Array, NDArray[np.intp]]:
-        """Costs (N,) and mistakes (N,) of plans (N, H, A), see `_try`.
+    def _try_all(self, candidates: Array, most: float) -> list[_Trial]:
+        """Tries plans (N, H, A), see `_try`.
 
         They are tried in pairs, so that an idle thread can take one of each: what is known of the
         pairs before decides what is given up, however many threads there are.
         """
-        costs, mistakes = np.empty(len(candidates)), np.empty(len(candidates), np.intp)
+        trials = list[_Trial]()
         for i in range(0, len(candidates), PLACES):
             tries = [
                 partial(self._try, ctrl, most, place)
                 for place, ctrl in enumerate(candidates[i : i + PLACES])
             ]
-            for j, trial in enumerate(self._threads.together(tries)):
+            for trial in self._threads.together(tries):
                 self._note(trial)
-                costs[i + j], mistakes[i + j] = trial.cost, trial.mistakes
+                trials.append(trial)
                 most = min(most, self._most(trial.cost))
-        return costs, mistakes
+        return trials
 
     def _try(self, ctrl: Array, most: float = np.inf, place: int = 0) -> _Trial:
         """Tries a plan (H, A) from here on.
@@ -398,14 +432,21 @@ class HandRefinement:
         remaining steps are expected to cost most of the least that they cost any plan so far.
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
-        cost, mistakes, steps = 0.0, 0, []
-        for k, state in enumerate(self._trials.run(ctrl[: len(self._least)], place)):
-            more, wrong = self._ahead.cost(k, *state)
+        cost, mistakes, steps, tips, qpos = 0.0, 0, list[float](), list[Array](), list[Array]()
+        given_up = False
+        for k, (key_qpos, fingertips) in enumerate(
+            self._trials.run(ctrl[: len(self._least)], place)
+        ):
+            more, wrong = self._ahead.cost(k, key_qpos, fingertips)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
-            if rest is not None and cost + EXPECTED * rest[k] >= most:
-                return _Trial(np.inf, mistakes, steps)
-        return _Trial(np.inf if self._trials.unstable(place) else cost, mistakes, steps)
+            tips.append(fingertips)
+            qpos.append(self._trials.hand_joints(place)[0].copy())
+            given_up = rest is not None and cost + EXPECTED * rest[k] >= most
+            if given_up:
+                break
+        no_use = given_up or self._trials.unstable(place)
+        return _Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos)
 
     def _note(self, trial: _Trial) -> None:
         """Reckons with a trial."""
@@ -423,6 +464,10 @@ class _Trial(NamedTuple):
     """How often a key was wrong."""
     steps: list[float]
     """What each of the steps that were simulated cost."""
+    fingertips: list[Array]
+    """(F, 3) after each of them [m]."""
+    hand_qpos: list[Array]
+    """(J,) likewise [m, rad]."""
 
 
 class _Ahead:
@@ -466,6 +511,15 @@ class _Ahead:
         astray = np.minimum((offset * offset) @ _ONES, FURTHEST**2) @ self._weight[k]
         mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
         return float(_WRONG * wrong + _ALMOST * (lacking @ lacking) + astray), mistakes
+
+    def astray(self, fingertips: Array) -> tuple[Array, Array]:
+        """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].
+
+        And (H, F) how much they count: 1 for those that play.
+        """
+        off = self._fingertips - fingertips
+        far = np.linalg.norm(off, axis=2, keepdims=True)
+        return off * (FURTHEST / np.maximum(far, FURTHEST)), self._weight / _ASTRAY
 
 
 class HandOfTwo(NamedTuple):
