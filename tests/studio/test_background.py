@@ -122,6 +122,8 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
         found = Trainings(tmp_path / "runs")
         name = await found.begin(PlayRequest("OdeToJoy", seed=3), "../Ode", "OdeToJoy", 5000)
         assert name == "_Ode 1"
+        (begun,) = found.runs()  # which has written nothing yet
+        assert (begun["name"], begun["state"], begun["points"]) == ("_Ode 1", "learning", [])
         with pytest.raises(CadenzaError, match="learning already"):
             await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
         run_of(tmp_path / "runs" / name)
@@ -163,6 +165,23 @@ def test_a_run_that_was_stopped_has_no_error(
         await asyncio.sleep(1.0)
         await found.close()
         assert (found.runs()[0]["state"], found.runs()[0]["error"]) == ("stopped", "")
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_a_run_that_cannot_begin_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = tmp_path / "python"
+    fake.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('error: no disk')\n")
+    fake.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(fake))
+
+    async def run() -> None:
+        found = Trainings(tmp_path / "runs")
+        await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        while found.runs()[0]["state"] == "learning":
+            await asyncio.sleep(0.01)
+        (failed,) = found.runs()
+        assert (failed["state"], failed["error"]) == ("failed", "no disk")
 
     asyncio.run(asyncio.wait_for(run(), 60))
 

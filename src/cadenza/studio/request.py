@@ -19,15 +19,18 @@ PRACTISED, SIGHT = "practised", "sight"
 PLANNERS = PRACTISED, SIGHT
 """Agents of `AGENTS` that are the planner under another name."""
 AGENTS = {
-    "planner": "Planner",
-    "generalist": "Generalist: what was learnt from the planner",
-    PRACTISED: "Planner that goes on practising",
-    SIGHT: "Planner, without refinement",
-    "pretrained": "Learnt policy (Twinkle only)",
-    "predictive-sampling": "Predictive sampling, for contrast",
+    "planner": ("Planner", "Plans fingers and motions, and refines them while it plays."),
+    "generalist": ("Generalist", "The plan, with what was learnt from the planner; quick."),
+    PRACTISED: (
+        "Planner, practising",
+        "Plays, then practises in the background: next time better.",
+    ),
+    SIGHT: ("Planner, unrefined", "The plan as it is: it takes less time, and misses more."),
+    "pretrained": ("Learnt policy", "Learnt from scratch; it knows Twinkle only."),
+    "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }
-"""Those who play anywhere, and what they are called on the page. "sight" follows the plan as it is;
-"practised" plays what has been practised before, and goes on practising afterwards."""
+"""Those who play anywhere: what they are called on the page, and what they do. "sight" follows the
+plan as it is; "practised" plays what has been practised before, and goes on practising."""
 
 
 @dataclass(frozen=True)

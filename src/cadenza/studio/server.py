@@ -29,6 +29,7 @@ from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
 from cadenza.studio.watchable import Watchable, plainly
 
+_LEARNT = "A policy that has learnt on this machine."
 _MOST_JSON = 1 << 14  # bytes of a request
 _RECEIVING_AT_ONCE, _READING_AT_ONCE = 4, 2  # files
 _PATIENCE = 60.0  # [s] for all of a request to come
@@ -58,7 +59,7 @@ class Studio(Watchable):
         self.jobs = Jobs(self.shelf.folder, Trainings(runs), at_once, video)
         self._hands = {name: name.capitalize() for name in HANDS.entries()}
         self._added = {
-            name: f"{name} ({entry.about})"
+            name: (name, f"{entry.about[:1].upper()}{entry.about[1:]}.")
             for name, entry in REGISTERED.entries().items()
             if name not in REGISTERED.own
         }
@@ -110,9 +111,10 @@ class Studio(Watchable):
         agents = await run_in_threadpool(self._agents)
         return JSONResponse({"songs": found, "agents": agents, "hands": self._hands})
 
-    def _agents(self) -> dict[str, str]:
-        """Who can play, and what they are called on the page."""
-        learnt = {agent: agent.replace("/", ": ", 1) for agent in self.jobs.trainings.policies()}
+    def _agents(self) -> dict[str, tuple[str, str]]:
+        """Who can play, what they are called on the page, and what they do."""
+        policies = self.jobs.trainings.policies()
+        learnt = {agent: (agent.replace("/", ": ", 1), _LEARNT) for agent in policies}
         return AGENTS | self._added | learnt
 
     async def upload(self, request: Request) -> Response:

@@ -25,6 +25,9 @@ _PATIENCE = 20.0  # [s] for a checkpoint, before a run that was asked to stop is
 POLICY = "policy/"  # what the agent begins with that is the best policy of a run
 
 
+_NOTHING_YET: dict[str, Any] = {"step": 0, "steps": None, "f1": None, "points": []}
+
+
 @dataclass(frozen=True)
 class _Learning:
     process: Process
@@ -44,19 +47,27 @@ class Trainings:
         self._paused = False
 
     def runs(self) -> list[dict[str, Any]]:
-        """All that can be read, the newest first, with the points of their curves."""
-        found = []
+        """All that can be read, the newest first, with the points of their curves.
+
+        Among them are those that have begun, or failed, without having written anything.
+        """
+        figures: dict[str, dict[str, Any]] = {}
         for path in self._paths():
-            try:
-                figures = self._figures(path)
-            except CadenzaError:  # of another version, or damaged
-                continue
-            finished = figures["step"] >= figures["steps"]
-            state = "finished" if finished else "stopped"
-            state = "learning" if path.name in self._learning else state
-            error = self._errors.get(path.name, "")
-            found.append({**figures, "name": path.name, "state": state, "error": error})
-        return found
+            with suppress(CadenzaError):  # of another version, or damaged
+                figures[path.name] = self._figures(path)
+        new = dict.fromkeys((*self._learning, *self._errors), _NOTHING_YET)
+        return [
+            {**known, "name": name, "state": self._state(name, known)}
+            | {"error": self._errors.get(name, "")}
+            for name, known in (new | figures).items()
+        ]
+
+    def _state(self, name: str, figures: dict[str, Any]) -> str:
+        if name in self._learning:
+            return "learning"
+        if figures is _NOTHING_YET:
+            return "failed"
+        return "finished" if figures["step"] >= figures["steps"] else "stopped"
 
     def policies(self) -> dict[str, Path]:
         """Agent -> the folder of its policy."""

@@ -57,9 +57,13 @@ function practised({ title, request: wanted, status: { state, f1: values = [], s
 }
 function training({ name, state, step, steps, f1: best, points, error }) {
   const url = `api/trainings/${encodeURIComponent(name)}`;
-  const about = [state, `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${f1(best)}`, error];
+  const about = [state, steps && `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${f1(best)}`, error];
   const acts = state === "learning" ? [["Stop", () => ask(`${url}/stop`, "POST")]] : state === "stopped" ? [["Resume", () => ask(`${url}/resume`, "POST")]] : [];
-  if (best !== null) acts.push(["Choose", () => { $("agent").value = `policy/${name}`; $("more").open = true; }]);
+  if (best !== null) acts.push(["Choose", () => {
+    $("agent").value = `policy/${name}`;
+    showAgent();
+    $("more").open = true;
+  }]);
   return work(`Learning ${name}`, about.filter(Boolean).join(" · "), points, acts);
 }
 async function train() {

@@ -3,7 +3,7 @@
 const VOLUME = 0.25; // of a note struck as hard as can be, before what is set on the page
 
 function createInstrument() {
-  let context = null, master = null, volume = 0.8, muted = false, settings = null, live = null, asked = 0;
+  let context = null, master = null, strings = null, volume = 0.8, muted = false, settings = null, live = null, asked = 0;
   const tones = new Map(); // by name: { due, buffer, peak }; without a buffer until it has come
   const ringing = new Map(); // of a key: { source, gain }
 
@@ -39,7 +39,7 @@ function createInstrument() {
     const source = new AudioBufferSourceNode(context, { buffer: tone.buffer });
     const gain = new GainNode(context, { gain: VOLUME * tone.peak * (velocity / 127) ** settings.louder });
     const pan = new StereoPannerNode(context, { pan: 0.45 * ((2 * key) / (live.keys - 1) - 1) });
-    source.connect(gain).connect(pan).connect(master);
+    source.connect(gain).connect(pan).connect(strings);
     source.start(at);
     ringing.set(key, { source, gain });
   }
@@ -56,6 +56,7 @@ function createInstrument() {
         master = new GainNode(context);
         master.connect(limiter).connect(context.destination);
         level();
+        this.silence();
       }
       return context.resume();
     },
@@ -87,9 +88,13 @@ function createInstrument() {
         else if (!sounds && !down) damp(key, at);
       }
     },
+    /** Also what has been scheduled. */
     silence() {
-      for (const { source } of ringing.values()) source.stop();
       ringing.clear();
+      if (!context) return;
+      strings?.disconnect();
+      strings = new GainNode(context);
+      strings.connect(master);
     },
     set volume(value) { volume = value; level(); },
     set muted(value) { muted = value; level(); },

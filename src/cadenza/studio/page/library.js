@@ -2,16 +2,22 @@
 
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 const MOST_SHOWN = 200; // songs at once
+let players = {}; // by id: what it is called, and what it does
 let songs = [], chosen = null, only = null; // the one performance that can be watched
 
 async function listSongs() {
   const { songs: found, agents, hands, only: one = null } = await ask("api/songs");
   [songs, only] = [found, one];
   document.body.classList.toggle("one", only !== null);
-  offer("agent", agents);
+  players = agents;
+  offer("agent", Object.fromEntries(Object.entries(agents).map(([id, [name]]) => [id, name])));
   offer("hand", hands);
+  showAgent();
   showSongs();
 }
+const showAgent = () => { $("about").textContent = players[$("agent").value]?.[1] ?? ""; };
+/** What an agent is called. */
+const nameOfAgent = (agent) => players[agent]?.[0] ?? agent;
 /** Lets the visitor choose among values by their names. */
 function offer(id, names) {
   const { value } = $(id);
@@ -68,6 +74,7 @@ function request() {
 function set(wanted) {
   choose(wanted.song);
   for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
+  showAgent();
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
 }

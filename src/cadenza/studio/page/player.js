@@ -4,7 +4,7 @@ const instrument = createInstrument(), looks = createLooks();
 // [s] ahead before it plays; less where planning is so many times faster than the music, and twice
 // as much, up to `LONGEST_LEAD`, each time that planning has fallen behind.
 const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4;
-const AHEAD = 0.35; // [s] that sounds are scheduled ahead
+const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
 const ENDS = {
   cancelled: "Cancelled.",
@@ -100,7 +100,6 @@ function howPlayed({ agent, hand, seed, tempo, transpose }) {
   const said = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, seed && `seed ${seed}`];
   return said.filter(Boolean).join(" · ");
 }
-const nameOfAgent = (agent) => [...$("agent").options].find(({ value }) => value === agent)?.textContent ?? agent;
 
 /** Has the sound, the roll and the scores be those of one of the performances shown. */
 function hearOnly(performance) {
@@ -176,13 +175,9 @@ function keepOnly(performance) {
   watch([performance.id], time);
 }
 
-/** How many seconds of music a second of planning brings, lately. */
-function pace({ came, live }) {
-  const last = came.at(-1), first = came.find(([at]) => at > last[0] - 2);
-  return first === last ? Infinity : ((last[1] - first[1]) * live.dt) / (last[0] - first[0]);
-}
+/** How much has to be planned ahead before it plays [s]. */
 function lead() {
-  const isFast = shown.every((each) => each.came.length > 5 && pace(each) > FAST);
+  const isFast = shown.every(({ pace }) => pace > FAST);
   return !cadenza.waits && isFast ? SHORT_LEAD : Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
 }
 

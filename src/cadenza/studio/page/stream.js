@@ -1,6 +1,7 @@
 // A performance that arrives while it is played.
 
 const OVER = ["kept", "failed", "cancelled", "gone"], COMPLETE = ["played", "writing", "kept"];
+const PACE_OVER = 2, MEASURED = 6; // [s] over which the pace of planning is measured; and messages
 const PATIENCE = 5000; // [ms] between two attempts to reach the server, at most
 
 /**
@@ -11,7 +12,12 @@ function createPerformance(id, changed) {
   let socket = null, tries = 0, closed = false;
   const performance = {
     id, title: "", request: null, status: { state: "queued" }, live: null,
-    came: [], // when how many rows were there: [s], count
+    came: [], // lately, when how many rows were there: [s], count
+    /** How many seconds of music a second of planning brings, lately; null before that is known. */
+    get pace() {
+      const [first, last] = [this.came[0], this.came.at(-1)];
+      return this.came.length < MEASURED ? null : ((last[1] - first[1]) * this.live.dt) / Math.max(last[0] - first[0], 1e-3);
+    },
     get over() { return OVER.includes(this.status.state); },
     /** Whether nothing more is to come of the music. */
     get complete() { return COMPLETE.includes(this.status.state); },
@@ -23,7 +29,9 @@ function createPerformance(id, changed) {
   async function hear(data) {
     if (typeof data !== "string") {
       performance.live.add(new Uint8Array(data));
-      performance.came.push([window.performance.now() / 1000, performance.live.rows]);
+      const { came, live } = performance, at = window.performance.now() / 1000;
+      came.push([at, live.rows]);
+      while (came.length > MEASURED && came[1][0] < at - PACE_OVER) came.shift();
       return;
     }
     const said = JSON.parse(data);

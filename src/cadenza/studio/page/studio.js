@@ -1,6 +1,7 @@
 // What the visitor does
 
 $("search").addEventListener("input", showSongs);
+$("agent").addEventListener("change", showAgent);
 $("start").addEventListener("click", begin);
 $("train").addEventListener("click", train);
 let stopListening = null;
