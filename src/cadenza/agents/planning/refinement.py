@@ -42,7 +42,7 @@ _UP = 0.1  # [s] of them, straight up: what pushes against a key is kept from ri
 _FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys that it holds
 _CORRECTED = np.array([1.0, 2.0])  # times the way that fingertips are off, a plan is corrected by
 _NEAR = 0.001  # [m] to which they are corrected with servos that move as far as noise moves them
-_HALVED = 0.4  # [s] in which half of the correction to the nominal plan fades
+_HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
 _ALMOST = (
@@ -57,7 +57,7 @@ _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails.
-_SUSTAINED = 0.45
+_SUSTAINED = 0.5
 EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
