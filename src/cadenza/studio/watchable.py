@@ -251,5 +251,6 @@ def serve(
             timeout_keep_alive=5,
             timeout_graceful_shutdown=2,
             ws_max_size=1 << 12,
+            ws_per_message_deflate=False,  # it goes no further than this machine, mostly
         )
         uvicorn.Server(config).run(sockets=[listening])

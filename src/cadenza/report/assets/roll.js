@@ -83,21 +83,16 @@ function timeline(element, span, seek, pan) {
 
 const ROLL_WINDOW = 24; // [s] in sight at once of a longer piece, on a wide screen
 const ROLL_SCALE = 34; // [px] for each second, at least
+const BEYOND = 1; // [s] out of sight where what lasts longer is cut off
 const LOOKING_AROUND = 4000; // [ms] for which a roll that was shifted does not follow the cursor
 
 function createRoll(element, data, seek) {
-  const canvas = element.querySelector("canvas"), { pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
-  let played, longest, pedalled;
-  function read() {
-    [played, pedalled] = [notes(data), []];
-    longest = longestOf(played);
-    stretches(steps, (t) => pedal[t], (a, b, state) => pedalled.push({ from: a * dt, to: b * dt, state }));
-  }
-  read();
-  const used = played.map(({ key }) => key);
-  const low = Math.max(used.reduce((a, b) => Math.min(a, b), Math.min(69 - lowest, keys - 1)) - 1, 0), high = Math.min(used.reduce((a, b) => Math.max(a, b), Math.max(60 - lowest, 0)) + 1, keys - 1);
+  const canvas = element.querySelector("canvas"), { states, pedal, dt, steps, keys, lowest } = data, duration = steps * dt;
+  const used = new Set();
+  states.forEach((state, i) => { if (state) used.add(i % keys); });
+  const low = Math.max(Math.min(...used, 69 - lowest, keys - 1) - 1, 0), high = Math.min(Math.max(...used, 60 - lowest, 0) + 1, keys - 1);
   const row = Math.min(Math.max(340 / (high - low + 1), 7), 15);
-  const pedalHeight = pedalled.length ? 24 : 0;
+  const pedalHeight = pedal.some(Boolean) ? 24 : 0;
   let start = 0, length = duration, shiftedAt = -Infinity, time = 0;
   const span = () => [start, start + length];
   const point = timeline(element, span, seek, (seconds) => {
@@ -148,18 +143,14 @@ function createRoll(element, data, seek) {
     context.rect(GUTTER, 0, width - GUTTER, foot);
     context.clip();
     const put = ({ from, to, state }, up, height) => drawNote(context, state, colours, x(from), up, x(to) - x(from), height);
-    within(played, longest, start, start + length, (note) => put(note, y(note.key), row));
-    for (const press of pedalled) if (press.to > start && press.from < start + length) put(press, bottom + 8, 16);
+    const [from, to] = [start - BEYOND, start + length + BEYOND];
+    notesBetween(data, from, to, (note) => put(note, y(note.key), row));
+    notesBetween({ states: pedal, dt, steps, keys: 1 }, from, to, (press) => put(press, bottom + 8, 16));
     context.restore();
   }
 
   return {
     draw,
-    /** After rows have changed. */
-    refresh() {
-      read();
-      draw();
-    },
     move(now) {
       const jumped = Math.abs(now - time) > 0.5;
       time = now;

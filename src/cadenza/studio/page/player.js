@@ -268,7 +268,7 @@ function show(time) {
   roll.move(time);
   if ((fresh && performance.now() - written > 250) || cadenza.finished !== cadenza.shownFinished) {
     [written, cadenza.shownFinished] = [performance.now(), cadenza.finished];
-    roll.refresh();
+    roll.draw();
     roll.move(time);
     showScores();
     remember(time);
