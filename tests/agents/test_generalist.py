@@ -219,12 +219,40 @@ def test_weights_that_are_damaged(tmp_path: Path) -> None:
     assert "\n" not in str(raised.value)
 
 
-def test_weights_that_do_not_fit_each_other(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "change", "what"),
+    [
+        ("thumb:kernel0", lambda kernel: kernel[:, 1:], "thumb:kernel0"),
+        ("fingers:inputs", lambda inputs: inputs + 10, "do not fit 590 inputs"),
+        ("hand:servos", lambda servos: servos * 0, "do not fit 590 inputs and 19 servos"),
+    ],
+)
+def test_weights_that_do_not_fit_each_other(
+    tmp_path: Path, name: str, change: Callable[[Array], Array], what: str
+) -> None:
     path = tmp_path / "other.npz"
     with np.load(SHIPPED) as arrays:
-        np.savez(path, kernel=arrays["kernel"][:, 1:], bias=arrays["bias"])
-    with pytest.raises(CadenzaError, match=r"other\.npz: .*bias"):
+        np.savez(path, allow_pickle=False, **{**arrays, name: change(arrays[name])})
+    with pytest.raises(CadenzaError, match=rf"other\.npz: .*{what}"):
         Weights.load(path)
+
+
+def test_weights_are_kept_as_they_were_read(tmp_path: Path) -> None:
+    path, shipped = tmp_path / "again.npz", Weights.load(SHIPPED)
+    np.savez(path, allow_pickle=False, **shipped.arrays)
+    told = np.random.default_rng(0).standard_normal(shipped.sizes[0]).astype(np.float32)
+    np.testing.assert_array_equal(Weights.load(path)(told), shipped(told))
+
+
+def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
+    hand, weights = CorrectedHand(scene_of_both, "right"), Weights.load(SHIPPED)
+    told = hand.see(25, state_on(scene_of_both, 25, {}))[0]
+    ring = told + np.where((hand.about.finger == 3) & hand.about.private, 0.3, 0.0).astype(
+        np.float32
+    )
+    changed = np.flatnonzero(weights(ring) != weights(told))
+    of_hand, of_ring = weights.networks[0].servos[0], weights.networks[2].servos[2]
+    assert set(changed) == {*of_hand, *of_ring}
 
 
 def test_plays_without_jax() -> None:

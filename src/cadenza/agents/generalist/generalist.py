@@ -14,7 +14,7 @@ import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.inputs import FAR, Corrections, HandInputs
+from cadenza.agents.generalist.inputs import FAR, About, Corrections, HandInputs
 from cadenza.agents.generalist.weights import Floats, Weights, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.agents.planning.tracking import Follower
@@ -96,19 +96,21 @@ class CorrectedHand:
     Attributes:
         servos: which of all the scene's are this hand's.
         corrections: how answers are read.
+        about: what it is told.
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
         self._side = side
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self.corrections = Corrections.of(side, self._alone)
+        self.about = About.of(self._alone)
         self._answer = np.zeros(len(self.corrections.scale))
         self.follow(plan, 0)
 
     @property
     def sizes(self) -> tuple[int, int]:
         """Of what is told of it, and of the answer."""
-        return self._inputs.size, len(self._answer)
+        return len(self.about.finger), len(self._answer)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""

@@ -25,6 +25,8 @@ FAR = 8
 """Control steps ahead; what is further off looks the same."""
 _POSTURES = (1, 2, 3, 5)  # steps ahead at which the planned posture is shown
 _HELD = 6  # steps ahead for which is shown whether a finger holds a key
+_OF_A_PRESS = 9 + _HELD  # numbers that are told of a finger's press
+_OF_A_CASE = 53  # and of how it goes, see `_cases`
 _NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys beside that of a finger
 _MOST = 1.5  # corrections, of what a servo's `correction` is
 
@@ -33,6 +35,7 @@ _POSTURE = 0.1  # [m, rad] of planned postures
 _SPEED = 2.0  # [m/s, rad/s] of planned speeds
 _OFF, _TOO_FAST = 0.05, 1.0  # [m, rad], [m/s, rad/s] by which a servo is off its plan
 _TIP_OFF = 0.01  # [m] by which a fingertip is
+_ASTRAY = 1.2  # of that, beside where it should be
 _KEY_OFF = 0.03  # [m] from a planned fingertip to the middle of its key
 
 
@@ -56,6 +59,33 @@ class Mirror(NamedTuple):
     def place(self) -> Array:
         """(3,) what turns positions."""
         return np.array([1.0, self.y, 1.0])
+
+
+class About(NamedTuple):
+    """What each of the D numbers that are told of a hand is about."""
+
+    finger: NDArray[np.intp]
+    """(D,) a finger, 0 for the thumb, or -1 for the whole hand."""
+    private: NDArray[np.bool_]
+    """(D,) whether it says nothing to the fingers beside that one."""
+
+    @classmethod
+    def of(cls, alone: Scene) -> About:
+        """For the hand which is `alone` in a scene."""
+        servos, fingers = fingers_of_servos(alone), np.arange(alone.fingers.per_hand)
+        parts = [(servos, 1, True)] * (len(_POSTURES) + 3) + [(fingers, _OF_A_PRESS, False)]
+        parts += [(servos, 1, True)] * 3
+        parts += [(fingers, count, False) for count in (len(_NEIGHBOURS) + 1, 3, 3)]
+        parts += [(fingers, _OF_A_CASE, True)]
+        finger = [np.repeat(of, count) for of, count, _ in parts]
+        private = [np.full(len(of) * count, own) for of, count, own in parts]
+        return cls(np.concatenate(finger), np.concatenate(private))
+
+
+def fingers_of_servos(alone: Scene) -> NDArray[np.intp]:
+    """(A,) which finger each servo moves, -1 for the whole hand, which is `alone` in a scene."""
+    fingers = [alone.hand.servo(name).finger for name in servos_of(alone).names]
+    return np.array([-1 if finger is None else finger for finger in fingers])
 
 
 class HandInputs:
@@ -82,7 +112,8 @@ class HandInputs:
         fingers = range(self._fingers.start, self._fingers.stop)
         coming = [self._coming([p for p in mine if p.finger == f], f, steps) for f in fingers]
         self._key = np.stack([key for key, _ in coming], axis=1)  # (S, F) -1 for none
-        presses = np.stack([shown for _, shown in coming], axis=1).reshape(len(steps), -1)
+        self._presses = np.stack([shown for _, shown in coming], axis=1)  # (S, F, 15)
+        presses = self._presses.reshape(len(steps), -1)
         self._planned = np.concatenate([self._postures(alone, steps), presses], axis=1)
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
@@ -100,7 +131,7 @@ class HandInputs:
         self, presses: list[Press], finger: int, steps: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Array]:
         """(S,) the key that a finger presses or will press next, and (S, 15) what is told of it."""
-        shown = np.zeros((len(steps), 9 + _HELD))
+        shown = np.zeros((len(steps), _OF_A_PRESS))
         if not presses:
             shown[:, :2], shown[:, 4 + _HELD] = 1.0, 1.0
             return np.full(len(steps), -1), shown
@@ -125,13 +156,6 @@ class HandInputs:
         shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
         return np.where(over, -1, key), shown
 
-    @property
-    def size(self) -> int:
-        """D"""
-        of_a_finger = len(_NEIGHBOURS) + 1 + 2 * self._tips.shape[-1]
-        fingers = self._fingers.stop - self._fingers.start
-        return self._planned.shape[1] + 3 * len(self._mirror.servos) + of_a_finger * fingers
-
     def at(self, step: int, posture: Array, correction: Array, state: State) -> Floats:
         """(D,) what is told before a step.
 
@@ -144,15 +168,19 @@ class HandInputs:
         row, (turned, place) = step - self._first, (self._mirror.servos, self._mirror.place)
         off = (posture - self._tracking.expected[step]) * turned[:, None]
         tips = state.fingertip_xpos[0, self._fingers]
-        following = min(step + 1, len(self._tips) - 1)
+        following = self._tips[min(step + 1, len(self._tips) - 1)]
+        depths = self._depths(row, step, state.key_qpos[0])
+        from_now = np.clip((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
+        from_next = np.clip((tips - following) * place / _TIP_OFF, -4, 4)
         parts = (
             self._planned[row],
             np.clip(off[:, 0] / _OFF, -4, 4),
             np.clip(off[:, 1] / _TOO_FAST, -4, 4),
             correction,
-            self._depths(row, step, state.key_qpos[0]).ravel(),
-            np.clip((tips - self._tips[step]) * place / _TIP_OFF, -4, 4).ravel(),
-            np.clip((tips - self._tips[following]) * place / _TIP_OFF, -4, 4).ravel(),
+            depths.ravel(),
+            from_now.ravel(),
+            from_next.ravel(),
+            _cases(self._presses[row], depths, from_now, from_next).ravel(),
         )
         return np.concatenate(parts, dtype=np.float32)
 
@@ -164,6 +192,33 @@ class HandInputs:
         depths = np.where(there, (key_qpos / self._keyboard.travel)[beside * there], 0.0)
         wanted = self._wanted[step, np.maximum(key, 0)] & (key >= 0)
         return np.concatenate([depths, wanted], axis=1)
+
+
+def _cases(presses: Array, depths: Array, from_now: Array, from_next: Array) -> Array:
+    """(F, 53) what is amiss with each finger, apart for cases that are not put right alike.
+
+    It follows from what else is told, but only from several numbers at once: that a key is not
+    quite down matters if it should be; that a fingertip is astray, in front of a black key.
+
+    Args:
+        presses: (F, 15) what is told of its press.
+        depths: (F, 6) of its key and those beside it.
+        from_now: (F, 3) how far its tip is from where it should be.
+        from_next: (F, 3) and from where it should be after the step.
+    """
+    black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD]
+    wanted, lacks = depths[:, -1], np.clip(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
+    off, off_next = (np.hypot(some[:, 0], some[:, 1]) for some in (from_now, from_next))
+    low, astray = np.clip(-from_now[:, 2], 0, 4), off > _ASTRAY
+    missing = wanted * lacks
+    shallow = (1.0, off < 0.5, black, lacks < 0.5)
+    lacking = [missing * case for case in shallow] + [soon * (1 - wanted) * lacks]
+    of_black = near * black
+    pressing = (near, of_black, near * astray, of_black * astray, wanted, wanted * black)
+    cases = np.stack([*pressing, 1 - near, astray * (low > 0.3)], axis=1)
+    amiss = np.column_stack([np.ones(len(off)), from_next, low, off_next])
+    apart = cases[:, :, None] * amiss[:, None]
+    return np.concatenate([np.stack(lacking, axis=1), apart.reshape(len(off), -1)], axis=1)
 
 
 class Corrections(NamedTuple):

@@ -9,41 +9,121 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, ArrayOf, read_arrays
+from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays
 from cadenza.scene.scene import Scene
 
 Floats = NDArray[np.float32]
+Ids = NDArray[np.intp]
 
-_EXPECTED = {
-    "kernel": ArrayOf(FLOATS, ("inputs", "answers"), needed=True, finite=True),
-    "bias": ArrayOf(FLOATS, ("answers",), needed=True, finite=True),
-}
+NETWORKS = ("hand", "thumb", "fingers")
+"""That answer for the servos of the whole hand, of its thumb, and of the other fingers."""
+_LAYERS = 3
+FURTHEST = 6.0
+"""Of their usual spread that numbers count as off their middle: further off, nothing is known."""
+CONSTANTS = np.array([0.0, 1.0], np.float32)
+"""That are there for networks beside the numbers that are told of a hand, after them."""
+
+
+def _expected() -> dict[str, ArrayOf]:
+    """The arrays of a file by name; only those of the same network go together."""
+    arrays = {"sizes": ArrayOf(INTEGERS, (2,), needed=True)}
+    for of in NETWORKS:
+        arrays[f"{of}:inputs"] = ArrayOf(INTEGERS, (f"{of}", f"{of} 0"), needed=True)
+        arrays[f"{of}:servos"] = ArrayOf(INTEGERS, (f"{of}", f"{of} {_LAYERS}"), needed=True)
+        for name in ("middle", "spread"):
+            arrays[f"{of}:{name}"] = ArrayOf(FLOATS, (f"{of} 0",), needed=True, finite=True)
+        for i in range(_LAYERS):
+            kernel = ("networks", f"{of} {i}", f"{of} {i + 1}")
+            arrays[f"{of}:kernel{i}"] = ArrayOf(FLOATS, kernel, needed=True, finite=True)
+            bias = ("networks", 1, f"{of} {i + 1}")
+            arrays[f"{of}:bias{i}"] = ArrayOf(FLOATS, bias, needed=True, finite=True)
+    return arrays
+
+
+class Network(NamedTuple):
+    """Answers for one or more parts of a hand that are alike, such as its fingers.
+
+    These are N networks, whose answers are averaged.
+    """
+
+    inputs: Ids
+    """(M, I) which of the numbers told of a hand each of M parts sees, `CONSTANTS` included."""
+    servos: Ids
+    """(M, O) for which they answer."""
+    middle: Floats
+    """(I,) of what was told while they learnt."""
+    spread: Floats
+    """(I,)"""
+    kernels: tuple[Floats, ...]
+    """(N, I, H), ... (N, H, O)"""
+    biases: tuple[Floats, ...]
+    """(N, 1, H), ... (N, 1, O)"""
+
+    def __call__(self, told: Floats) -> Floats:
+        """(M, O) the answers to what is told of a hand (D + 2,), `CONSTANTS` included."""
+        hidden = np.clip((told[self.inputs] - self.middle) / self.spread, -FURTHEST, FURTHEST)
+        for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
+            hidden = np.maximum(hidden @ kernel + bias, 0.0)
+        answers: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
+        return answers
 
 
 class Weights(NamedTuple):
-    """Answers A numbers to D inputs: a linear map."""
+    """Answers A numbers, one for each servo of a hand, to D that are told of it."""
 
-    kernel: Floats
-    """(D, A)"""
-    bias: Floats
-    """(A,)"""
+    sizes: tuple[int, int]
+    """D and A."""
+    networks: tuple[Network, ...]
 
     @classmethod
     def load(cls, path: Path) -> Weights:
         """Raises:
         CadenzaError: the file is not there, or is damaged.
         """
-        arrays = read_arrays(path, _EXPECTED)
-        return cls(*(arrays[name].astype(np.float32) for name in cls._fields))
+        arrays = read_arrays(path, _expected())
+        told, servos = arrays["sizes"].tolist()
+        networks = tuple(
+            Network(
+                arrays[f"{of}:inputs"].astype(np.intp),
+                arrays[f"{of}:servos"].astype(np.intp),
+                arrays[f"{of}:middle"].astype(np.float32),
+                arrays[f"{of}:spread"].astype(np.float32),
+                *(
+                    tuple(arrays[f"{of}:{kind}{i}"].astype(np.float32) for i in range(_LAYERS))
+                    for kind in ("kernel", "bias")
+                ),
+            )
+            for of in NETWORKS
+        )
+        seen = np.concatenate([network.inputs.ravel() for network in networks])
+        answered = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
+        inside = (seen >= 0) & (seen < told + len(CONSTANTS))
+        if not (inside.all() and np.array_equal(answered, np.arange(servos))):
+            raise CadenzaError(
+                f"{path}: its networks do not fit {told} inputs and {servos} servos; "
+                "fit them again with tools/train_generalist.py"
+            )
+        return cls((told, servos), networks)
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """D and A."""
-        return len(self.kernel), len(self.bias)
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """What a file holds."""
+        arrays: dict[str, NDArray[np.generic]] = {"sizes": np.array(self.sizes)}
+        for of, network in zip(NETWORKS, self.networks, strict=True):
+            arrays[f"{of}:inputs"] = network.inputs.astype(np.int16)
+            arrays[f"{of}:servos"] = network.servos.astype(np.int16)
+            arrays[f"{of}:middle"], arrays[f"{of}:spread"] = network.middle, network.spread
+            for kind, layers in (("kernel", network.kernels), ("bias", network.biases)):
+                for i, layer in enumerate(layers):
+                    arrays[f"{of}:{kind}{i}"] = layer.astype(np.float16)
+        return arrays
 
-    def __call__(self, inputs: Floats) -> Floats:
-        """(A,) the answers to inputs (D,)."""
-        return inputs @ self.kernel + self.bias
+    def __call__(self, told: Floats) -> Floats:
+        """(A,) the answers to what is told of a hand (D,)."""
+        told, answers = np.concatenate([told, CONSTANTS]), np.empty(self.sizes[1], np.float32)
+        for network in self.networks:
+            answers[network.servos] = network(told)
+        return answers
 
 
 def weights_of(scene: Scene) -> Weights:
