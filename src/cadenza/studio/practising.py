@@ -56,33 +56,50 @@ def practise(order: Order, send: Send) -> None:
     with locked(folder) as ours, set_up_as_asked(order, Told(send).stage) as setup:
         if not ours:
             raise CadenzaError("another studio practises this song already")
-        practising = Practising(setup, folder, Told(send).stage)
-        practice, told, saved = practising.practice, 0.0, time.monotonic()
-        known = len(practice.history) if (folder / PRACTISED).exists() else 0
+        _Session(Practising(setup, folder, Told(send).stage), folder, send).run()
 
-        def tell(state: str) -> None:
-            f1 = [f1 for _, f1, _ in practice.history]
-            send(as_json(state=state, f1=f1, share=practice.share_made(_EFFORT)))
 
-        def goes_on() -> bool:
-            nonlocal told, saved
-            now = time.monotonic()
-            if now - told > _TOLD:
-                tell("practising")
-                told = now
-            if now - saved > _SAVED:
-                practising.save()
-                saved = time.monotonic()
-            return len(practice.history) == known
+class _Session:
+    """Practice from where it was left until all of it has been made."""
 
+    def __init__(self, practising: Practising, folder: Path, send: Send) -> None:
+        self._practising, self._folder, self._send = practising, folder, send
+        self._told, self._saved = 0.0, time.monotonic()
+        known = practising.practice.history if (folder / PRACTISED).exists() else ()
+        self._sweeps = len(known)  # that have been kept
+
+    def run(self) -> None:
         finished = False
         while not finished:
-            finished = practice.run(_EFFORT, goes_on)
-            if len(practice.history) > known:
-                known = len(practice.history)
-                practising.save()
-                practising.plan().save(folder / PRACTISED)
-        tell("done")
+            finished = self._practising.practice.run(_EFFORT, self._goes_on)
+            if self._has_more:
+                self._keep()
+        self._tell("done")
+
+    @property
+    def _has_more(self) -> bool:
+        return len(self._practising.practice.history) > self._sweeps
+
+    def _keep(self) -> None:
+        self._sweeps = len(self._practising.practice.history)
+        self._practising.save()
+        self._practising.plan().save(self._folder / PRACTISED)
+
+    def _goes_on(self) -> bool:
+        """Asked often."""
+        now = time.monotonic()
+        if now - self._told > _TOLD:
+            self._tell("practising")
+            self._told = now
+        if now - self._saved > _SAVED:
+            self._practising.save()
+            self._saved = time.monotonic()
+        return not self._has_more
+
+    def _tell(self, state: str) -> None:
+        practice = self._practising.practice
+        f1 = [f1 for _, f1, _ in practice.history]
+        self._send(as_json(state=state, f1=f1, share=practice.share_made(_EFFORT)))
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ AGENTS = {
         "Plays, then practises in the background: next time better.",
     ),
     SIGHT: ("Planner, unrefined", "The plan as it is: it takes less time, and misses more."),
-    "pretrained": ("Learnt policy", "Learnt from scratch; it knows Twinkle only."),
+    "pretrained": ("Learnt policy", "Learnt from scratch; it knows a few of the bundled pieces."),
     "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }
 """Those who play anywhere: what they are called on the page, and what they do. "sight" follows the

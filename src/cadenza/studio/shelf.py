@@ -90,27 +90,10 @@ class Shelf:
     def songs(self) -> list[dict[str, Any]]:
         """What can be played: uploads, the newest first, bundled pieces, imported libraries."""
         uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
-        bundled = [
-            {
-                "id": piece.name,
-                "title": piece.title,
-                "composer": piece.composer,
-                "grade": piece.grade,
-                "seconds": piece.seconds,
-                "uploaded": False,
-            }
-            for piece in songs()
-        ]
+        bundled = [_offered(s.name, s.title, s.composer, s.grade, s.seconds) for s in songs()]
         imported = [
-            {
-                "id": song.name,
-                "title": song.title or song.name,
-                "composer": song.composer,
-                "grade": song.difficulty,
-                "seconds": song.seconds or 0.0,
-                "uploaded": False,
-            }
-            for song in _imported()
+            _offered(s.name, s.title or s.name, s.composer, s.difficulty, s.seconds or 0.0)
+            for s in _imported()
         ]
         return uploaded + bundled + imported
 
@@ -232,6 +215,13 @@ class Shelf:
         if not _ID.fullmatch(id) or not (path / _ABOUT).is_file():
             raise CadenzaError("there is no such performance")
         return path
+
+
+def _offered(
+    id: str, title: str, composer: str, grade: float | None, seconds: float
+) -> dict[str, Any]:
+    about = {"id": id, "title": title, "composer": composer, "grade": grade, "seconds": seconds}
+    return about | {"uploaded": False}
 
 
 def _imported() -> Iterator[Song]:

@@ -73,6 +73,8 @@ function request() {
 }
 function set(wanted) {
   choose(wanted.song);
+  const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
+  if (button) list.scrollTop += button.getBoundingClientRect().top - list.getBoundingClientRect().top;
   for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
   showAgent();
   const tracks = wanted.tracks ?? [];
