@@ -10,7 +10,7 @@ forearm. Each is three networks that learn from other songs; what is left out sa
 docs/generalist.md has the rounds in which it plays itself.
 
 In the folder `trained`, `weights.npz` is what has been learnt, and `lessons` what was made of the
-episodes, each once: 0.7 MB for 10 s. Making one takes 3 s of a core.
+episodes, each once: 1 MB for 10 s. Making one takes 3 s of a core.
 """
 
 from __future__ import annotations
