@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 import cadenza
+from cadenza.agents.planning import practice as practice_of_hands
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
@@ -38,6 +39,9 @@ EFFORT = 0.5
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
 NO_SEARCH = ScorePlannerConfig(method="none")
 HARD = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
+LONG = Score(
+    tuple(replace(n, start=n.start + t, end=n.end + t) for t in (0.0, 1.2, 2.4) for n in HARD.notes)
+)
 
 # Both thumbs on neighbouring keys, closely enough for hands to meet.
 CLOSE = Score(
@@ -177,6 +181,28 @@ def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
     assert once.loss.sum() < 0.7 * played().loss.sum()
     assert one._searching.simulated > 0
     np.testing.assert_array_equal(once.ctrl, again.ctrl)  # whatever they did before
+
+
+@pytest.mark.slow
+def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
+    straight = practice(score=LONG, config=ScorePlannerConfig())
+    follow, followed = straight._searching.follow, list[Any]()
+    monkeypatch.setattr(
+        straight._searching, "follow", lambda *args: followed.append(args) or follow(*args)
+    )
+    straight.run(0.1)
+    assert followed
+    done = False
+    left = practice(score=LONG, config=ScorePlannerConfig(), num_threads=2)
+    while not done:
+        done = left.run(0.1, on_and_off(6))
+        again = practice(score=LONG, config=ScorePlannerConfig(), num_threads=2)
+        again.restore(as_read(left), "state")
+        left = again
+    assert_same(left, straight)
 
 
 def test_practice_of_something_else_is_refused(practised: Practice) -> None:

@@ -77,7 +77,7 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
 def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     song, told = tmp_path / "three.mid", list[Message]()
     write_midi(SCORE, song)
-    monkeypatch.setattr(practising, "_EFFORT", 0.2)
+    monkeypatch.setattr(practising, "ENOUGH", 0.2)
     practising.practise(order(str(song), tmp_path), told.append)
     said = [json.loads(message.content) for message in told if message.kind == JSON]
     assert said[-1]["state"] == "done"

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from cadenza.agents.planning.practice import Practice
     from cadenza.performing.practising import Practising
 
-_EFFORT = 10.0
 _BETWEEN = 20.0  # [s] at least between two times that practice is kept
 _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
@@ -44,7 +43,7 @@ class PracticeCommand(Performing):
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder of practice and its results; played/SONG/practised by default."""
     effort: float | None = None
-    """Practise until the effort is this much in all, 10 by default. 1 is 100 simulated control
+    """Practise until the effort is this much in all, 8 by default. 1 is 100 simulated control
     steps for each control step of the song and each hand. The same effort gives the same result."""
     minutes: float | None = None
     """Practise for so many minutes instead."""
@@ -99,10 +98,11 @@ def _check(command: PracticeCommand) -> None:
 
 def _practise(practising: Practising, command: PracticeCommand, stop: Callable[[], bool]) -> None:
     """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
+    from cadenza.agents.planning.config import ENOUGH
     from cadenza.agents.planning.practice import MOST_EFFORT
 
     practice, began = practising.practice, time.monotonic()
-    minutes, effort = command.minutes, _EFFORT if command.effort is None else command.effort
+    minutes, effort = command.minutes, ENOUGH if command.effort is None else command.effort
     told, kept, saving = len(practice.history), began, 0.0
     with progress("practising", "%" if minutes is None else "s") as advance:
 

@@ -13,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+from cadenza.agents.planning.config import ENOUGH
 from cadenza.errors import CadenzaError
 from cadenza.files import locked, parsed_json
 from cadenza.performing.practising import Practising
@@ -24,7 +25,6 @@ from cadenza.studio.reading import without_path
 from cadenza.studio.request import Order, practice_folder
 from cadenza.studio.worker import Told, set_up_as_asked
 
-_EFFORT = 10.0
 _TOLD = 1.0  # [s] between two times that it tells how far it is
 _SAVED = 20.0  # [s] between two times that practice is kept
 
@@ -71,7 +71,7 @@ class _Session:
     def run(self) -> None:
         finished = False
         while not finished:
-            finished = self._practising.practice.run(_EFFORT, self._goes_on)
+            finished = self._practising.practice.run(ENOUGH, self._goes_on)
             if self._has_more:
                 self._keep()
         self._tell("done")
@@ -99,7 +99,7 @@ class _Session:
     def _tell(self, state: str) -> None:
         practice = self._practising.practice
         f1 = [f1 for _, f1, _ in practice.history]
-        self._send(as_json(state=state, f1=f1, share=practice.share_made(_EFFORT)))
+        self._send(as_json(state=state, f1=f1, share=practice.share_made(ENOUGH)))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+ENOUGH = 8.0
+"""Effort of practice, in less than 20 times the time of the music, on two cores."""
+
 
 @dataclass(frozen=True)
 class PredictiveSamplingConfig:

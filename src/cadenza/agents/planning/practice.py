@@ -6,8 +6,8 @@ step. The first is what the planner plays. Then practice goes over the song agai
 step that loses something and looks for something better to do (`hand_practice`), and what they
 have found is put into the take if that and the next seconds are better for it in the whole scene.
 The smallest change is felt for seconds, however feedback leads back to the take; therefore what
-follows is always played anew from where the hands have really come to, and a sweep that comes to
-a worse end is undone.
+follows is always played anew from where the hands have really come to, with a search where they
+would miss what they had, and a sweep that comes to a worse end is undone.
 
 Effort is counted in simulated control steps, so that the same effort comes to the same on every
 machine, by however many threads it is made.
@@ -43,7 +43,7 @@ from cadenza.tasks.view import View
 
 EFFORT = 100  # control steps that each hand simulates for each one of the song: effort 1
 MOST_EFFORT = 1e6
-_SWEEP = 0.5  # effort of a sweep
+_SWEEPS = 0.5, 1.0  # effort of the first sweep, and of each later one
 _APART = 0.5  # [s] between passages
 _BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
 _CHUNK = 2.0  # [s] of the first take in a unit
@@ -199,7 +199,8 @@ class Practice:
 
     def _begin_sweep(self) -> None:
         weight = np.cumsum((self.take.loss / (1.0 + self._tries)).sum(axis=1))
-        until = self.simulated + self._steps_of(_SWEEP) * weight / weight[-1]
+        share = _SWEEPS[min(len(self.history) - 1, 1)]
+        until = self.simulated + self._steps_of(share) * weight / weight[-1]
         self._sweep = _Sweep(0, until, self.take.part(0, self.num_steps))
         self._moments = {0: self._stage.beginning()}
         self._extend(self._sweep, 0, self._ahead)
