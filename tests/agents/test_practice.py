@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import signal
 from collections.abc import Callable
-from copy import copy, deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.takes import Take
 from cadenza.agents.playback import Playback, load_plan, tracking_of
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
@@ -30,7 +28,6 @@ from cadenza.files import locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -161,26 +158,25 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
 def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
     one = practice(config=ScorePlannerConfig())
     one.run(0.0)
-    first, rngs = 8, [np.random.default_rng(hand) for hand in range(2)]
-    pushed = one.take.part(0, first)
-    pushed.ctrl[-2:] += 0.05 * (-1.0) ** np.arange(pushed.ctrl.shape[1])
-    start = one._stage.beginning()
-    one._stage.play(start, 0, pushed, one.take.heard(0), one.num_steps)
-    rest = one.take.part(first, one.num_steps)
+    stage, hands = one._stage, one._searching
 
-    def played(act: Callable[[State], NDArray[np.float64]] | None = None) -> Take:
-        heard = one.take.heard(first)
-        return one._stage.play(copy(start), first, rest, heard, one.num_steps, act)[0]
+    def lost(first: int, push: float, *, search: bool) -> float:
+        """From step `first` on, after a push in the two before."""
+        pushed = one.take.part(0, first)
+        pushed.ctrl[-2:] += push * (-1.0) ** np.arange(pushed.ctrl.shape[1])
+        scene = stage.beginning()
+        stage.play(scene, 0, pushed, one.take.heard(0), one.num_steps)
+        rngs = [np.random.default_rng(hand) for hand in range(2)]
+        hands.follow(stage.tracking(one.take), one.take.sounding, first, rngs)
+        rest, heard = one.take.part(first, one.num_steps), one.take.heard(first)
+        act = hands.act if search else None
+        return float(stage.play(scene, first, rest, heard, one.num_steps, act)[0].loss.sum())
 
-    def searched() -> Take:
-        tracking, hands = one._stage.tracking(one.take), deepcopy(rngs)
-        one._searching.follow(tracking, one.take.sounding, first, hands)
-        return played(one._searching.act)
-
-    once, again = searched(), searched()
-    assert once.loss.sum() < 0.7 * played().loss.sum()
-    assert one._searching.simulated > 0
-    np.testing.assert_array_equal(once.ctrl, again.ctrl)  # whatever they did before
+    pushes = [(8, push) for push in (0.05, 0.1, 0.2)]
+    searched, led_back = ([lost(*p, search=search) for p in pushes] for search in (True, False))
+    assert sum(searched) < 0.7 * sum(led_back)
+    assert lost(*pushes[0], search=True) == searched[0]  # whatever they did before
+    assert hands.simulated > 0
 
 
 @pytest.mark.slow

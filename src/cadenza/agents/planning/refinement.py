@@ -58,6 +58,7 @@ _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails.
 _SUSTAINED = 0.5
+_SAVED = 1.0  # [s] for which it has been saved where a hand starts over
 EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
@@ -176,9 +177,10 @@ class HandRefinement:
         self._step, self._lost = step, True
 
     def start_over(self, step: int, rng: np.random.Generator) -> None:
-        """Goes on with that step as if it had played nothing before."""
+        """Goes on with that step as if it had not searched for a while before."""
         self.skip_to(step)
-        self._correction, self._savings = np.zeros_like(self._correction), 0.0
+        self._correction[:] = 0.0
+        self._savings = self._earned * steps_in(_SAVED, self._dt)
         self._rng, self.simulated = rng, 0
 
     @property
