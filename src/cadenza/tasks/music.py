@@ -22,7 +22,7 @@ _MOST = {  # of options that are 0 or more
     "n_steps_lookahead": 100_000,
     "n_seconds_lookahead": 3600,
     "initial_buffer_time": 3600,
-    "fingering_margin": 10,
+    "fingering_margin": 1,
     "energy_coefficient": 1000,
     "random_hand_position": 1,
     "control_noise": 1,
