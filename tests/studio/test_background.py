@@ -110,13 +110,18 @@ def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
     assert found.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}
 
 
-def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a command that waits, and remarks how it was called."""
-    script = "import sys, time; print(sys.argv[1:], file=sys.stderr, flush=True); time.sleep(60)"
-    fake = tmp_path / "python"
+def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings that begin from now on are processes of this script."""
+    fake = folder / "python"
     fake.write_text(f"#!{sys.executable}\n{script}\n")
     fake.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(fake))
+
+
+def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a command that waits, and remarks how it was called."""
+    script = "import sys, time; print(sys.argv[1:], file=sys.stderr, flush=True); time.sleep(60)"
+    begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
         found = Trainings(tmp_path / "runs")
@@ -153,10 +158,7 @@ def test_a_run_that_was_stopped_has_no_error(
         "print('interrupted', file=sys.stderr, flush=True)\n"
         "time.sleep(60)"
     )
-    fake = tmp_path / "python"
-    fake.write_text(f"#!{sys.executable}\n{script}\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(fake))
+    begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
         found = Trainings(tmp_path / "runs")
@@ -170,10 +172,7 @@ def test_a_run_that_was_stopped_has_no_error(
 
 
 def test_a_run_that_cannot_begin_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake = tmp_path / "python"
-    fake.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('error: no disk')\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(fake))
+    begin_instead("import sys\nsys.exit('error: no disk')", tmp_path, monkeypatch)
 
     async def run() -> None:
         found = Trainings(tmp_path / "runs")

@@ -354,9 +354,8 @@ class HandRefinement:
         long = self._step % len(_LIFTED)
         candidates = [self._clip(nominal), self._clip(best + self._lifts[long])]
         if caught.any():
-            candidates += [
-                *self._detours(nominal, caught)[self._step % len(_DETOURS) :: len(_DETOURS)]
-            ]
+            detours = self._detours(nominal, caught)
+            candidates.extend(detours[self._step % len(_DETOURS) :: len(_DETOURS)])
         return np.array(candidates)
 
     def _corrected(self, plan: Array, trial: _Trial) -> Array:
