@@ -8,12 +8,12 @@ import re
 import sys
 import warnings
 import zipfile
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -50,6 +50,7 @@ _VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 
 _UNMARKED = 80  # velocity
 _PEDAL_DOWN, _PEDAL_UP = 127, 0
 _SIGNS = range(1, 6)  # of fingers
+_T = TypeVar("_T")
 
 
 def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
@@ -105,7 +106,7 @@ class _Written:
 @dataclass(frozen=True, slots=True)
 class _Part:
     name: str
-    notes: list[_Written]
+    notes: list[_Written]  # in the order of their starts
     pedal: list[tuple[float, int]]  # when, in quarters, it moves where
 
 
@@ -134,14 +135,7 @@ def _played(
     parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
 ) -> tuple[list[Sounding], list[tuple[float, int]], list[tuple[float, int]]]:
     """The notes, when [s] the pedal moves where, and when which bar begins, by sections."""
-    tempos = {min((start for start, _ in sheet.sections), default=0.0): _SECONDS_PER_QUARTER}
-    tempos = dict(sorted((tempos | sheet.tempos).items()))
-    quarters = np.array([*tempos, 1e6])
-    seconds = np.cumsum([0.0, *np.diff(quarters) * list(tempos.values())])
-
-    def at(quarter: float) -> float:
-        return float(np.interp(quarter, quarters, seconds))
-
+    at = _clock(sheet)
     check_length(sum(at(end) - at(start) for start, end in sheet.sections), f"{path}: the song")
     found: list[Sounding] = []
     pedal: list[tuple[float, int]] = []
@@ -150,26 +144,43 @@ def _played(
     for start, end in sheet.sections:
         later = now - at(start)
         for part in parts:
-            for note in part.notes:
-                if not start <= note.start < end:
-                    continue
-                if not LOWEST_PITCH <= note.pitch <= HIGHEST_PITCH:
+            for note in _within(part.notes, start, end, lambda note: note.start):
+                if LOWEST_PITCH <= note.pitch <= HIGHEST_PITCH:
+                    found.append(_sounding(note, at, later))
+                else:
                     counts["outside"] += 1
-                    continue
-                begin = at(note.start) + later - note.grace * _GRACE
-                stop = begin + _GRACE if note.grace else at(note.end) + later
-                # Rounded, so that what ends where another begins does so exactly.
-                times = round(begin, 9), round(stop, 9)
-                found.append(Sounding(*times, note.pitch, note.velocity, True, note.finger))
             for quarter, value in part.pedal:  # up where it ends, down where it begins
                 if start < quarter < end or quarter == (start if value else end):
                     pedal.append((max(0.0, round(at(quarter) + later, 9)), value))
-        bars += [(round(at(q) + later, 9), number) for q, number in sheet.bars if start <= q < end]
+        section = _within(sheet.bars, start, end, lambda bar: bar[0])
+        bars += [(round(at(quarter) + later, 9), number) for quarter, number in section]
         now += at(end) - at(start)
-        if max(len(found), len(bars)) > _MAX_PLAYED:
-            what = f"over {_MAX_PLAYED} notes or bars with all repeats"
+        if max(len(found), len(bars), len(pedal)) > _MAX_PLAYED:
+            what = f"over {_MAX_PLAYED} notes, bars or moves of the pedal with all repeats"
             raise CadenzaError(f"{path}: {what}, too many")
     return found, pedal, bars
+
+
+def _clock(sheet: _Sheet) -> Callable[[float], float]:
+    """The time [s] of a quarter as written, by the tempos."""
+    tempos = {min((start for start, _ in sheet.sections), default=0.0): _SECONDS_PER_QUARTER}
+    tempos = dict(sorted((tempos | sheet.tempos).items()))
+    quarters = np.array([*tempos, 1e6])
+    seconds = np.cumsum([0.0, *np.diff(quarters) * list(tempos.values())])
+    return lambda quarter: float(np.interp(quarter, quarters, seconds))
+
+
+def _within(items: list[_T], start: float, end: float, time: Callable[[_T], float]) -> list[_T]:
+    """Those of `items`, which are in the order of their times, from `start` on, before `end`."""
+    return items[bisect_left(items, start, key=time) : bisect_left(items, end, key=time)]
+
+
+def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Sounding:
+    begin = at(note.start) + later - note.grace * _GRACE
+    stop = begin + _GRACE if note.grace else at(note.end) + later
+    # Rounded, so that what ends where another begins does so exactly.
+    times = round(begin, 9), round(stop, 9)
+    return Sounding(*times, note.pitch, note.velocity, True, note.finger)
 
 
 def _xml(path: Path) -> bytes:
