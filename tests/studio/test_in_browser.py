@@ -12,8 +12,11 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+import mido
+import numpy as np
 import pytest
 
+from cadenza.episode import load_episode
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from headless import Browser, needs_chromium
@@ -182,6 +185,63 @@ def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
     wait(browser, "cadenza.finished")
     browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")  # once more
     wait(browser, "!cadenza.finished && cadenza.time < 2")
+
+
+def test_a_click_in_the_roll_goes_there(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.began")
+    browser.evaluate("document.getElementById('roll').scrollIntoView()")
+    browser.settle()
+    left, top, width, height = browser.evaluate("""(() => {
+        const { x, y, width, height } = document.getElementById("roll").getBoundingClientRect();
+        return [x + 44, y, width - 44, height]; // the names of the keys are 44 px wide
+    })()""")
+    whole = browser.evaluate("cadenza.live.steps * cadenza.live.dt")
+    browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ")
+    for kind in "mousePressed", "mouseReleased":
+        where = {"x": left + 0.5 * width, "y": top + 0.3 * height}
+        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **where)
+    browser.settle()
+    assert browser.evaluate("cadenza.time") == pytest.approx(0.5 * whole, abs=0.1)
+    assert browser.problems() == []
+
+
+def test_what_is_chosen_behind_more_is_played(
+    browser: Browser, address: str, folder: Path, tmp_path: Path
+) -> None:
+    """One of two tracks, by Allegro hands, faster and higher; what is kept can be taken away."""
+    visit(browser, address)
+    file = mido.MidiFile(ticks_per_beat=480)
+    for pitch in 40, 64:
+        kinds = ["note_on", "note_off"] * 4
+        file.tracks.append(mido.MidiTrack(mido.Message(k, note=pitch, time=240) for k in kinds))
+    file.save(tmp_path / "two.mid")
+    drop(browser, (tmp_path / "two.mid").read_bytes(), "two.mid")
+    wait(browser, "!document.getElementById('tracks').hidden && cadenza.live")
+    browser.evaluate("""(() => {
+        const put = (id, value) => Object.assign(document.getElementById(id), { value });
+        put("hand", "allegro"); put("tempo", "1.5"); put("transpose", "2"); put("seed", "5");
+        document.querySelector("#tracks input").click();
+        document.getElementById("start").click();
+    })()""")
+    wait(browser, "cadenza.state === 'kept' && cadenza.finished")
+    assert text(browser, "facts").endswith("allegro · +2 semitones · 1.5× · seed 5")
+    id = browser.evaluate("location.hash").removeprefix("#job=")
+    settings = json.loads((folder / id / "settings.json").read_text())
+    assert (settings["scene"]["hand"], settings["seed"]) == ("allegro", 5)
+    assert settings["task"]["stretch"] == pytest.approx(1 / 1.5)
+    wanted = load_episode(folder / id / "episode.npz")["goal_keys"].any(axis=0)
+    assert list(np.flatnonzero(wanted) + 21) == [66]
+    links = browser.evaluate("""(async () => {
+        const links = [...document.querySelectorAll("#kept li:first-child a")];
+        return await Promise.all(links.map(async (link) => {
+            const answer = await fetch(link.href), begin = (await answer.text()).slice(0, 4);
+            return [link.textContent, link.download, answer.status, begin];
+        }));
+    })()""")
+    assert links == [["Report", "", 200, "<!do"], ["MIDI", "two.mid", 200, "MThd"]]
+    assert browser.problems() == []
 
 
 def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) -> None:

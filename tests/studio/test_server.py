@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import subprocess
 import sys
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Iterator
@@ -11,6 +12,8 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -31,6 +34,7 @@ from cadenza.studio import jobs, server
 from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.server import Studio
 from cadenza.studio.shelf import Kept
+from cadenza.studio.strangers import MOST_STRANGERS
 from cadenza.studio.synthesizer import Synthesizer
 from cadenza.studio.trainings import Trainings
 from cadenza.studio.watchable import serve
@@ -143,6 +147,22 @@ def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
         assert told.receive_json() == {"state": "gone"}
 
 
+def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    studio, wanted = tmp_path / "studio", asdict(PlayRequest("OdeToJoy"))
+    own, linked = studio / "0123456789abcdef", studio / "fedcba9876543210"
+    own.mkdir()
+    write_json(own / "studio.json", asdict(Kept("Ode", wanted, 0.9, 8.0, 1.0)))
+    (own / "report.html").symlink_to(secret)
+    linked.symlink_to(own)
+    for folder in own, linked:
+        answer = client.get(f"/TOKEN/performances/{folder.name}/report.html")
+        assert (answer.status_code, "secret" in answer.text) == (400, False)
+    (listed,) = client.get("/TOKEN/api/performances").json()
+    assert listed["files"] == []
+
+
 def test_links_stay_valid(tmp_path: Path) -> None:
     known, heard = tmp_path / "address.json", list[str]()
 
@@ -163,6 +183,30 @@ def test_links_stay_valid(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         serve(Studio(tmp_path), ready=stop)
     assert heard[3].split("/")[3] != heard[0].split("/")[3]
+
+
+def test_strangers_do_not_keep_the_page_out() -> None:
+    """However many connect and say nothing, or half of something."""
+    serving = "serve(Watchable(), ready=lambda address: print(address, flush=True))"
+    code = f"from cadenza.studio.watchable import Watchable, serve; {serving}"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=PIPE, text=True) as server:
+        assert server.stdout is not None
+        address = urlsplit(server.stdout.readline().strip())
+        place = "127.0.0.1", int(address.port or 0)
+        try:
+            strangers = [socket.create_connection(place) for _ in range(3 * MOST_STRANGERS)]
+            for stranger in strangers[::2]:
+                with suppress(ConnectionError):  # it may have been sent away already
+                    stranger.sendall(b"GET / HTTP/1.1\r\nhost: ")
+            with urlopen(address.geturl(), timeout=20) as answer:
+                assert answer.status == 200
+            strangers[0].settimeout(20)
+            with suppress(ConnectionError):
+                assert strangers[0].recv(1) == b""
+            for stranger in strangers:
+                stranger.close()
+        finally:
+            server.kill()
 
 
 def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:
@@ -233,6 +277,46 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
     monkeypatch.setattr(jobs, "started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_a_player_whose_song_is_cancelled_plays_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If it puts it down in time."""
+    polite = (
+        "import sys\nfor number, _ in enumerate(sys.stdin):\n"
+        "    if number % 2:\n        sys.stdout.write('W\\0\\0\\0\\0')\n"
+        "        sys.stdout.flush()"
+    )
+    programs = [polite, "import time; time.sleep(60)"]
+
+    async def player(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", programs.pop(0)]
+        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+
+    async def cancelled(queue: jobs.Jobs) -> Any:
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        while (process := job.process) is None:
+            await asyncio.sleep(0.01)
+        queue.cancel(job.id)
+        while job.is_busy:
+            await asyncio.sleep(0.01)
+        return process
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path, Trainings(tmp_path))
+        first, second = await cancelled(queue), await cancelled(queue)
+        assert first is second
+        assert first.returncode is None
+        first.kill()
+        await first.wait()
+        rude = await cancelled(queue)
+        assert rude.returncode is not None
+        await queue.close()
+
+    monkeypatch.setattr(jobs, "started", player)
+    programs.append(programs[-1])  # which gets ready when the rude one has gone
     asyncio.run(asyncio.wait_for(run(), 60))
 
 

@@ -10,6 +10,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from cadenza.studio.strangers import Strangers
+
 _READING = ("GET", "HEAD")
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -31,10 +33,14 @@ class Guard:
 
     The Host must be this machine's name in the address bar and no domain that somebody else has
     pointed here; whatever changes something, and every WebSocket, must come from our own page.
+
+    Attributes:
+        strangers: whoever connects and has not been let through yet.
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str) -> None:
         self._app, self._token, self._host = app, token, host
+        self.strangers = Strangers()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -43,9 +49,12 @@ class Guard:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008, "reason": refused})
             else:
-                response = PlainTextResponse(refused + "\n", 403, _HEADERS)
+                response = PlainTextResponse(
+                    refused + "\n", 403, _HEADERS | {"connection": "close"}
+                )
                 await response(scope, receive, send)
         else:
+            self.strangers.go(scope.get("client"))
 
             async def with_headers(message: Message) -> None:
                 if message["type"] == "http.response.start":

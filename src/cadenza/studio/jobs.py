@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
+from cadenza.studio.messages import READY
 from cadenza.studio.practice import PracticeRoom
-from cadenza.studio.processes import kill, messages, started, tell
+from cadenza.studio.processes import kill, messages, put_down, started, tell
 from cadenza.studio.request import PRACTISED, Order, PlayRequest, performance_folder
 from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
 
 MOST_WAITING = 8
+_WRITING = ("played", "writing")
 _MOST_WRITING = 2  # that write their files while others play
 _ENDED_KNOWN = 8  # of which one can be told what became of them
+_TO_PUT_DOWN = 2.0  # [s] that a process has to put down what is cancelled
 
 
 @dataclass(eq=False)
@@ -30,11 +33,13 @@ class Job(Stream):
     Attributes:
         order: what is played.
         is_busy: whether a process works on it; `process` once that has started.
+        end: of the process, where it does not put the song down in time.
     """
 
     order: Order = field(kw_only=True)
     is_busy: bool = False
     process: Process | None = None
+    end: asyncio.TimerHandle | None = None
 
     @classmethod
     def of(cls, order: Order) -> Job:
@@ -97,11 +102,13 @@ class Jobs:
         job = self.jobs.get(id)
         if job is None or job.is_over:
             return
+        patience = 0.0 if job.status["state"] in _WRITING else _TO_PUT_DOWN
         job.status = {"state": "cancelled"}
         if job in self._waiting:
             self._waiting.remove(job)
         if job.process is not None:
-            kill(job.process)
+            put_down(job.process)
+            job.end = asyncio.get_running_loop().call_later(patience, kill, job.process)
         job.wake()
         self._pump()
 
@@ -110,6 +117,8 @@ class Jobs:
         self._closed = True
         for job in list(self.jobs.values()):
             self.cancel(job.id)
+            if job.process is not None:
+                kill(job.process)
         async with self._warming:
             if self._spare is not None:
                 kill(self._spare)
@@ -132,7 +141,7 @@ class Jobs:
 
     def _has_room(self) -> bool:
         states = [job.status["state"] for job in self.jobs.values() if job.is_busy]
-        writing = sum(state in ("played", "writing") for state in states)
+        writing = sum(state in _WRITING for state in states)
         playing = len(states) - writing
         return not self._closed and playing < self._at_once and writing <= _MOST_WRITING
 
@@ -154,14 +163,17 @@ class Jobs:
                 del self.jobs[job.id]
 
     async def _run(self, job: Job, process: Process | None) -> None:
+        is_free = False
         try:
             if process is None or process.returncode is not None:
                 process = await started("cadenza.studio.worker")
             job.process = process
-            if job.is_over:  # cancelled in between
-                kill(process)
-            await self._listen(job, process)
+            is_free = job.is_over or await self._listen(job, process)  # cancelled in between
         finally:
+            if job.end is not None:
+                job.end.cancel()
+            if process is not None:
+                await self._leave(process, is_free)
             job.process, job.is_busy = None, False
             if not job.is_over:
                 job.status = {"state": "failed", "error": "the player ended unexpectedly"}
@@ -171,17 +183,27 @@ class Jobs:
             self._pump()
             await self.warm()
 
-    async def _listen(self, job: Job, process: Process) -> None:
+    async def _listen(self, job: Job, process: Process) -> bool:
+        """Until the process ends or has put the song down: whether it has."""
         assert process.stdout is not None
         await tell(process, job.order)
         async for kind, content in messages(process.stdout):
+            if kind == READY:
+                return True
             was = job.status["state"]
             if was != "cancelled":
                 job.hear(kind, content)
             if job.status["state"] != was:
                 await self._changed(job)
-        kill(process)
-        await process.wait()
+        return False
+
+    async def _leave(self, process: Process, is_free: bool) -> None:
+        """Has a process that is free play the next song, unless one is ready already."""
+        if is_free and self._spare is None and not self._closed:
+            self._spare = process
+        else:
+            kill(process)
+            await process.wait()
 
     async def _changed(self, job: Job) -> None:
         state = job.status["state"]

@@ -1,7 +1,8 @@
 """What a process that plays says: JSON, and rows of the episode.
 
 A message is a kind, its length, and bytes. The page hears the same over a WebSocket, JSON as text
-and rows as binary frames. All numbers are little-endian.
+and rows as binary frames. All numbers are little-endian. An empty one of the third kind tells the
+server that the process has put its song down and waits for another.
 
 Rows: each (J,) float32 joints of the hands [m, rad]; (K,) uint8 how far keys are down, 255 all the
 way; (K,) uint8 what sounds: 0 nothing, 1 what sounded before, else a key struck now, and its MIDI
@@ -13,7 +14,7 @@ from __future__ import annotations
 import struct
 from typing import IO, NamedTuple
 
-JSON, ROWS = b"J", b"R"
+JSON, ROWS, READY = b"J", b"R", b"W"
 HEADER = struct.Struct("<cI")
 MOST_BYTES = 1 << 26  # of a message
 

@@ -46,6 +46,12 @@ async def tell(process: Process, order: Order) -> None:
         await process.stdin.drain()
 
 
+def put_down(process: Process) -> None:
+    """Has it leave an order that it was given."""
+    assert process.stdin is not None
+    process.stdin.write(b"\n")
+
+
 async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
     """Kind and content of each, until there are no more; see `cadenza.studio.messages`."""
     with suppress(IncompleteReadError):

@@ -161,7 +161,7 @@ class Shelf:
                 kept = read_json(path / _ABOUT, Kept)
             except CadenzaError:
                 continue
-            files = [name for name in FILES if (path / name).is_file()]
+            files = [name for name in FILES if _is_own(path / name)]
             told = (path / TOLD).is_file()
             found.append(asdict(kept) | {"id": path.name, "files": files, "told": told})
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
@@ -173,7 +173,7 @@ class Shelf:
             CadenzaError: there is none.
         """
         path = self._performance(id) / name
-        if name not in FILES or not path.is_file():
+        if name not in FILES or not _is_own(path):
             raise CadenzaError("there is no such file")
         return path
 
@@ -212,9 +212,14 @@ class Shelf:
 
     def _performance(self, id: str) -> Path:
         path = self.folder / id
-        if not _ID.fullmatch(id) or not (path / _ABOUT).is_file():
+        if not _ID.fullmatch(id) or path.is_symlink() or not _is_own(path / _ABOUT):
             raise CadenzaError("there is no such performance")
         return path
+
+
+def _is_own(path: Path) -> bool:
+    """Whether it is a file that lies here, not a link to one that lies elsewhere."""
+    return path.is_file() and not path.is_symlink()
 
 
 def _offered(

@@ -247,7 +247,7 @@ def serve(
             server_header=False,
             proxy_headers=False,
             date_header=False,
-            limit_concurrency=64,
+            http=app.strangers.protocol(),
             timeout_keep_alive=5,
             timeout_graceful_shutdown=2,
             ws_max_size=1 << 12,

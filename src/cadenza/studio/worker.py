@@ -2,7 +2,8 @@
 
 It loads all that is needed and warms up, then waits for an order (see
 `cadenza.studio.request.Order`) as a line of JSON on stdin, and tells on stdout what happens, as
-`cadenza.studio.messages` has it.
+`cadenza.studio.messages` has it. Another line while it plays has it put the song down and wait for
+the next order; a song that is played to its end is its last.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import sys
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from select import POLLIN, poll
+from typing import IO, Any
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
@@ -31,7 +33,7 @@ from cadenza.performing.setup import PRACTISED as PLAN
 from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Live, Send, as_json
-from cadenza.studio.messages import Message
+from cadenza.studio.messages import READY, Message
 from cadenza.studio.reading import check_size, without_path
 from cadenza.studio.request import (
     PRACTISED,
@@ -45,37 +47,63 @@ from cadenza.studio.request import (
 
 __all__ = ["ScorePlanner", "main"]
 
+_MOST_PUT_DOWN = 32  # songs, of each of which a few MB stay behind, before the process ends
 _BETWEEN = 0.2  # [s] between two times that a stage is told
 
 
 def main() -> None:
     """See above."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
-    with os.fdopen(os.dup(1), "wb") as out:
+    with os.fdopen(os.dup(1), "wb") as out, open(0, "rb", buffering=0) as orders:
         os.dup2(2, 1)  # what others print is no message
         warm_up()
-        line = sys.stdin.buffer.readline()
-        if not line:
-            return
-        limit(PLAYING)
-        order = parsed_json(line, Order, "order")
-
-        def send(message: Message) -> None:
+        put_down = 0
+        while line := orders.readline():
+            limit(PLAYING)
             try:
-                message.write(out)
-            except BrokenPipeError:  # nobody listens: the server has gone
-                if not keeping:
-                    os._exit(1)
+                perform_order(parsed_json(line, Order, "order"), orders, out)
+                break
+            except PutDownError:
+                put_down += 1
+                if put_down == _MOST_PUT_DOWN or not orders.readline():
+                    break
+                Message(READY, b"").write(out)
 
-        keeping = False
+
+class PutDownError(Exception):
+    """The server wants the song no more."""
+
+
+def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
+    """Plays what is asked for, and keeps it.
+
+    Raises:
+        PutDownError: it has not been played yet, and there is more to read of `orders`, or its end.
+    """
+
+    def send(message: Message) -> None:
         try:
-            performance, live = play(order, send)
-            keeping = True
-            keep(performance, live, order, send)
-        except (CadenzaError, OSError) as error:
-            send(as_json(state="failed", error=without_path(error, Path(order.source))))
-        except MemoryError:
-            send(as_json(state="failed", error="it needs more memory than a player may use"))
+            message.write(out)
+        except BrokenPipeError:  # nobody listens: the server has gone
+            if not keeping:
+                os._exit(1)
+
+    more = poll()
+    more.register(orders, POLLIN)
+
+    def check() -> None:
+        if more.poll(0):
+            raise PutDownError
+
+    keeping = False
+    try:
+        performance, live = play(order, send, check)
+        keeping = True
+        keep(performance, live, order, send)
+    except (CadenzaError, OSError) as error:
+        send(as_json(state="failed", error=without_path(error, Path(order.source))))
+    except MemoryError:
+        send(as_json(state="failed", error="it needs more memory than a player may use"))
 
 
 def warm_up() -> None:
@@ -84,18 +112,24 @@ def warm_up() -> None:
         perform(setup, stop=lambda: True)
 
 
-def play(order: Order, send: Send) -> tuple[Performance, Live]:
-    """Plays, telling every step; also what was told."""
+def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, Live]:
+    """Plays, telling every step, and calling `check` now and then; also what was told."""
     began = time.monotonic()
     told = Told(send)
-    with _as_practised(order) or set_up_as_asked(order, told.stage) as setup:
+
+    def preparing(stage: str, done: int, total: int) -> None:
+        check()
+        told.stage(stage, done, total)
+
+    with _as_practised(order) or set_up_as_asked(order, preparing) as setup:
         live = Live(setup.task, send)
         live.begin()
 
         def progress(stage: str, done: int, total: int) -> None:
             if stage != "playing":
-                told.stage(stage, done, total)
+                preparing(stage, done, total)
                 return
+            check()
             live.step()
 
         performance = perform(setup, progress)

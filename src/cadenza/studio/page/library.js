@@ -35,8 +35,9 @@ function showSongs() {
 function listed(song) {
   const button = make("button", "", { type: "button", title: song.title }), item = make("li");
   const about = song.uploaded ? "yours" : song.composer;
-  button.append(make("span", song.title), make("small", minutes(song.seconds).split(".")[0]), make("small", about));
-  if (song.grade) button.append(make("small", `level ${song.grade.toFixed(1)}`, { title: "How hard it is for robot hands, from 1 to 10" }));
+  const level = song.grade ? ` · level ${song.grade.toFixed(1)}` : "";
+  button.append(make("span", song.title), make("small", about));
+  button.append(make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" }));
   press(button, song === chosen);
   button.addEventListener("click", () => { choose(song.id); begin(); });
   item.append(button);

@@ -1,9 +1,10 @@
 // What is played now: a performance, or two side by side and in step, of which one is heard.
 
 const instrument = createInstrument(), looks = createLooks();
-// [s] ahead before it plays; less where planning is so many times faster than the music, and twice
-// as much, up to `LONGEST_LEAD`, each time that planning has fallen behind.
-const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4;
+// [s] ahead before it plays; less where planning is so many times faster than the music or the visitor
+// has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning falls behind.
+const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 3.5;
+const FLUENT = 20; // [ms] between two frames: who draws so often can leave out every other
 const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
 const ENDS = {
@@ -12,7 +13,7 @@ const ENDS = {
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
 let shown = [], heard = null, stage = null, roll = null;
-let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0;
+let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0, asked = 0, drawn = 0;
 
 // The clock is that of the sound where there is one, else the wall's.
 const wall = () => performance.now() / 1000, audible = () => instrument.time;
@@ -56,7 +57,7 @@ function watch(ids, at = 0) {
   instrument.silence();
   clearPicture();
   shown = ids.map((id) => createPerformance(id, changed));
-  [heard, position, resumeAt, running, paused] = [shown[0], 0, at, false, false];
+  [heard, position, resumeAt, running, paused, asked] = [shown[0], 0, at, false, false, wall()];
   Object.assign(cadenza, { state: "queued", live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
   $("cancel").disabled = false;
   showLink();
@@ -177,8 +178,8 @@ function keepOnly(performance) {
 
 /** How much has to be planned ahead before it plays [s]. */
 function lead() {
-  const isFast = shown.every(({ pace }) => pace > FAST);
-  return !cadenza.waits && isFast ? SHORT_LEAD : Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
+  const isFast = shown.every(({ pace }) => pace > FAST), isLate = wall() > asked + LATE;
+  return !cadenza.waits && (isFast || isLate) ? SHORT_LEAD : Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
 }
 
 /** Plays while there is something planned ahead, and says what it waits for. */
@@ -255,10 +256,13 @@ function sound() {
   }
 }
 
-function frame() {
-  proceed();
-  if (stage) show(now());
+function frame(time) {
   requestAnimationFrame(frame);
+  proceed();
+  // Without a graphics card, half of the frames leave more of the machine to who plans.
+  if (!stage || (stage.flat && !isComplete() && time - drawn < FLUENT)) return;
+  drawn = time;
+  show(now());
 }
 function show(time) {
   const fresh = lives().map((live) => live.show(time)).includes(true);

@@ -77,4 +77,4 @@ setInterval(() => { // also where the page is hidden and draws no frames
   sound();
 }, 50);
 Object.assign(cadenza, { ready: true, upload, seek, instrument });
-frame();
+requestAnimationFrame(frame);
