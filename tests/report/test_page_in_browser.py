@@ -334,6 +334,23 @@ def test_without_webgl_the_hands_are_drawn_flat(tmp_path, write):
 
 
 @pytest.mark.slow
+def test_what_reaches_behind_the_eye_leaves_the_flat_view_whole(tmp_path, write):
+    """An arm on the player's side does, in the player's view."""
+    browser = Browser(tmp_path / "profile", "--disable-3d-apis")
+    episode = make_episode()
+    browser.open(write(episode))
+    before = browser.picture("#view").astype(int)
+    for kind in ("capsule", "cylinder", "box", "sphere"):
+        long = {"body": 0, "type": kind, "size": [0.1, 2.0, 0.1], "pos": [2.0, 0, 1.5]}
+        along_x = {"quat": [0.7071068, 0, 0.7071068, 0], "rgba": [1, 0, 0, 1], "finger": None}
+        episode.scene["geoms"].append(long | along_x)
+    browser.open(write(episode))
+    assert browser.problems() == []
+    assert np.abs(browser.picture("#view").astype(int) - before).max() < 8
+    browser.close()
+
+
+@pytest.mark.slow
 def test_keys_light_up_where_they_are(browser, write):
     browser.open(write(make_episode(hands=0)))
     browser.evaluate("document.querySelector('[data-view=top]').click()")

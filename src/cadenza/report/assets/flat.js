@@ -12,6 +12,7 @@ function createFlatRenderer(canvas) {
   const clip = new Float64Array(16); // of the camera, column by column
   let ratio = 1, width = 1, height = 1, eyeX = 0, eyeY = 0, eyeZ = 0;
   let enlarged = 1; // halves of the picture's height that a metre fills at a distance of one
+  let near = 0; // how far from the eye the picture begins [m]
 
   /** The matrix product of what the camera sees and where it is. */
   function aim(camera) {
@@ -26,6 +27,7 @@ function createFlatRenderer(canvas) {
     const e = camera.matrixWorld.elements;
     [eyeX, eyeY, eyeZ] = [e[12], e[13], e[14]];
     enlarged = p[5];
+    near = camera.near;
   }
   /** Writes x, y [px] and w of a point of the world (`one` is 1) or of a direction (0). */
   function project(out, at, x, y, z, one) {
@@ -69,6 +71,9 @@ function createFlatRenderer(canvas) {
     project(homogeneous, 9, axes[9], axes[10], axes[11], 1);
     record.depth = Math.hypot(axes[9] - eyeX, axes[10] - eyeY, axes[11] - eyeZ);
   }
+
+  /** Whether all of the solid is before the camera; what is beside or behind it has no outline. */
+  const isBefore = ({ homogeneous: h }) => h[11] - Math.abs(h[2]) - Math.abs(h[5]) - Math.abs(h[8]) > near;
 
   function drawBox(record) {
     const { axes, homogeneous: h, corners } = record;
@@ -172,7 +177,7 @@ function createFlatRenderer(canvas) {
     if (node.userData.type) {
       const record = recordOf(node);
       locate(record);
-      shapes[count++] = record;
+      if (isBefore(record)) shapes[count++] = record;
     }
     for (let i = 0; i < node.children.length; i++) collect(node.children[i]);
   }
