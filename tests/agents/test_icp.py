@@ -75,3 +75,16 @@ def test_a_finger_has_to_leave_its_key_before_it_plays_another(players: Players)
     fingers = nearest_fingers(notes, 0, players)
     assert None not in fingers
     assert all(a != b for a, b in pairwise(fingers))
+
+
+def test_a_melody_that_the_hand_covers_has_one_finger_for_each_key(players: Players) -> None:
+    """The hand is over the keys that come next, too, and its fingers do not cross."""
+    melody = (77, 79, 75, 72, 75, 77, 79, 72, 77)
+    notes = [n for i, p in enumerate(melody) for n in chord(p, start=0.25 * i, end=0.25 * i + 0.25)]
+    fingers = nearest_fingers(notes, 0, players)
+    assert fingers == [{72: 0, 75: 1, 77: 2, 79: 3}[pitch] for pitch in melody]
+
+
+def test_a_finger_that_does_not_reach_from_a_held_key_is_not_the_nearest(players: Players) -> None:
+    notes = [*chord(62, end=0.4), *chord(69, end=1.49), *chord(60, start=0.75, end=0.99)]
+    assert None not in nearest_fingers([*notes, *chord(59, start=1.0, end=1.24)], 0, players)

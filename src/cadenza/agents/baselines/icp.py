@@ -7,6 +7,7 @@ played with feedback of the joints' positions and speeds alone.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -29,6 +30,7 @@ from cadenza.tasks.view import View
 
 _MOVES = 20  # of the hand; the matches repeat after two or three
 _LIFT = 0.1  # [s] that a finger takes from one key to another
+_AHEAD = 2.0  # [s] after a chord, of keys onto which the hand is moved at the same time
 
 
 class ICP(PlannerPerEnv["PlanFollower"]):
@@ -103,11 +105,13 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     if forearm is None:
         return [None] * len(notes)
     y, moving = players.key_y(hand), _Hand(players.reach, forearm.home)
-    return [
-        finger
-        for chord in chords(notes)
-        for finger in moving.play(chord, y[[note.pitch - lowest for note in chord]])
-    ]
+    starts, done, fingers = [note.start for note in notes], 0, list[int | None]()
+    for chord in chords(notes):
+        done += len(chord)
+        soon = notes[done : bisect_left(starts, chord[0].start + _AHEAD)]
+        keys, ahead = (y[[note.pitch - lowest for note in some]] for some in (chord, soon))
+        fingers += moving.play(chord, keys, ahead)
+    return fingers
 
 
 @dataclass
@@ -120,28 +124,56 @@ class _Hand:
     last: dict[int, tuple[float, float]] = field(default_factory=dict)
     """Finger -> where it pressed last [m], and until when [s]."""
 
-    def play(self, chord: Sequence[Note], keys: Array) -> list[int | None]:
-        """The fingers for notes that begin together, on keys at `keys` (N,) [m]."""
+    def play(self, chord: Sequence[Note], keys: Array, ahead: Array) -> list[int | None]:
+        """The fingers for notes that begin together.
+
+        Args:
+            chord: N notes.
+            keys: (N,) where their keys are [m].
+            ahead: (M,) where the next keys are, in their order [m].
+        """
         now = chord[0].start
         held = {finger: y for finger, (y, end) in self.last.items() if end > now + _LIFT}
         free = [f for f in range(self.reach.num_fingers) if f not in held]
         left = np.array([self.last.get(f, (np.nan, -np.inf)) for f in free]).reshape(-1, 2)
         rising = left[:, 1] > now - _LIFT
-        busy = rising[:, None] & (left[:, :1] != keys)
-        matches = self._matched(keys, free, busy, held)
+        window = self._at_once(keys, ahead, len(free))
+        busy = rising[:, None] & (left[:, :1] != window)
+        price = busy + 2.0 * ~self._spans(free, window, held)  # more than any way squared
+        price[:, len(keys) :] = 0.0
+        matches = self._matched(window, free, price, held)
         chosen: list[int | None] = [None] * len(chord)
-        for i, finger in sorted(matches.items()):
+        for i, finger in sorted((i, f) for i, f in matches.items() if i < len(chord)):
             others = {**held, **{f: keys[j] for j in range(i) if (f := chosen[j]) is not None}}
             if all(self.reach.spans(finger, f, y - keys[i]) for f, y in others.items()):
                 chosen[i] = finger
                 self.last[finger] = float(keys[i]), chord[i].end
         return chosen
 
+    def _at_once(self, keys: Array, ahead: Array, most: int) -> Array:
+        """The keys of a chord, and after them those ahead that a hand at rest covers too."""
+        width, window = np.ptp(self.reach.rest), list(keys)
+        for key in ahead:
+            if key in window:
+                continue
+            if len(window) >= most or np.ptp([*window, key]) > width:
+                break
+            window.append(key)
+        return np.array(window)
+
+    def _spans(
+        self, fingers: Sequence[int], keys: Array, held: dict[int, float]
+    ) -> NDArray[np.bool_]:
+        """(F, N) whether each of F fingers reaches each of N keys from what others hold."""
+        others, at = np.array([*held], np.intp), np.array([*held.values()])
+        each = np.array(fingers, np.intp)[:, None, None]
+        return np.logical_and.reduce(self.reach.spans(each, others, at - keys[:, None]), axis=-1)
+
     def _matched(
         self,
         keys: Array,
         free: Sequence[int],
-        busy: NDArray[np.bool_],
+        price: Array,
         held: dict[int, float],
     ) -> dict[int, int]:
         """Key -> finger: nearest points, the hand moved onto them, and again.
@@ -151,13 +183,14 @@ class _Hand:
         Args:
             keys: (N,) [m].
             free: the F fingers that can be matched.
-            busy: (F, N) whether a finger is still on its way from another key.
+            price: (F, N) of a finger that is still on its way from another key, and of one that
+                does not reach from what others hold [m^2].
             held: where the other fingers stay.
         """
         rest, fingers, matches = self.reach.rest, list(free), dict[int, int]()
         for _ in range(_MOVES):
             tips = self.place + rest[fingers]
-            rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + busy)
+            rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + price)
             found = {int(key): fingers[row] for row, key in zip(rows, columns, strict=True)}
             ways = [keys[key] - rest[finger] for key, finger in found.items()]
             ways += [y - rest[finger] for finger, y in held.items()]
