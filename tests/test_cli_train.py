@@ -107,6 +107,9 @@ def test_help_shows_the_named_preset(capsys: pytest.CaptureFixture[str]) -> None
     assert "--discount FLOAT" in shown["paper"]
     for name, discount in (("paper", "0.99"), ("published", "0.8"), ("fast", "0.84")):
         assert f"(default: {discount})" in shown[name], name
+    with pytest.raises(SystemExit):
+        main(["train", "--setup", "mini-allegro", "--help-all"])
+    assert "(default: 128 128)" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_finished_run_stays_finished(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from cadenza.learning.config import TrainingConfig, check, preset
 from cadenza.learning.run_folder import RunFolder
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.setups import setup_named
 
 
 def test_the_defaults_of_the_learner_are_the_table_of_the_paper() -> None:
@@ -97,6 +98,17 @@ def test_naming_the_options_does_not_load_what_learning_needs() -> None:
 def test_the_presets_make_sense(name: str) -> None:
     check(preset(name))
     check(preset(name, residual=True))
+
+
+def test_a_setup_changes_the_fast_preset_only() -> None:
+    """Settings of a run and of its learner."""
+    otherwise = setup_named("mini-allegro").training
+    fast = preset("fast", otherwise=otherwise)
+    both = asdict(fast) | asdict(fast.learner)
+    assert otherwise
+    assert {name: both[name] for name in otherwise} == otherwise
+    assert preset("paper", otherwise=otherwise) == preset("paper")
+    assert preset("fast", True, otherwise=otherwise) == preset("fast", True)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.registry import module_of
 from cadenza.scene.config import named_by_module
+from cadenza.tasks.setups import setup_named
 
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
@@ -88,7 +89,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
     """What the options of training change, and --help shows: a run's own, or those of a preset.
 
     Raises:
-        CadenzaError: there is no such run, or no such learner.
+        CadenzaError: there is no such run, learner or setup.
     """
     words = [word for argument in arguments for word in argument.split("=", 1)]
     following = dict(pairwise(words))
@@ -98,7 +99,9 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
         return RunFolder(Path(following["--resume"])).description()[0]
     name = following.get("--preset", "fast")
     known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
-    return preset(known, "--residual" in arguments, following.get("--learner", DROQ))
+    setup = following.get("--setup")
+    otherwise = None if setup is None else setup_named(setup).training
+    return preset(known, "--residual" in arguments, following.get("--learner", DROQ), otherwise)
 
 
 def train(command: Train) -> None:

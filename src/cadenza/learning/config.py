@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.learning.algorithms.cloning.config import CloningConfig
@@ -56,12 +58,18 @@ class TrainingConfig:
         return max(math.ceil(rounds * self.gradient_steps), 0)
 
 
-def preset(name: Preset, residual: bool = False, learner: str = DROQ) -> TrainingConfig:
+def preset(
+    name: Preset,
+    residual: bool = False,
+    learner: str = DROQ,
+    otherwise: Mapping[str, Any] | None = None,
+) -> TrainingConfig:
     """What a run begins with.
 
     paper: the table of the paper. published: the same with what the published run script sets
-    differently, and the two reward terms of the published code. fast: for few cores. With
-    `residual` a run learns corrections to a plan, which are small.
+    differently, and the two reward terms of the published code. fast: for few cores, and with
+    what a setup has `otherwise` (`NamedSetup.training`). With `residual` a run learns corrections
+    to a plan, which are small.
 
     Raises:
         CadenzaError: there is no `learner` of this name.
@@ -73,9 +81,19 @@ def preset(name: Preset, residual: bool = False, learner: str = DROQ) -> Trainin
             config = TrainingConfig(task=TaskConfig(sustain_term=True, forearm_term=True))
         case "fast":
             config = _fast_residual() if residual else _fast()
-    return replace(
+    config = replace(
         config, learner=learner_config(learner).preset(name, residual), residual=residual
     )
+    return _with(otherwise or {}, config) if name == "fast" and not residual else config
+
+
+def _with(options: Mapping[str, Any], config: TrainingConfig) -> TrainingConfig:
+    """Changed where it, or its learner, has such an option; another learner has others."""
+    own, its = (
+        {f.name: options[f.name] for f in fields(each) if f.name in options}
+        for each in (config, config.learner)
+    )
+    return replace(config, learner=replace(config.learner, **its), **own)
 
 
 def _fast() -> TrainingConfig:

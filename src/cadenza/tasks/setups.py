@@ -40,6 +40,8 @@ class NamedSetup:
     """Fields of `SceneConfig` and `TaskConfig`; the others keep their defaults."""
     agent: str | None = None
     """Who plays unless another agent is chosen; None for the usual one."""
+    training: Mapping[str, Any] = field(default_factory=dict)
+    """What the preset fast has otherwise here: fields of `TrainingConfig` and of its learner."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: no configuration has such an option."""
@@ -64,7 +66,16 @@ MINI_ALLEGRO = NamedSetup(
         "fingering_margin": 0.04,
         "key_press": "graded",
         "energy_coefficient": 0.001,
-    }
+    },
+    training={
+        "num_steps": 160_000,
+        "learning_starts": 2_000,
+        "gradient_steps": 30,
+        "hidden_sizes": (128, 128),
+        "initial_temperature": 0.003,
+        "final_learning_rate_fraction": 0.1,
+        "actor_ema": 0.001,
+    },
 )
 ARM_ALLEGRO = NamedSetup(
     {"hand": "arm-allegro", "hands": "apart", "initial_buffer_time": 1.0}, "icp"
