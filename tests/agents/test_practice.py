@@ -167,7 +167,8 @@ def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
         scene = stage.beginning()
         stage.play(scene, 0, pushed, one.take.heard(0), one.num_steps)
         rngs = [np.random.default_rng(hand) for hand in range(2)]
-        hands.follow(stage.tracking(one.take), one.take.sounding, first, rngs)
+        parts = [part.holding(one.take.sounding) for part in one._parts]
+        hands.follow(stage.tracking(one.take), parts, first, rngs)
         rest, heard = one.take.part(first, one.num_steps), one.take.heard(first)
         act = hands.act if search else None
         return float(stage.play(scene, first, rest, heard, one.num_steps, act)[0].loss.sum())
@@ -177,6 +178,30 @@ def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
     assert sum(searched) < 0.7 * sum(led_back)
     assert lost(*pushes[0], search=True) == searched[0]  # whatever they did before
     assert hands.simulated > 0
+
+
+def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
+    one = practice()
+    one.run(0.0)
+    (hand,) = [hand for hand in one.hands if hand._part.mine.any()]
+    first, last = 6, one.num_steps
+    steps, servos = last - first, one.take.ctrl[:, hand.servos].shape[1]
+
+    def trial(offsets: NDArray[np.float64]) -> Any:
+        before = np.pad(offsets, ((1, 0), (0, 0)))
+        return hand._try(one.take, first, np.inf, np.zeros(steps), before)
+
+    def astray(fingertips: list[NDArray[np.float64]]) -> float:
+        off = np.array(fingertips) - hand._part.fingertips[first + 1 :]
+        return float((hand._part.weight[first + 1 :] * (off**2).sum(axis=2)).sum())
+
+    scene = one._stage.beginning()
+    for ctrl in one.take.ctrl[:first]:
+        scene.step(ctrl[None])
+    hand._begin_trials(scene, np.zeros((1, 1, servos)), first, last)
+    as_it_is = trial(np.zeros((steps, servos)))
+    corrected, *_ = hand._corrections(as_it_is, first, steps, np.random.default_rng(0))
+    assert astray(trial(corrected).fingertips) < 0.8 * astray(as_it_is.fingertips)
 
 
 @pytest.mark.slow

@@ -269,6 +269,31 @@ def test_fingertips_that_go_astray_are_corrected() -> None:
     assert min(trial.mistakes for trial in after) < before.mistakes
 
 
+def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> None:
+    plan = whole_plan(melody(60, length=0.5))
+    part, key, wrong = refinement.HandPart(plan, "right"), 60 - 21, 65 - 21
+    first, *_, last = np.flatnonzero(plan.goals.keys[:, key])
+    rows = np.arange(first, last + 1)
+    ahead = refinement._Ahead(part, rows, PIANO, slice(None))
+
+    def cost(key: int, sounds: str) -> float:
+        """Of a key of its own or a wrong one that sounds where the text has an x."""
+        before, total = np.zeros(88, bool), 0.0
+        for k, down in enumerate(sounds):
+            key_qpos = np.zeros(88)
+            key_qpos[key] = PIANO.travel[key] * (down == "x")
+            more, _, before = ahead.cost(k, key_qpos, part.fingertips[rows[k] + 1], before)
+            total += more
+        return total
+
+    in_time = cost(key, "xxxxxxxxxx")
+    lost = cost(key, ".xxxxxxxxx") - in_time
+    assert lost > 0
+    assert cost(key, "..xxxxxxxx") - in_time > 2 * lost
+    assert cost(key, "xxxxx.xxxx") - in_time > cost(key, "xxxxxxxxx.") - in_time > 0
+    assert cost(wrong, "..x.x.....") > cost(wrong, "..xx......") > cost(wrong, "..........")
+
+
 def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     task = PianoTask([melody(60, 72, 61, length=0.2)], BUFFER, SceneConfig(hands="right"))
     agent = ScorePlanner()

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.correction import Correction
 from cadenza.agents.planning.losses import Losses
 from cadenza.agents.planning.refinement import EXPECTED, HandPart
 from cadenza.agents.planning.song_plan import SongPlan
@@ -30,7 +31,8 @@ from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 
-_CANDIDATES = 24  # variations that are tried
+_CANDIDATES = 18  # variations that are drawn
+_CORRECTED = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)  # times the way that fingertips are off, as tried too
 _BEFORE = 0.6  # [s] at most that a variation begins before what it is to mend
 _BEYOND = 0.6  # [s] for which it is judged after it
 
@@ -64,6 +66,10 @@ class _Trial(NamedTuple):
     expected: Array
     steps: list[float]
     """What each of the steps that were simulated cost."""
+    fingertips: list[Array]
+    """(F, 3) after each of them [m]."""
+    hand_qpos: list[Array]
+    """(J,) likewise [m, rad]."""
 
 
 class HandPractice:
@@ -94,6 +100,7 @@ class HandPractice:
         self._gain, self._to_posture = tracking.gain, Follower(alone, tracking).posture
         self._part, self._losses, self._threads = part, Losses(plan, part), threads
         self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
+        self._toward = Correction(alone)
         self._trials = HandTrials(alone, dt, plan.scene)
         self._before, self._beyond = steps_in(_BEFORE, dt), steps_in(_BEYOND, dt)
         self._keys = plan.goals.keys
@@ -126,9 +133,7 @@ class HandPractice:
         path, simulation = take.expected[:, self.servos, 0], at(begin)
         offsets = self._variations.draw(path, begin, changed, _CANDIDATES, rng)
         self._begin_trials(simulation, offsets, begin, end)
-        # What a hand's servos are moved by before each step; first of all, by nothing.
-        before = np.pad(offsets, ((1, 0), (1, end - begin - offsets.shape[1]), (0, 0)))
-        best, simulated = self._best_of(before, take, begin)
+        best, simulated = self._best_of(offsets, take, begin, end, rng)
         change = Change(begin, best.ctrl, best.expected) if best else None
         return Attempt(step, begin, change, simulated)
 
@@ -151,17 +156,25 @@ class HandPractice:
             simulation, low + min(slides.min(), 0.0), high + max(slides.max(), 0.0)
         )
 
-    def _best_of(self, offsets: Array, take: Take, first: int) -> tuple[_Trial | None, int]:
-        """The cheapest trial with `offsets` (1 + N, L + 1, A), if it is cheaper than the first.
+    def _best_of(
+        self, offsets: Array, take: Take, first: int, end: int, rng: np.random.Generator
+    ) -> tuple[_Trial | None, int]:
+        """The cheapest trial with `offsets` (N, L, A), or corrections, if cheaper than the take.
 
         And how many control steps were simulated. Trials are made in pairs, so that an idle thread
         can take one of each: what is known of the pairs before decides what is given up, however
         many threads there are.
         """
-        as_it_is = self._try(take, first, np.inf, np.zeros(len(offsets[0]) - 1), offsets[0])
-        best, most, simulated = None, as_it_is.cost, len(as_it_is.steps)
+        steps, changed = end - first, offsets.shape[1]
+        as_it_is = self._try(
+            take, first, np.inf, np.zeros(steps), np.zeros((steps + 1, offsets.shape[2]))
+        )
+        offsets = np.concatenate([self._corrections(as_it_is, first, changed, rng), offsets])
+        # What a hand's servos are moved by before each step.
+        offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
+        best, most, simulated = None, as_it_is.cost, steps
         least = np.array(as_it_is.steps)
-        for i in range(1, len(offsets), PLACES):
+        for i in range(0, len(offsets), PLACES):
             rest = EXPECTED * (least.sum() - np.cumsum(least))
             tries = [
                 partial(self._try, take, first, most, rest, each, place)
@@ -174,6 +187,21 @@ class HandPractice:
                 if trial.cost < most:
                     best, most = trial, trial.cost
         return best, simulated
+
+    def _corrections(
+        self, as_it_is: _Trial, first: int, changed: int, rng: np.random.Generator
+    ) -> Array:
+        """(C, L, A) what takes fingertips, or some of them, nearer to where the plan has them."""
+        states = slice(first + 1, first + 1 + changed)
+        off = self._part.fingertips[states] - np.array(as_it_is.fingertips[:changed])
+        weight = self._part.weight[states] / self._part.weight.max()
+        change = self._toward.of(self._trials, np.array(as_it_is.hand_qpos[:changed]), off, weight)
+        change = change[np.minimum(np.arange(1, changed + 1), changed - 1)]
+        some = [np.ones(change.shape[1], bool)] * 2
+        some += [self._variations.servos(rng) for _ in _CORRECTED[2:]]
+        return np.stack(
+            [times * change * each for times, each in zip(_CORRECTED, some, strict=True)]
+        )
 
     def _try(
         self, take: Take, first: int, most: float, rest: Array, offsets: Array, place: int = 0
@@ -200,11 +228,14 @@ class HandPractice:
                 yield ctrl[k]
 
         cost, heard, steps = 0.0, take.heard(first).of(trials.keys), list[float]()
+        tips, qpos = list[Array](), list[Array]()
         for key_qpos, fingertips in trials.run(controls(), place):
             row = first + len(steps)
             _, more, heard = self._losses.after(row, key_qpos, fingertips, heard, trials.keys)
             cost += more
             steps.append(more)
+            tips.append(fingertips)
+            qpos.append(trials.hand_joints(place)[0].copy())
             if cost + rest[len(steps) - 1] >= most:
-                return _Trial(np.inf, ctrl, expected, steps)
-        return _Trial(np.inf if trials.unstable(place) else cost, ctrl, expected, steps)
+                return _Trial(np.inf, ctrl, expected, steps, tips, qpos)
+        return _Trial(np.inf if trials.unstable(place) else cost, ctrl, expected, steps, tips, qpos)

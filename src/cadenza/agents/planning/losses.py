@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.refinement import FURTHEST, NO_HARM, HandPart
+from cadenza.agents.planning.correction import FURTHEST
+from cadenza.agents.planning.refinement import NO_HARM, HandPart, later
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.tasks import reward
 
@@ -47,11 +48,11 @@ class Losses:
         keys = plan.goals.keys
         self._part, self._keyboard = part, plan.scene.keyboard
         self._keys, self._wanted = keys, keys.sum(axis=1)
-        first, first_of_all = (each & ~_late(each, 1) for each in (part.mine, keys))
+        first, first_of_all = (each & ~later(each, 1) for each in (part.mine, keys))
         # A key that is struck again is wanted a step after its note begins.
-        again = first & _late(keys, 2)
-        self._now, self._now_or_before = again, _late(first & ~again, 1)
-        self._welcome = first_of_all | _late(first_of_all, 1)
+        again = first & later(keys, 2)
+        self._now, self._now_or_before = again, later(first & ~again, 1)
+        self._welcome = first_of_all | later(first_of_all, 1)
         self._onset = ONSETS * len(keys) / max(int(first_of_all.sum()), 1)
 
     def after(
@@ -96,8 +97,3 @@ class Losses:
         astray = np.minimum((offset * offset).sum(axis=1), FURTHEST**2) @ part.weight[row + 1]
         nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray
         return float(loss), float(loss + nearly), Heard(sounding, begins)
-
-
-def _late(keys: Mask, steps: int) -> Mask:
-    """(T, K) `steps` later."""
-    return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]

@@ -16,6 +16,7 @@ machine, by however many threads it is made.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -33,6 +34,7 @@ from cadenza.agents.planning.refinement import HandPart, Memory
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.agents.planning.takes import Moments, Stage, Take
+from cadenza.configs import identity
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
 from cadenza.music.metrics import playing_metrics, step_metrics
@@ -101,10 +103,10 @@ class Practice:
         plan = self.plan = plan_song(track, self._start, progress)
         sides, nominal, dt = plan.scene.sides, plan.nominal.tracking, track.config.control_timestep
         self._threads = Threads(num_threads)
-        parts = [HandPart(plan, side) for side in sides]
-        self._searching = SearchingHands(plan, parts, config, rng, self._threads)
+        parts = self._parts = [HandPart(plan, side) for side in sides]
+        self._searching = SearchingHands(plan, config, rng, self._threads)
         self._seed = int(rng.integers(2**63))
-        self._about = repr((self._seed, config)).encode()
+        self._about = json.dumps([self._seed, identity(config)]).encode()
         self.hands = [
             HandPractice(plan, side, part, self._threads)
             for side, part in zip(sides, parts, strict=True)
@@ -243,7 +245,8 @@ class Practice:
             self._put(first, *self._played(self.take, first, last))
             return
         rngs = [np.random.default_rng((self._seed, self._units, i)) for i in range(len(self.hands))]
-        self._searching.follow(self._stage.tracking(before), before.sounding, first, rngs)
+        parts = [part.holding(before.sounding) for part in self._parts]
+        self._searching.follow(self._stage.tracking(before), parts, first, rngs)
         self._put(first, *self._played(self.take, first, last, self._searching.act))
         self.simulated += self._searching.simulated
 

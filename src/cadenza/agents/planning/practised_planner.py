@@ -9,10 +9,10 @@ import numpy as np
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.refinement import HandOfTwo
+from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking
-from cadenza.fingers import Side
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
 
@@ -63,22 +63,22 @@ class PractisedPlanner:
         self.plan, self._tracking = plan, rehearsal.tracking
         self._posture = Follower(plan.scene, rehearsal.tracking).posture
         self._config, self._rng, self._threads = config, rng, Threads(num_threads)
-        self._hands: list[HandOfTwo] = []
+        self._searching: SearchingHands | None = None
 
     def act(self, view: View) -> Array:
         """(A,) the next action."""
         state, step = view.state, int(view.steps[0])
-        ctrl = self._tracking.ctrl[step].copy()
-        if not self._hands:
+        ctrl = self._tracking.ctrl[step]
+        if not self._searching:
             here = self._posture(state.hand_qpos[0], state.hand_qvel[0])
             if not (here == self._tracking.expected[step]).all():
-                self._hands = [self._searching(side, step) for side in self.plan.scene.sides]
-        for hand in self._hands:
-            ctrl[hand.servos] = hand.act(state)
+                self._searching = self._searching_from(step)
+        if self._searching:
+            ctrl = self._searching.act(state)
         return np.append(ctrl, self.plan.goals.sustain[step])
 
-    def _searching(self, side: Side, step: int) -> HandOfTwo:
-        (rng,) = self._rng.spawn(1)
-        hand = HandOfTwo.of(self.plan, side, self._tracking, self._config, rng, self._threads)
-        hand.refinement.skip_to(step)
-        return hand
+    def _searching_from(self, step: int) -> SearchingHands:
+        hands = SearchingHands(self.plan, self._config, self._rng, self._threads)
+        parts = [HandPart(self.plan, side) for side in self.plan.scene.sides]
+        hands.follow(self._tracking, parts, step, self._rng.spawn(len(parts)))
+        return hands

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.correction import FURTHEST, Correction
 from cadenza.agents.planning.presses import RISE
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.fingers import SIDES, Side
 from cadenza.keyboards.keyboard import Keyboard
+from cadenza.music.metrics import ONSET_TOLERANCE
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_trials import PLACES, HandTrials
@@ -41,17 +43,16 @@ _DETOURS = (0.1, 0.2, 0.3)  # [s] for which it or the hand is lifted
 _UP = 0.1  # [s] of them, straight up: what pushes against a key is kept from rising by friction
 _FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys that it holds
 _CORRECTED = np.array([1.0, 2.0])  # times the way that fingertips are off, a plan is corrected by
-_NEAR = 0.001  # [m] to which they are corrected with servos that move as far as noise moves them
 _HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 
 _WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
+_ONSET = 3.0  # of a note that has not begun in time, and of a key that begins where no note does
 _ALMOST = (
     3.0  # of a key's travel that lacks to the stop, or passes what does not yet sound, squared
 )
 NO_HARM = 0.3  # of its travel that a key may be down
-_ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
+ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
 _IDLE_ASTRAY = 200.0
-FURTHEST = 0.03  # [m] further away does not count more
 _COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
 _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
@@ -72,6 +73,8 @@ class HandPart:
         mine: (T, K) keys that this hand should hold down.
         planned: (T, K) those of them that the plan holds down, where it goes.
         wrong: (T, K) keys that it should not.
+        due: (T, K) its keys that are late unless they sound by then.
+        unwelcome: (T, K) keys, its own or wrong ones, that should not begin to sound.
         fingertips: (P + 1, F, 3) where its F fingertips should be [m].
         fingers: their numbers.
         playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
@@ -86,13 +89,18 @@ class HandPart:
         dt = plan.track.config.control_timestep
         keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
         self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
-        first, count = self.fingers.start, plan.scene.fingers.per_hand
-        self.mine = keys & (fingers >= first) & (fingers < self.fingers.stop)
+        thumb, count = self.fingers.start, plan.scene.fingers.per_hand
+        self.mine = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
         others = keys & ~self.mine
         soon = others.copy()
         for late in range(1, steps_in(_LEAVING, dt) + 1):
             soon[late:] |= others[:-late]
         self.wrong = ~keys & ~soon
+        first, in_time = keys & ~later(keys, 1), int(ONSET_TOLERANCE / dt + 1e-9)
+        again = first & later(keys, 2)  # a note of the same key ends as this one should begin
+        self.due = self.mine & (again | later(first & ~again, in_time))
+        welcome = [later(first, steps) for steps in range(in_time + 1)]
+        self.unwelcome = (self.mine | self.wrong) & ~np.any(welcome, axis=0)
         row = count * plan.scene.sides.index(side)
         self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.mine)
@@ -102,8 +110,8 @@ class HandPart:
             if press.side == side:
                 self.planned[press.first - 1 : press.last - 1, press.key] = True
                 about = max(press.first - about_to_press, 0)
-                self.playing[about : press.last + rise, press.finger - first] = True
-        self.weight = np.where(self.playing, _ASTRAY, _IDLE_ASTRAY)
+                self.playing[about : press.last + rise, press.finger - thumb] = True
+        self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
 
     def holding(self, sounding: Mask) -> HandPart:
         """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
@@ -164,7 +172,7 @@ class HandRefinement:
         self._lifts = _lifts(self._lift, _LIFTED, self._horizon, dt)
         self._further = max(self._horizon, steps_in(_FREED, dt))
         self._twin = PlanningSimulation(scene, 1, dt)
-        self._trials = HandTrials(scene, dt)
+        self._trials, self._toward = HandTrials(scene, dt), Correction(scene)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
@@ -368,11 +376,7 @@ class HandRefinement:
         if not np.isfinite(trial.cost):
             return plan[None][:0]
         off, weight = self._ahead.astray(np.array(trial.fingertips))
-        motion = self._trials.fingertip_motion(np.array(trial.hand_qpos)) @ self._servos.joints.T
-        slope = (motion * self._sigma).reshape(len(off), -1, len(self._sigma))  # of noise
-        pull = slope.transpose(0, 2, 1) * np.repeat(weight, 3, axis=1)[:, None] / _NEAR**2
-        square = pull @ slope + np.eye(len(self._sigma))
-        change = np.linalg.solve(square, pull @ off.reshape(len(off), -1, 1))[..., 0] * self._sigma
+        change = self._toward.of(self._trials, np.array(trial.hand_qpos), off, weight)
         rows = np.minimum(np.arange(1, len(plan) + 1), len(change) - 1)
         return self._clip(plan + _CORRECTED[:, None, None] * change[rows])
 
@@ -405,7 +409,9 @@ class HandRefinement:
         y = np.concatenate([here[:, 1], there[..., 1].ravel()])
         self._trials.begin_from(self._twin, float(y.min()), float(y.max()))
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        self._ahead = _Ahead(self._part, inside, self._keyboard, self._trials.keys)
+        keys = self._trials.keys
+        self._ahead = _Ahead(self._part, inside, self._keyboard, keys)
+        self._sounding = self._twin.state.key_qpos[0, keys] >= self._keyboard.sounds_from[keys]
         self._least = np.full(len(inside), np.inf)
 
     def _try_all(self, candidates: Array, most: float) -> list[_Trial]:
@@ -434,11 +440,11 @@ class HandRefinement:
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
         cost, mistakes, steps, tips, qpos = 0.0, 0, list[float](), list[Array](), list[Array]()
-        given_up = False
+        given_up, sounding = False, self._sounding
         for k, (key_qpos, fingertips) in enumerate(
             self._trials.run(ctrl[: len(self._least)], place)
         ):
-            more, wrong = self._ahead.cost(k, key_qpos, fingertips)
+            more, wrong, sounding = self._ahead.cost(k, key_qpos, fingertips, sounding)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
             tips.append(fingertips)
@@ -486,6 +492,7 @@ class _Ahead:
         mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
         self._mine, self._counts = mine, mine | wrong
         self._mistaken = (mine & part.planned[rows, keys]) | wrong
+        self._due, self._unwelcome = part.due[rows, keys], part.unwelcome[rows, keys]
         self._sounds_from = keyboard.sounds_from[keys]
         # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
         sign = wrong.astype(np.float64) - mine
@@ -495,8 +502,10 @@ class _Ahead:
         self._weight = part.weight[rows + 1]
         self._weight[-1] *= _AT_THE_END
 
-    def cost(self, k: int, key_qpos: Array, fingertips: Array) -> tuple[float, int]:
-        """Cost and mistakes of a state after the k-th of the steps.
+    def cost(
+        self, k: int, key_qpos: Array, fingertips: Array, before: Mask
+    ) -> tuple[float, int, Mask]:
+        """Cost and mistakes of a state after the k-th of the steps, and the keys that sound.
 
         A key that the plan lets go early is no mistake to search for, though it costs.
 
@@ -504,23 +513,26 @@ class _Ahead:
             k: which step.
             key_qpos: (K,) of the keys that count [rad].
             fingertips: (F, 3) [m].
+            before: (K,) those that sounded before the step.
         """
-        amiss = ((key_qpos >= self._sounds_from) ^ self._mine[k]) & self._counts[k]
+        sounding = key_qpos >= self._sounds_from
+        amiss = (sounding ^ self._mine[k]) & self._counts[k]
         wrong = int(np.count_nonzero(amiss))
+        amiss_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
+        onsets = int(np.count_nonzero(amiss_onsets))
         lacking = np.maximum(self._slope[k] * key_qpos + self._offset[k], 0.0)
         offset = (fingertips - self._fingertips[k]) * _COUNTS
         astray = np.minimum((offset * offset) @ _ONES, FURTHEST**2) @ self._weight[k]
         mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
-        return float(_WRONG * wrong + _ALMOST * (lacking @ lacking) + astray), mistakes
+        cost = _WRONG * wrong + _ONSET * onsets + _ALMOST * (lacking @ lacking) + astray
+        return float(cost), mistakes, sounding
 
     def astray(self, fingertips: Array) -> tuple[Array, Array]:
         """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].
 
         And (H, F) how much they count: 1 for those that play.
         """
-        off = self._fingertips - fingertips
-        far = np.linalg.norm(off, axis=2, keepdims=True)
-        return off * (FURTHEST / np.maximum(far, FURTHEST)), self._weight / _ASTRAY
+        return self._fingertips - fingertips, self._weight / ASTRAY
 
 
 class HandOfTwo(NamedTuple):
@@ -557,6 +569,11 @@ class HandOfTwo(NamedTuple):
     def _here(self, state: State) -> tuple[Array, Array, Array]:
         qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
         return qpos, qvel, state.key_qpos[0]
+
+
+def later(keys: Mask, steps: int) -> Mask:
+    """(T, K) `keys` (T, K), so many steps later."""
+    return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]
 
 
 def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:

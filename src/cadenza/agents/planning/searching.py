@@ -15,7 +15,6 @@ from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class SearchingHands:
@@ -24,20 +23,18 @@ class SearchingHands:
     def __init__(
         self,
         plan: SongPlan,
-        parts: Sequence[HandPart],
         config: ScorePlannerConfig,
         rng: np.random.Generator,
         threads: Threads,
     ) -> None:
         """Args:
         plan: of the whole song, which they follow first.
-        parts: of each hand.
         config: how to search.
         rng: what is random.
         threads: that share the search.
         """
         sides, nominal = plan.scene.sides, plan.nominal.tracking
-        self._parts, self._threads, self._size = parts, threads, nominal.ctrl.shape[1]
+        self._threads, self._size = threads, nominal.ctrl.shape[1]
         self._hands = [
             HandOfTwo.of(plan, side, nominal, config, hand_rng, threads)
             for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
@@ -69,18 +66,22 @@ class SearchingHands:
             hand.refinement.remember(memory)
 
     def follow(
-        self, tracking: Tracking, sounding: Mask, step: int, rngs: Sequence[np.random.Generator]
+        self,
+        tracking: Tracking,
+        parts: Sequence[HandPart],
+        step: int,
+        rngs: Sequence[np.random.Generator],
     ) -> None:
         """From a step on, follow what was played, and search where less of it would sound now.
 
         Args:
             tracking: of what was played.
-            sounding: (T, K) the keys that sounded.
+            parts: what each hand has to do, with the keys that sounded as those that it holds.
             step: with which to go on.
             rngs: what is random, of each hand.
         """
-        for hand, part, rng in zip(self._hands, self._parts, rngs, strict=True):
-            hand.refinement.follow(part.holding(sounding), tracking.of(hand.servos))
+        for hand, part, rng in zip(self._hands, parts, rngs, strict=True):
+            hand.refinement.follow(part, tracking.of(hand.servos))
             hand.refinement.start_over(step, rng)
 
     @property

@@ -66,7 +66,7 @@ class Variations:
             self._lifted,
         )
         after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
-        drawn = [kinds[i % len(kinds)](path, after, rng) * self._servos(rng) for i in range(count)]
+        drawn = [kinds[i % len(kinds)](path, after, rng) * self.servos(rng) for i in range(count)]
         return np.stack(drawn)
 
     def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
@@ -93,7 +93,7 @@ class Variations:
         towards = self._planned[after] if rng.random() < 0.5 else path[after[0] - 1]
         return rng.uniform(*_SHARES) * (towards - path[after])
 
-    def _servos(self, rng: np.random.Generator) -> Mask:
+    def servos(self, rng: np.random.Generator) -> Mask:
         """(A,) those that change."""
         kind = rng.random()
         if kind < _ALL:
