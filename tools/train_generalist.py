@@ -26,7 +26,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.agents.generalist.generalist import CorrectedHand
+from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.inputs import About, fingers_of_servos
 from cadenza.agents.generalist.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song

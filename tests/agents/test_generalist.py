@@ -10,14 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist import weights as weights_module
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.generalist import CorrectedHand, Generalist
+from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.inputs import Corrections
 from cadenza.agents.generalist.weights import Weights
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Tracking
@@ -27,10 +30,12 @@ from cadenza.fingers import SIDES
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 from numbered import finger
@@ -167,7 +172,14 @@ def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
 def test_plays_better_than_its_plan() -> None:
     score = load_score("CanonInDOpening").beginning(6.0)
     alone = ScorePlannerConfig(method="none")
-    assert play(score, Generalist())["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
+    at_once = Generalist(GeneralistConfig(rehearsals=0))
+    assert play(score, at_once)["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
+
+
+def test_plays_better_for_rehearsing() -> None:
+    score = load_score("MoonlightOpening").beginning(5.0)
+    at_once = Generalist(GeneralistConfig(rehearsals=0))
+    assert play(score, Generalist())["f1"] > play(score, at_once)["f1"] + 0.03
 
 
 def test_plays_the_same_each_time() -> None:
@@ -261,3 +273,93 @@ score = cadenza.Score((cadenza.Note(0.0, 0.5, 60),))
 cadenza.play(score, "generalist")
 print("jax" in sys.modules)"""
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
+
+# What is in sight only
+
+
+def actions(score: Score, look_ahead: float) -> Array:
+    agent = Generalist(GeneralistConfig(look_ahead=look_ahead))
+    return play_episode(PianoTask([score], TASK), agent, 0).episode["action"]
+
+
+@pytest.mark.parametrize("look_ahead", [0.5, 2.0])
+def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead: float) -> None:
+    known = load_score("BachPreludeInCMajor").beginning(4.5)
+    others = tuple(Note(4 + i / 4, 5 + i / 4, 40 + i, 80) for i in range(12))
+    changed = replace(known, notes=tuple(n for n in known.notes if n.end <= 4.0) + others)
+    one, other = (goals_of(score) for score in (known, changed))
+    alike = int((one[: len(other)] != other[: len(one)]).any(axis=1).argmax())
+    blind = alike - round(look_ahead / TASK.control_timestep)
+    assert blind > 20
+    first, second = (actions(score, look_ahead) for score in (known, changed))
+    np.testing.assert_array_equal(first[:blind], second[:blind])
+    assert (first[blind:alike] != second[blind:alike]).any()
+
+
+def goals_of(score: Score) -> NDArray[np.bool_]:
+    """(T, K) keys and pedal."""
+    task = PianoTask([score], TASK)
+    goals = task.tracks[0].goals
+    task.close()
+    return np.column_stack([goals.keys, goals.sustain])
+
+
+@pytest.mark.parametrize(("look_ahead", "least"), [(0.5, 0.9), (2.0, 0.9)])
+def test_plays_at_sight(look_ahead: float, least: float) -> None:
+    score = load_score("CanonInDOpening").beginning(6.0)
+    assert play(score, Generalist(GeneralistConfig(look_ahead=look_ahead)))["f1"] > least
+
+
+def test_fingers_that_a_song_gives_are_not_in_sight() -> None:
+    given = notes_of_thumb_to_little(0)
+    other = notes_of_thumb_to_little(5)
+    np.testing.assert_array_equal(actions(given, 0.5), actions(other, 0.5))
+
+
+def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    work: list[int] = []
+    fingers = Kinematics.fingers
+
+    def noted(self: Kinematics, postures: Array) -> tuple[Array, Array]:
+        work[-1] += len(postures)
+        return fingers(self, postures)
+
+    notes = tuple(Note(i / 8, (i + 1) / 8, WHITE[i % 8], 80) for i in range(160))
+    task = PianoTask([Score(notes)], TASK)
+    (track,) = task.tracks
+    in_sight = InSight(
+        task.scene, players_of(task.scene), task.state.hand_qpos[0], TASK.control_timestep
+    )
+    tips = task.state.fingertip_xpos[0]  # astray most of the time
+    in_sight.look(0, track.goals.keys[:11], tips)
+    monkeypatch.setattr(Kinematics, "fingers", noted)
+    for step in range(in_sight.every, 380, in_sight.every):
+        work.append(0)
+        in_sight.look(step, track.goals.keys[step : step + 11], tips)
+    task.close()
+    assert max(work) <= 8 * 12
+    assert sum(work[-30:]) < 1.5 * sum(work[20:50])
+
+
+@pytest.mark.parametrize(("astray", "lifted"), [(0.0, False), (0.02, True)])
+def test_finger_that_is_caught_beside_its_key_is_lifted_over_all_keys_and_presses_again(
+    astray: float, lifted: bool
+) -> None:
+    task = PianoTask([Score((Note(0.0, 4.0, 64, 80),))], TASK)
+    (track,), dt = task.tracks, TASK.control_timestep
+    in_sight = InSight(task.scene, players_of(task.scene), task.state.hand_qpos[0], dt)
+    plan, tips = in_sight.look(0, track.goals.keys[:11], task.state.fingertip_xpos[0]), None
+    heights = []
+    for step in range(in_sight.every, 36, in_sight.every):
+        (finger,) = {press.finger for press in plan.presses}
+        tips = plan.fingertips[in_sight.every].copy()
+        tips[finger, 0] -= astray if step == 24 else 0.0  # it should be down since step 10
+        plan = in_sight.look(step, track.goals.keys[step : step + 11], tips)
+        heights += plan.fingertips[1 : in_sight.every + 1, finger, 2].tolist()
+    black = task.scene.keyboard.black.top
+    task.close()
+    down = heights[15]
+    assert down < black
+    assert (max(heights[21:27]) > black) == lifted
+    assert abs(heights[-1] - down) < 0.002

@@ -27,6 +27,7 @@ A note takes 10 to 20 us, and time and memory grow in proportion to the number o
 from __future__ import annotations
 
 from bisect import bisect
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import combinations
@@ -76,15 +77,9 @@ def playable(score: Score, players: Players) -> Playable:
     moments = []
     reasons: dict[int, str] = {}
     unheeded: dict[int, Finger] = {}
-    sounding = _Sounding(players)
+    sounding = Sounding(players)
     for time, begin in onsets(score, players.keyboard.lowest_pitch):
-        struck = {press.key for press in begin}
-        for press in list(sounding.presses):
-            if press.end <= time + LETTING_GO or press.key in struck:
-                sounding.release(press)
-        for press in outer_first(begin, sounding.presses):
-            if sounding.take(press):
-                continue
+        for press in sounding.go_on(time, begin):
             if press.finger is None:
                 reasons |= dict.fromkeys(press.notes, sounding.reason_against(press))
             else:
@@ -93,7 +88,7 @@ def playable(score: Score, players: Players) -> Playable:
     return Playable(tuple(moments), reasons, unheeded)
 
 
-class _Sounding:
+class Sounding:
     """What sounds, and all ways to play it.
 
     Attributes:
@@ -105,6 +100,21 @@ class _Sounding:
         self._whose = players.whose
         self._limits = _limits(players)
         self._sets = _EMPTY
+
+    def go_on(self, time: float, begin: Sequence[Press]) -> Iterator[Press]:
+        """To the moment at which others begin; yields each of them that is not taken, at once."""
+        struck = {press.key for press in begin}
+        for press in list(self.presses):
+            if press.end <= time + LETTING_GO or press.key in struck:
+                self.release(press)
+        for press in outer_first(begin, self.presses):
+            if not self.take(press):
+                yield press
+
+    def __copy__(self) -> Sounding:
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), presses=list(self.presses))
+        return other
 
     def release(self, press: Press) -> None:
         n = self.presses.index(press)

@@ -117,16 +117,17 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    chords = _chords(players)
-    moment = _beginning(chords)
-    choices: list[_Choice] = []
+    chords = chords_of(players)
+    ways = beginning(chords)
+    choices: list[Choice] = []
     chosen = playable(score, players)
     for sounding in chosen.moments:
-        moment = _moment(moment, sounding.time, sounding.presses, chords)
-        choices.append(moment.choice)
+        ways = ways_on(ways, sounding.time, sounding.presses, chords)
+        choices.append(ways.choice)
         if progress:
             progress(sounding.begun, len(score.notes))
-    fingers = chosen.unheeded | _cheapest(moment.cost, choices, players.reach.num_fingers)
+    found, _ = cheapest(ways.cost, choices, players.reach.num_fingers)
+    fingers = chosen.unheeded | found
     notes = tuple(
         replace(note, finger=fingers.get(i)) if note.finger is None else note
         for i, note in enumerate(score.notes)
@@ -135,14 +136,14 @@ def solve(
         score=replace(score, notes=notes),
         dropped=tuple(Dropped(notes[i], why) for i, why in sorted(chosen.reasons.items())),
         unheeded=tuple(notes[i] for i in sorted(chosen.unheeded)),
-        cost=float(moment.cost.min()),
+        cost=float(ways.cost.min()),
     )
 
 
 # From moment to moment
 
 
-class _Choice(NamedTuple):
+class Choice(NamedTuple):
     """What has to be remembered of a moment, to tell in the end what the hands do in it."""
 
     presses: tuple[Press, ...]
@@ -152,8 +153,8 @@ class _Choice(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Moment:
-    """All states at a moment, and what they cost at the least.
+class Ways:
+    """All ways to come to a moment: its states, and what they cost at the least.
 
     presses             the m notes that sound, in the order of their keys
     cost (R, L)         of the cheapest way to this state of the right and this of the left hand
@@ -169,22 +170,24 @@ class _Moment:
     right_before: NDArray[np.unsignedinteger]
 
     @property
-    def choice(self) -> _Choice:
+    def choice(self) -> Choice:
         right, left = self.chord.hands
-        return _Choice(
+        return Choice(
             self.presses, (right.fingers, left.fingers), self.left_before, self.right_before
         )
 
 
-_chords = lru_cache(maxsize=8)(Chords)
+chords_of = lru_cache(maxsize=8)(Chords)
 
 
-def _beginning(chords: Chords) -> _Moment:
+def beginning(chords: Chords) -> Ways:
+    """Before the first note."""
     nothing = np.zeros((1, 1), np.uint8)
-    return _Moment(-1.0, (), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
+    return Ways(-1.0, (), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
 
 
-def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Chords) -> _Moment:
+def ways_on(before: Ways, time: float, presses: tuple[Press, ...], chords: Chords) -> Ways:
+    """From a moment on to the next, at `time` [s], in which `presses` sound."""
     asked = tuple(
         Asked(p.key, begins, p.finger if begins else None)
         for p in presses
@@ -211,7 +214,7 @@ def _moment(before: _Moment, time: float, presses: tuple[Press, ...], chords: Ch
     cost += left.cost
     cost += chord.close
     cost[cost >= NEVER] = np.inf
-    return _Moment(time, presses, chord, cost, left_before, right_before)
+    return Ways(time, presses, chord, cost, left_before, right_before)
 
 
 def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
@@ -220,11 +223,19 @@ def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinte
     np.add(ways.argmin(axis=2), first, out=before, casting="unsafe")
 
 
-def _cheapest(cost: Array, choices: Sequence[_Choice], num_fingers: int) -> dict[int, Finger]:
-    """Index of each note played -> its finger, on the way to the least of the last costs (R, L)."""
+def cheapest(
+    cost: Array, choices: Sequence[Choice], num_fingers: int
+) -> tuple[dict[int, Finger], list[tuple[int, int]]]:
+    """The way to the least of the last costs (R, L).
+
+    Returns:
+        Index of each note played -> its finger, and the states of both hands in each moment.
+    """
     fingers: dict[int, Finger] = {}
+    states = []
     state = np.unravel_index(cost.argmin(), cost.shape)
     for choice in reversed(choices):
+        states.append((int(state[0]), int(state[1])))
         for hand, (indices, s) in enumerate(zip(choice.fingers, state, strict=True)):
             presses = choice.presses if hand == 0 else choice.presses[::-1]
             for press, index in zip(presses, indices[s].tolist(), strict=True):
@@ -233,4 +244,4 @@ def _cheapest(cost: Array, choices: Sequence[_Choice], num_fingers: int) -> dict
         right, left = state
         right_before = choice.right_before[right, left]
         state = (right_before, choice.left_before[right_before, left])
-    return fingers
+    return fingers, states[::-1]

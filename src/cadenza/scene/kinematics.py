@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -13,8 +15,158 @@ from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
 
 TIP = -1  # the last of a finger's points
+
+
+class _Joints(NamedTuple):
+    """J joints, of as many bodies, of which one does not carry another."""
+
+    bodies: Ids
+    """(J,) among those of their level."""
+    servo: Ids
+    """(J,)"""
+    share: Array
+    """(J, 1) of the servo's coordinate."""
+    hinge: bool
+    axis: Array
+    """(J, 3)"""
+    anchor: Array
+    """(J, 3)"""
+    across: Array
+    """(J, 1, 3, 3) that multiplies by the axis, and"""
+    twice: Array
+    """(J, 1, 3, 3) its square."""
+    moved: list[list[int]]
+    """Points, by joint."""
+
+    def rotations(self, angle: Array) -> Array:
+        """(J, S, 3, 3) by angles (J, S) [rad] about the axes: Rodrigues' formula."""
+        sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+        return np.eye(3) + sin * self.across + (1 - cos) * self.twice
+
+
+class _Level(NamedTuple):
+    """B bodies that are equally many bodies away from the world."""
+
+    parents: Ids
+    """(B,) among those of the level before."""
+    pos: Array
+    """(B, 1, 3)"""
+    rot: Array
+    """(B, 1, 3, 3)"""
+    joints: list[_Joints]
+    points: Ids
+    """(N,) that they carry."""
+    carriers: Ids
+    """(N,) of these, among the bodies."""
+
+
+class _Moves(NamedTuple):
+    """N pairs of a joint and a point that it moves; no two have both the servo and the point."""
+
+    joint: Ids
+    """(N,) in the order of the levels."""
+    servo: Ids
+    """(N,)"""
+    share: Array
+    """(N, 1, 1) of the servo's coordinate."""
+    point: Ids
+    """(N,)"""
+    hinge: bool
+    again: bool
+    """Whether earlier ones have the same servos and points."""
+
+
+class Kinematics:
+    """Forward kinematics of the F fingers of a scene, written over arrays of postures.
+
+    The same as MuJoCo's, which takes one posture at a time. Joints without a servo stay at zero.
+    The P points of a finger are the origins of its links, and its tip. Bodies that are alike in
+    all fingers are moved together: of few postures, it is the number of calls that takes time.
+    """
+
+    def __init__(self, scene: Scene, servos: Servos) -> None:
+        model = scene.model
+        bodies = [int(body) for body in scene.hand_bodies]
+        index = {body: i for i, body in enumerate(bodies)}
+        self._num_servos = len(servos.low)
+        point_body, point_pos = [], []
+        chains = [(prefix(side), f.links) for side in scene.sides for f in scene.hand.fingers]
+        for (hand, links), site in zip(chains, scene.fingertip_sites, strict=True):
+            origins = [index[model.body(hand + link).id] for link in links]
+            point_body += [*origins, origins[-1]]
+            point_pos += [np.zeros(3)] * len(origins) + [model.site_pos[site].copy()]
+        self._num_points = len(scene.hand.fingers[0].links) + 1
+        self._point_pos = np.array(point_pos)[:, None, :, None]
+        parent = [index.get(int(model.body_parentid[body]), -1) for body in bodies]
+        chain: list[list[int]] = []  # of a body and those that carry it
+        for i, carrier in enumerate(parent):
+            chain.append([i] if carrier < 0 else [*chain[carrier], i])
+        moved = [
+            [p for p, body in enumerate(point_body) if i in chain[body]] for i in index.values()
+        ]
+        joints = [_joints_of(scene, servos, body) for body in bodies]
+        self._levels = []
+        before: list[int] = []
+        for depth in range(1, max(map(len, chain)) + 1):
+            level = [i for i, carriers in enumerate(chain) if len(carriers) == depth]
+            points = [p for p, body in enumerate(point_body) if body in level]
+            ids = [bodies[i] for i in level]
+            self._levels.append(
+                _Level(
+                    parents=_ids(before.index(parent[i]) for i in level if before),
+                    pos=model.body_pos[ids][:, None],
+                    rot=np.array([_matrix(quat) for quat in model.body_quat[ids]])[:, None],
+                    joints=_together([joints[i] for i in level], [moved[i] for i in level]),
+                    points=_ids(points),
+                    carriers=_ids(level.index(point_body[p]) for p in points),
+                )
+            )
+            before = level
+        self._moves = _moves([joints for level in self._levels for joints in level.joints])
+
+    def fingers(self, postures: Array) -> tuple[Array, Array]:
+        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A)."""
+        count, coordinates = len(postures), np.ascontiguousarray(postures.T)
+        points = np.zeros((len(self._point_pos), count, 3))
+        motions = []
+        rot, pos = np.zeros((0, count, 3, 3)), np.zeros((0, count, 3))
+        for i, level in enumerate(self._levels):
+            if i:
+                carrier = rot[level.parents]
+                pos = pos[level.parents] + (carrier @ level.pos[..., None])[..., 0]
+                rot = carrier @ level.rot
+            else:
+                pos = np.tile(level.pos, (1, count, 1))
+                rot = np.tile(level.rot, (1, count, 1, 1))
+            for joints in level.joints:
+                value = joints.share * coordinates[joints.servo]
+                turned, there = rot[joints.bodies], pos[joints.bodies]
+                axis = _turn(turned, joints.axis)
+                centre = there + _turn(turned, joints.anchor)
+                if joints.hinge:
+                    turned = turned @ joints.rotations(value)
+                    rot[joints.bodies] = turned
+                    pos[joints.bodies] = centre - _turn(turned, joints.anchor)
+                else:
+                    pos[joints.bodies] = there + axis * value[..., None]
+                motions.append((axis, centre))
+            on = (rot[level.carriers] @ self._point_pos[level.points])[..., 0]
+            points[level.points] = pos[level.carriers] + on
+        axes, centres = map(np.concatenate, zip(*motions, strict=True))
+        jacobian = np.zeros((self._num_servos, count, len(points), 3))
+        for moves in self._moves:
+            column = moves.share * axes[moves.joint]
+            if moves.hinge:
+                column = _cross(column, points[moves.point] - centres[moves.joint])
+            if moves.again:
+                column += jacobian[moves.servo, :, moves.point]
+            jacobian[moves.servo, :, moves.point] = column
+        shape = (count, len(points) // self._num_points, self._num_points, 3)
+        points = np.ascontiguousarray(points.transpose(1, 0, 2)).reshape(shape)
+        return points, np.moveaxis(jacobian, 0, -1).reshape(*shape, -1)
 
 
 class _Joint(NamedTuple):
@@ -23,82 +175,6 @@ class _Joint(NamedTuple):
     hinge: bool
     axis: Array
     anchor: Array
-
-
-class Kinematics:
-    """Forward kinematics of the F fingers of a scene, written over arrays of postures.
-
-    The same as MuJoCo's, which takes one posture at a time. Joints without a servo stay at zero.
-    The P points of a finger are the origins of its links, and its tip.
-    """
-
-    def __init__(self, scene: Scene, servos: Servos) -> None:
-        model = scene.model
-        bodies = [int(body) for body in scene.hand_bodies]
-        index = {body: i for i, body in enumerate(bodies)}
-        self._num_servos = len(servos.low)
-        self._parent = [index.get(int(model.body_parentid[body]), -1) for body in bodies]
-        self._pos = model.body_pos[bodies]
-        self._rot = np.array([_matrix(quat) for quat in model.body_quat[bodies]])
-        self._joints = [_joints_of(scene, servos, body) for body in bodies]
-        point_body, self._point_pos = [], []
-        chains = [(prefix(side), f.links) for side in scene.sides for f in scene.hand.fingers]
-        for (hand, links), site in zip(chains, scene.fingertip_sites, strict=True):
-            origins = [index[model.body(hand + link).id] for link in links]
-            point_body += [*origins, origins[-1]]
-            self._point_pos += [np.zeros(3)] * len(origins) + [model.site_pos[site].copy()]
-        self._num_points = len(scene.hand.fingers[0].links) + 1
-        self._point_body = point_body
-        self._moved = [self._points_below(i) for i in range(len(bodies))]
-
-    def _points_below(self, body: int) -> slice:
-        """The points that move with a body: those of a finger, or of a hand, are neighbours."""
-        below = []
-        for point, carrier in enumerate(self._point_body):
-            while carrier > body:
-                carrier = self._parent[carrier]
-            if carrier == body:
-                below.append(point)
-        return slice(below[0], below[-1] + 1) if below else slice(0, 0)
-
-    def fingers(self, postures: Array) -> tuple[Array, Array]:
-        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A)."""
-        count = len(postures)
-        poses: list[tuple[Array, Array]] = []
-        motions = []
-        for i, parent in enumerate(self._parent):
-            if parent >= 0:
-                rot, pos = poses[parent]
-                rot, pos = rot @ self._rot[i], pos + rot @ self._pos[i]
-            else:
-                rot = np.broadcast_to(self._rot[i], (count, 3, 3))
-                pos = np.broadcast_to(self._pos[i], (count, 3))
-            for joint in self._joints[i]:
-                value = joint.share * postures[:, joint.servo]
-                axis = rot @ joint.axis
-                centre = pos + rot @ joint.anchor
-                if joint.hinge:
-                    rot = rot @ _rotations(joint.axis, value)
-                    pos = centre - rot @ joint.anchor
-                else:
-                    pos = pos + axis * value[:, None]
-                motions.append((i, joint, axis, centre))
-            poses.append((rot, pos))
-        points = np.stack(
-            [
-                poses[body][1] + poses[body][0] @ pos
-                for body, pos in zip(self._point_body, self._point_pos, strict=True)
-            ],
-            axis=1,
-        )
-        jacobian = np.zeros((self._num_servos, *points.shape))
-        for i, joint, axis, centre in motions:
-            moved = self._moved[i]
-            column = jacobian[joint.servo, :, moved]
-            along = joint.share * axis[:, None]
-            column += _cross(along, points[:, moved] - centre[:, None]) if joint.hinge else along
-        shape = (count, len(self._point_body) // self._num_points, self._num_points, 3)
-        return points.reshape(shape), np.moveaxis(jacobian, 0, -1).reshape(*shape, -1)
 
 
 def _joints_of(scene: Scene, servos: Servos, body: int) -> list[_Joint]:
@@ -115,18 +191,83 @@ def _joints_of(scene: Scene, servos: Servos, body: int) -> list[_Joint]:
     return joints
 
 
+def _together(joints: list[list[_Joint]], moved: list[list[int]]) -> list[_Joints]:
+    """Those of the bodies of a level, which move these points; all their first ones come first."""
+    result = []
+    for nth in range(max(map(len, joints))):
+        for hinge in (False, True):
+            mine = [
+                b for b, some in enumerate(joints) if len(some) > nth and some[nth].hinge == hinge
+            ]
+            if mine:
+                some = [joints[b][nth] for b in mine]
+                axes = np.array([joint.axis for joint in some])
+                across = np.array([_across(axis) for axis in axes])[:, None]
+                result.append(
+                    _Joints(
+                        bodies=_ids(mine),
+                        servo=_ids(joint.servo for joint in some),
+                        share=np.array([[joint.share] for joint in some]),
+                        hinge=hinge,
+                        axis=axes,
+                        anchor=np.array([joint.anchor for joint in some]),
+                        across=across,
+                        twice=across @ across,
+                        moved=[moved[b] for b in mine],
+                    )
+                )
+    return result
+
+
+def _moves(groups: list[_Joints]) -> list[_Moves]:
+    """Of the joints of all levels; those of a servo that come later are apart."""
+    pairs: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
+    times = Counter[tuple[int, int]]()
+    first = 0
+    for group in groups:
+        for j, moved in enumerate(group.moved):
+            servo, share = int(group.servo[j]), float(group.share[j, 0])
+            for point in moved:
+                apart = times[servo, point], group.hinge
+                pairs.setdefault(apart, []).append((first + j, servo, share, point))
+                times[servo, point] += 1
+        first += len(group.moved)
+    result = []
+    for (nth, hinge), some in sorted(pairs.items()):
+        joint, servos, shares, points = zip(*some, strict=True)
+        result.append(
+            _Moves(
+                joint=_ids(joint),
+                servo=_ids(servos),
+                share=np.array(shares)[:, None, None],
+                point=_ids(points),
+                hinge=hinge,
+                again=nth > 0,
+            )
+        )
+    return result
+
+
+def _across(axis: Array) -> Array:
+    """(3, 3) that multiplies a vector by `axis`."""
+    x, y, z = axis
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def _ids(values: Iterable[int]) -> Ids:
+    return np.array(list(values), np.intp)
+
+
+def _turn(rot: Array, vectors: Array) -> Array:
+    """(B, S, 3) of rotations (B, S, 3, 3) and vectors (B, 3)."""
+    turned: Array = (rot @ vectors[:, None, :, None])[..., 0]
+    return turned
+
+
 def _matrix(quat: Array) -> Array:
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quat)
     return matrix.reshape(3, 3)
-
-
-def _rotations(axis: Array, angle: Array) -> Array:
-    """(S, 3, 3) rotations by angles (S,) [rad] about a unit axis: Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sin, cos = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -6,6 +6,7 @@ All figures are read off the compiled model.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
@@ -47,6 +48,11 @@ class Servos:
         """Those that slide the forearms, the right one first."""
         return [a for a, name in enumerate(self.names) if name == ALONG_KEYBOARD]
 
+    @cached_property
+    def of_joints(self) -> Array:
+        """(J, A) what makes coordinates of the joints' positions; the inverse of `joints`."""
+        return np.asarray(np.linalg.pinv(self.joints), np.float64)
+
     def lead(self, dt: float) -> Array:
         """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.
 
@@ -58,6 +64,7 @@ class Servos:
         return np.array([driven, 0.5 - damped - 2 * driven, 0.5 + damped + driven])
 
 
+@lru_cache(maxsize=8)  # short plans ask again and again
 def servos_of(scene: Scene) -> Servos:
     """The servos of a scene with hands."""
     model, dofs = scene.model, scene.hand_qvel

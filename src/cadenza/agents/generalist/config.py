@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from cadenza.configs import added
 
 
 @dataclass(frozen=True)
@@ -12,3 +14,8 @@ class GeneralistConfig:
     weights: str | None = None
     """File of what it has learnt, as tools/train_generalist.py writes it. By default, it is what
     comes with Cadenza for these hands."""
+    look_ahead: float | None = field(default=None, metadata=added(before=None))
+    """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
+    rehearsals: int = field(default=2, metadata=added(before=0))
+    """How often it plays each part of the plan in simulation first, to see where fingertips will be
+    astray. With 0, it plays what is planned at once. At sight, it never rehearses."""

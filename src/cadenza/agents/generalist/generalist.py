@@ -1,51 +1,64 @@
-"""Plays any score by its plan and what it has learnt about plans: nothing is searched or tried out.
+"""Plays any score by its plan and what it has learnt about plans: nothing is searched.
 
-The plan is inverse kinematics of the song, with feedback. What goes wrong with such plans is much
-the same in all music: a finger is caught, a thumb comes late. What corrects them, the same for both
-hands, has been learnt from the planner's search over many songs.
+The plan is inverse kinematics of the song, with feedback, rehearsed in simulation. What goes wrong
+with such plans is much the same in all music: a finger is caught, a thumb comes late. What corrects
+them, the same for both hands, has been learnt from the planner's search over many songs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.inputs import FAR, About, Corrections, HandInputs
-from cadenza.agents.generalist.weights import Floats, Weights, weights_of
-from cadenza.agents.planning.song_plan import SongPlan, song_plans
-from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.inputs import FAR
+from cadenza.agents.generalist.rehearsal import Rehearsal
+from cadenza.agents.generalist.weights import Weights, weights_of
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.in_sight import InSight
+from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
+from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.fingers import Side
-from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
+from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
+_MOST_REHEARSALS = 100
 
-class Generalist(PlannerPerEnv["GeneralistSong"]):
-    """Corrects the plan of a song by what it has learnt from many others.
+
+class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
+    """Corrects the plan of a song, or of what is in sight of it, by what it has learnt from others.
 
     Its progress is that of "fingers" and "postures".
     """
 
     def __init__(self, config: GeneralistConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
         super().__init__()
         self.config = config or GeneralistConfig()
+        if self.config.look_ahead is not None:
+            check_ranges(self.config, {"look_ahead": (0.2, 10.0)})
+        whole_number(self.config.rehearsals, "rehearsals", 0, _MOST_REHEARSALS)
 
-    def begin(self, view: View, rng: np.random.Generator) -> GeneralistSong:
+    def begin(self, view: View, rng: np.random.Generator) -> GeneralistSong | SightReader:
         """Raises:
         CadenzaError: there are no hands in the scene, it has not learnt to play with them, or what
             it has learnt is damaged.
         """
         (track,) = view.tracks
-        start = view.state.hand_qpos[0]
-        plans = song_plans(track.with_found_fingers(), start, self.progress)
         own = self.config.weights
         weights = weights_of(view.task.scene) if own is None else Weights.load(Path(own))
-        return GeneralistSong(plans, weights)
+        if self.config.look_ahead is not None:
+            return SightReader(track, view.state, self.config.look_ahead, weights)
+        plans = song_plans(track.with_found_fingers(), view.state.hand_qpos[0], self.progress)
+        return GeneralistSong(plans, view.state, weights, self.config.rehearsals)
 
 
 class GeneralistSong:
@@ -55,23 +68,25 @@ class GeneralistSong:
         plan: without corrections, as far as it goes; all of it when the song is over.
     """
 
-    def __init__(self, plans: Iterator[SongPlan], weights: Weights) -> None:
+    plan: SongPlan
+
+    def __init__(
+        self, plans: Iterator[SongPlan], start: State, weights: Weights, rehearsals: int
+    ) -> None:
         """Args:
         plans: of the song, each longer than the one before.
+        start: the first of its states is where the hands begin.
         weights: what corrects them.
+        rehearsals: how often each part is rehearsed.
 
         Raises:
             CadenzaError: it has learnt with other servos.
         """
-        self._plans, self._weights = plans, weights
-        self.plan = next(plans)
-        self._hands = [CorrectedHand(self.plan, side) for side in self.plan.scene.sides]
-        for hand in self._hands:
-            if hand.sizes != weights.sizes:
-                raise CadenzaError(
-                    f"generalist: has learnt with hands of {weights.sizes[1]} servos, but here "
-                    f"they have {hand.sizes[1]}: leave out options that change the hands"
-                )
+        self._plans, self._weights, self._rehearsals = plans, weights, rehearsals
+        plan = next(plans)
+        self._hands = corrected_hands(plan, weights)
+        self._rehearsal = Rehearsal(plan, start, weights)
+        self._follow(plan, 0)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
@@ -85,53 +100,68 @@ class GeneralistSong:
     def _plan_ahead(self, step: int) -> None:
         """Plans another window before what is shown of the plan ends."""
         while not self.plan.complete and self.plan.nominal.num_steps <= step + FAR:
-            self.plan = next(self._plans)
-            for hand in self._hands:
-                hand.follow(self.plan, step)
+            self._follow(next(self._plans), step)
+
+    def _follow(self, plan: SongPlan, step: int) -> None:
+        """From that step on, that plan as it is after rehearsals."""
+        self.plan = self._rehearsal.rehearsed(plan, self._rehearsals)
+        for hand in self._hands:
+            hand.follow(self.plan, step)
 
 
-class CorrectedHand:
-    """One hand, and what is corrected of its plan.
+class SightReader:
+    """Plays one song, of which it knows only what is in sight.
 
-    Attributes:
-        servos: which of all the scene's are this hand's.
-        corrections: how answers are read.
-        about: what it is told.
+    That are the goals of the step that it decides on and of those that it looks ahead: no fingers,
+    no ends of notes that are beyond, nothing of how long the song is.
     """
 
-    def __init__(self, plan: SongPlan, side: Side) -> None:
-        self._side = side
-        self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
-        self.corrections = Corrections.of(side, self._alone)
-        self.about = About.of(self._alone)
-        self._answer = np.zeros(len(self.corrections.scale))
-        self.follow(plan, 0)
+    def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
+        """Args:
+        track: what is played.
+        start: of one simulation.
+        look_ahead: how far ahead it knows the goals [s].
+        weights: what corrects its plans.
+        """
+        dt = track.config.control_timestep
+        self._track, self._goals, self._weights = track, track.goals, weights
+        self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
+        self._scene = scene_planned_with(track)
+        self._in_sight = InSight(self._scene, players_of(self._scene), start.hand_qpos[0], dt)
+        self._looked, plan = 0, self._look(0, start)
+        self._hands = corrected_hands(plan, weights)
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Of what is told of it, and of the answer."""
-        return len(self.about.finger), len(self._answer)
+    def act(self, view: View) -> Array:
+        step = int(view.steps[0])
+        while step >= self._looked + self._in_sight.every:  # once, unless others have played
+            plan = self._look(self._looked + self._in_sight.every, view.state)
+            for hand in self._hands:
+                hand.follow(plan, 0)
+        action = np.zeros(view.task.action_size)
+        action[-1] = self._goals.sustain[step]
+        for hand in self._hands:
+            action[hand.servos] = hand.act(step - self._looked, view.state, self._weights)
+        return action
 
-    def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
-        self._inputs = HandInputs(plan, self._side, self._alone, self.servos, step)
-        self._follower = Follower(self._alone, plan.nominal.tracking.of(self.servos))
+    def _look(self, step: int, state: State) -> SongPlan:
+        """The plan of what is in sight at a step; its first step is this one."""
+        self._looked = step
+        keys, _ = self._goals.at(step + self._ahead)
+        nominal = self._in_sight.look(step, keys, state.fingertip_xpos[0])
+        return SongPlan(self._scene, self._track, replace(self._goals, keys=keys), nominal)
 
-    def see(self, step: int, state: State) -> tuple[Floats, Array]:
-        """(D,) what is told before a step, and (A,) the controls that it corrects."""
-        qpos, qvel = state.hand_qpos[:1, self._joints], state.hand_qvel[:1, self._joints]
-        alone = state._replace(hand_qpos=qpos, hand_qvel=qvel)
-        planned = self._follower.ctrl(np.array([step]), alone)
-        (posture,) = self._follower.posture(qpos, qvel)
-        return self._inputs.at(step, posture, self._answer, state), planned[0]
 
-    def act(self, step: int, state: State, weights: Weights) -> Array:
-        """(A,) the next controls."""
-        inputs, planned = self.see(step, state)
-        ctrl = self._follower.clip(planned + self.corrections.ctrl(weights(inputs)))
-        self.played(ctrl, planned)
-        return ctrl
+def corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
+    """Those of a plan.
 
-    def played(self, ctrl: Array, planned: Array) -> None:
-        """Keeps how the controls (A,) of a step differ from those that were planned (A,)."""
-        self._answer = self.corrections.answer(ctrl - planned)
+    Raises:
+        CadenzaError: it has been learnt with other servos.
+    """
+    hands = [CorrectedHand(plan, side) for side in plan.scene.sides]
+    for hand in hands:
+        if hand.sizes != weights.sizes:
+            raise CadenzaError(
+                f"generalist: has learnt with hands of {weights.sizes[1]} servos, but here "
+                f"they have {hand.sizes[1]}: leave out options that change the hands"
+            )
+    return hands

@@ -34,8 +34,22 @@ _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
-_ITERATIONS = 25
-_CONVERGED = 1e-3  # relative decrease of the cost
+
+
+class Effort(NamedTuple):
+    """How long better postures are looked for."""
+
+    iterations: int
+    """Of Gauss-Newton at most."""
+    trials: int
+    """With more and more damping, in each of them."""
+    converged: float
+    """Relative decrease of the cost with which it ends."""
+    damping: float
+    """In the beginning."""
+
+
+THOROUGH = Effort(iterations=25, trials=8, converged=1e-3, damping=1.0)
 
 
 def rest_posture(hand: Hand, servos: Servos) -> Array:
@@ -53,6 +67,8 @@ def solve_postures(
     before: Array,
     dt: float,
     progress: Progress = silent,
+    begin: Array | None = None,
+    effort: Effort = THOROUGH,
 ) -> Array:
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
 
@@ -61,20 +77,21 @@ def solve_postures(
         kinematics: of the scene.
         servos: of the scene.
         targets: of all fingers in S states.
-        guess: (S, A) where to begin; its first row is where the hands are and stays, and it is
-            what the joints like best.
+        guess: (S, A) what the joints like best; its first row is where the hands are and stays.
         before: (A,) the posture before that.
         dt: time between postures [s].
         progress: is told of "postures", in iterations.
+        begin: (S, A) where to begin, if not with the guess; with the same first row.
+        effort: how long.
     """
     problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
-    postures = guess.copy()
-    damping = np.ones(len(guess) - 1)
+    postures = (guess if begin is None else begin).copy()
+    damping = np.full(len(guess) - 1, effort.damping)
     now = problem.linearise(postures)
-    for iteration in range(_ITERATIONS):
-        progress("postures", iteration, _ITERATIONS)
+    for iteration in range(effort.iterations):
+        progress("postures", iteration, effort.iterations)
         band, gradient = problem.normal_equations(postures, now)
-        for _ in range(8):
+        for _ in range(effort.trials):
             trial = problem.step(postures, band, gradient, damping)
             there = problem.linearise(trial)
             worse = there.cost > 1.02 * now.cost + 0.02
@@ -89,7 +106,7 @@ def solve_postures(
             break
         gained = now.cost.sum() - there.cost.sum()
         postures, now = trial, there
-        if gained < _CONVERGED * now.cost.sum():
+        if gained < effort.converged * now.cost.sum():
             break
     return postures
 

@@ -22,7 +22,12 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
+from cadenza.agents.planning.inverse_kinematics import (
+    THOROUGH,
+    Effort,
+    rest_posture,
+    solve_postures,
+)
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.stances import Stances
 from cadenza.agents.planning.targets import Targets, pressing, targets_of
@@ -96,7 +101,7 @@ def nominal_plans(
     Yields:
         The plan so far; the last one is the whole.
     """
-    hands = _Hands(scene, dt)
+    hands = Motion(scene, dt)
     asked = np.where(keys & scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
     whole = hands.at_rest(hand_qpos, len(asked))
     plan = whole.part(0, 0)
@@ -151,8 +156,22 @@ def controls_along(
     return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)
 
 
-class _Hands:
-    """What is planned for: the hands of a scene, in control steps of `dt` [s]."""
+class Found(NamedTuple):
+    """Postures (S, A) of hands that press keys; in the first one they are."""
+
+    postures: Array
+    guess: Array
+    """(S, A) what they began with, and are near if they can."""
+    targets: Targets
+    """What they reach, as far as they can."""
+
+    def part(self, last: int) -> Found:
+        """The states up to, not including, `last`, as views."""
+        return Found(self.postures[:last], self.guess[:last], self.targets.part(0, last))
+
+
+class Motion:
+    """Plans motions of the hands of a scene, in control steps of `dt` [s]."""
 
     def __init__(self, scene: Scene, dt: float) -> None:
         self._scene, self._dt = scene, dt
@@ -171,7 +190,7 @@ class _Hands:
             expected=np.zeros((steps + 1, servos, 2)),
         )
         postures = np.zeros((steps + 1, servos))
-        postures[0] = hand_qpos @ np.linalg.pinv(self._servos.joints)
+        postures[0] = hand_qpos @ self._servos.of_joints
         tracking.expected[0, :, 0] = postures[0]
         return Nominal([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
 
@@ -191,36 +210,62 @@ class _Hands:
         if last == len(asked):
             kept = last - first
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
-        wanted = presses_of(asked[since:last] >= 0, asked[since:last], self._scene.fingers)
-        presses = let_go_in_time(wanted, self._places, dt, self._scene.hand)
-        window = self._planned(plan, presses, first - since, last - since, progress)
+        presses = self.presses(asked[since:last])
+        found = self.found(plan, presses, first - since, last - since, progress)
+        window = self.led_along(plan, presses, found)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
         return window._replace(presses=presses), kept
 
-    def _planned(
-        self, plan: Nominal, presses: list[Press], first: int, last: int, progress: Progress
-    ) -> Nominal:
-        """A plan for the steps from `first` to `last`, as `presses` count them, after `plan`."""
-        scene, servos = self._scene, self._servos
-        targets = Targets._make(
-            rows[first:] for rows in targets_of(scene, presses, last + 1, self._dt)
-        )
-        guess = self._guess(plan, presses, first, last)
-        postures = solve_postures(
-            scene,
-            self._kinematics,
-            servos,
-            targets,
-            guess,
-            plan.postures[-2:][0],
-            self._dt,
-            progress,
-        )
-        earlier, start = plan.postures[-2:-1], plan.tracking.expected[-1]
+    def presses(self, asked: NDArray[np.int8]) -> list[Press]:
+        """By time, as far as the hands can be there.
+
+        `asked` (T, K) are fingers that should press the keys, -1 for none.
+        """
+        wanted = presses_of(asked >= 0, asked, self._scene.fingers)
+        return let_go_in_time(wanted, self._places, self._dt, self._scene.hand)
+
+    def found(
+        self,
+        plan: Nominal,
+        presses: list[Press],
+        first: int,
+        last: int,
+        progress: Progress = silent,
+        known: Array | None = None,
+        effort: Effort = THOROUGH,
+    ) -> Found:
+        """Where hands are to be before the steps from `first` to `last`, and after the last.
+
+        Args:
+            plan: of the steps before, at least one posture.
+            presses: that concern these steps.
+            first: step, as presses count them.
+            last: step; not included.
+            progress: is told of "postures".
+            known: (N, A) by how much postures after these steps that were found before differ from
+                what they began with. They are to be improved.
+            effort: how long they are looked for.
+        """
+        dt, model = self._dt, (self._scene, self._kinematics, self._servos)
+        targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
+        guess, before = self._guess(plan, presses, first, last), plan.postures[-2:][0]
+        begin = guess if known is None else guess + _continued(known, len(guess))
+        postures = solve_postures(*model, targets, guess, before, dt, progress, begin, effort)
+        return Found(postures, guess, targets)
+
+    def led_along(self, plan: Nominal, presses: list[Press], found: Found) -> Nominal:
+        """What leads the hands along what was found to come after a plan."""
         fingertips, tracking = controls_along(
-            scene, self._kinematics, servos, targets, postures, earlier, start, self._dt
+            self._scene,
+            self._kinematics,
+            self._servos,
+            found.targets,
+            found.postures,
+            plan.postures[-2:-1],
+            plan.tracking.expected[-1],
+            self._dt,
         )
-        return Nominal(presses, postures, fingertips, tracking)
+        return Nominal(presses, found.postures, fingertips, tracking)
 
     def _guess(self, plan: Nominal, presses: list[Press], first: int, last: int) -> Array:
         """(S, A) hands at rest over the keys that they press or will press next, from `first` on.
@@ -246,6 +291,12 @@ class _Hands:
                 self._stances.stand(guess, side, smooth)
         guess[first] = here
         return guess[first:]
+
+
+def _continued(known: Array, states: int) -> Array:
+    """(S, A) nothing in the first state, then what is `known` (N, A), and on as in its last row."""
+    rows = np.minimum(np.arange(states - 1), len(known) - 1)
+    return np.concatenate([np.zeros_like(known[:1]), known[rows]])
 
 
 def _begin_of_presses(asked: NDArray[np.int8], first: int, settling: int) -> int:

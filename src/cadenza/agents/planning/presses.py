@@ -38,6 +38,8 @@ class Press(NamedTuple):
     """The hand leaves it in a jump."""
     flies_to: bool = False
     """The hand comes to it in a jump, and to no other key."""
+    from_above: bool = False
+    """The finger comes to it from above all keys."""
 
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:

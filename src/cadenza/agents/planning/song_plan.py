@@ -41,9 +41,6 @@ def plan_song(track: GoalTrack, start: Array, progress: Progress = silent) -> So
 def song_plans(track: GoalTrack, start: Array, progress: Progress = silent) -> Iterator[SongPlan]:
     """Plans what the hands of a task are to play.
 
-    The scene that is planned with is the one that the task's configuration describes: where the
-    task's own was changed, the plan does not know.
-
     Args:
         track: what is to be played.
         start: (J,) joint positions of the hands where the song begins [m, rad].
@@ -56,10 +53,19 @@ def song_plans(track: GoalTrack, start: Array, progress: Progress = silent) -> I
     Raises:
         CadenzaError: there are no hands in the scene.
     """
-    if not track.scene.sides:
-        raise CadenzaError("cannot plan: this scene has no hands")
+    scene = scene_planned_with(track)
     track = track.fingered(partial(progress, "fingers"))
     goals, dt = track.goals, track.config.control_timestep
-    scene = build_scene(track.scene.config)
     for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
         yield SongPlan(scene, track, goals, nominal)
+
+
+def scene_planned_with(track: GoalTrack) -> Scene:
+    """The one that the task's configuration describes: if the task's was changed, no plan knows.
+
+    Raises:
+        CadenzaError: there are no hands in it.
+    """
+    if not track.scene.sides:
+        raise CadenzaError("cannot plan: this scene has no hands")
+    return build_scene(track.scene.config)

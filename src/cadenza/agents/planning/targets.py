@@ -57,6 +57,10 @@ class Targets(NamedTuple):
     force: Array
     """(S, F) downwards [N]."""
 
+    def part(self, first: int, last: int) -> Targets:
+        """The states from `first` up to, not including, `last`, as views."""
+        return Targets._make(rows[first:last] for rows in self)
+
 
 def pressing(sinking: Array, force: Array) -> Array:
     """(S, A) the force along each servo's coordinate that presses keys.
@@ -91,7 +95,8 @@ class _Writer:
         shape = (num_states, len(fingers), 3)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         low[:, :, 0], high[:, :, 0] = _OVER_KEYS
-        low[:, :, 2] = black.top + _LIFTED + radius
+        self._above_all = black.top + _LIFTED + radius
+        low[:, :, 2] = self._above_all
         sigma = np.broadcast_to(_IDLE, shape).copy()
         self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
@@ -112,11 +117,13 @@ class _Writer:
         """Over the key, the nearer in time the more closely, and low when it is ready."""
         over = self._at(press, angle=0.0)
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
-        risen = before + steps_in(RISE, self._dt)
-        for state in range(max(press.first - approach, risen), press.first):
+        risen, states = before + steps_in(RISE, self._dt), len(self._targets.low)
+        for state in range(max(press.first - approach, risen), min(press.first, states)):
             ahead = press.first - state
             is_ready = ahead <= ready
             low = over[2] + (_HOVER if is_ready else _HOVER + 0.004)
+            if press.from_above and not is_ready:
+                low = max(low, self._above_all[press.finger])
             high = over[2] + _HOVER + _HOVER_ROOM if is_ready else np.inf
             sigma = _ABOVE_KEY * max(ahead / ready, 1.0)
             sigma[2] = _ABOVE_KEY[2] if is_ready else _IDLE[2]

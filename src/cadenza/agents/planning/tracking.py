@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +45,7 @@ class Follower:
         """
         servos = servos_of(scene)
         self._tracking, self._low, self._high = tracking, servos.low, servos.high
-        self._to_posture = np.linalg.pinv(servos.joints)
+        self._to_posture = servos.of_joints
 
     def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
         """(..., A, 2) position and speed of each servo, of joints (..., J)."""
@@ -82,7 +83,7 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
         offset: (T, A) what forces from outside add to each control.
         dt: time between steps [s].
     """
-    step, push = _discretise(servos, dt)
+    step, push = discretised(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
@@ -114,7 +115,8 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     return Tracking(np.clip(ctrl + offset, servos.low, servos.high), gain, expected)
 
 
-def _discretise(servos: Servos, dt: float) -> tuple[Array, Array]:
+@lru_cache(maxsize=8)  # where plans are short, it would take most of the time
+def discretised(servos: Servos, dt: float) -> tuple[Array, Array]:
     """(A, 2, 2) and (A, 2): what a step of `dt` [s] makes of position and speed, and of control."""
     k, d, m = servos.stiffness, servos.damping, servos.inertia
     motion = np.zeros((len(k), 3, 3))

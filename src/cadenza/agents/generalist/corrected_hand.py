@@ -1,0 +1,74 @@
+"""One hand that plays a plan, with corrections."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cadenza.agents.agent import Array
+from cadenza.agents.generalist.inputs import About, Corrections, HandInputs
+from cadenza.agents.generalist.weights import Floats, Weights
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.tracking import Follower
+from cadenza.fingers import Side
+from cadenza.scene.scene import hand_alone
+from cadenza.sim.protocol import State
+
+
+class CorrectedHand:
+    """One hand, and what is corrected of its plan.
+
+    Attributes:
+        servos: which of all the scene's are this hand's.
+        corrections: how answers are read.
+        about: what it is told.
+        answer: (A,) by how much the step before was corrected.
+    """
+
+    def __init__(self, plan: SongPlan, side: Side) -> None:
+        self._side = side
+        self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
+        self.corrections = Corrections.of(side, self._alone)
+        self.about = About.of(self._alone)
+        self.answer = np.zeros(len(self.corrections.scale))
+        self.follow(plan, 0)
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Of what is told of it, and of the answer."""
+        return len(self.about.finger), len(self.answer)
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """From that step on, by a plan that goes further than the one before."""
+        self._inputs = HandInputs(plan, self._side, self._alone, self.servos, step)
+        self._follower = Follower(self._alone, plan.nominal.tracking.of(self.servos))
+
+    def posture(self, state: State) -> Array:
+        """(A, 2) position and speed of its servos."""
+        (posture,) = self._follower.posture(*self._alone_in(state))
+        return posture
+
+    def see(self, step: int, state: State) -> tuple[Floats, Array]:
+        """(D,) what is told before a step, and (A,) the controls that it corrects."""
+        qpos, qvel = self._alone_in(state)
+        alone = state._replace(hand_qpos=qpos, hand_qvel=qvel)
+        planned = self._follower.ctrl(np.array([step]), alone)
+        return self._inputs.at(step, self.posture(state), self.answer, state), planned[0]
+
+    def act(self, step: int, state: State, weights: Weights) -> Array:
+        """(A,) the next controls."""
+        inputs, planned = self.see(step, state)
+        ctrl = self.clip(planned + self.corrections.ctrl(weights(inputs)))
+        self.played(ctrl, planned)
+        return ctrl
+
+    def clip(self, ctrl: Array) -> Array:
+        """Controls (..., A) within their range."""
+        return self._follower.clip(ctrl)
+
+    def played(self, ctrl: Array, planned: Array) -> None:
+        """Keeps how the controls (A,) of a step differ from those that were planned (A,)."""
+        self.answer = self.corrections.answer(ctrl - planned)
+
+    def _alone_in(self, state: State) -> tuple[Array, Array]:
+        """(1, J) positions and speeds of its joints."""
+        return state.hand_qpos[:1, self._joints], state.hand_qvel[:1, self._joints]

@@ -1,0 +1,169 @@
+"""Plans of a song of which only what is in sight is known: the next half second, or the next two.
+
+Fingers, presses, postures and controls are found as for a whole song, but again every few steps for
+what is in sight then. Each time postures go on from those of the plan before, and those that were
+planned before are only improved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.inverse_kinematics import THOROUGH, Effort
+from cadenza.agents.planning.nominal import Found, Motion, Nominal
+from cadenza.agents.planning.presses import Press
+from cadenza.fingering.players import Players
+from cadenza.fingering.sight import NotesInSight
+from cadenza.fingers import NO_FINGER
+from cadenza.scene.scene import Scene
+
+_EVERY = 0.15  # [s] from look to look
+_MOTION = 0.8  # [s] for which postures are planned
+_LED = 0.4  # [s] for which controls are found
+_PRESSES = 1.3  # [s] whose presses matter to them
+_PAST = 1.0  # [s] for which is remembered what was pressed
+_IMPROVED = Effort(iterations=3, trials=2, converged=0.03, damping=10.0)
+_ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
+_LIFT = 0.15  # [s] that it takes until it presses
+_AGAIN = 0.3  # [s] after which it may begin once more
+
+
+@dataclass
+class _Note:
+    """That is in sight, or was."""
+
+    key: int
+    number: int
+    first: int
+    last: int | None = None
+    """The step from which on it is not held; None as long as that is not in sight."""
+    finger: int = NO_FINGER
+
+
+class InSight:
+    """Plans again and again, from what is in sight at a step, for the steps from there on.
+
+    What is caught gets free by itself: where a finger is not where it should press, it is lifted
+    above all keys, and presses again.
+
+    Attributes:
+        every: how many steps it is from one look to the next.
+    """
+
+    def __init__(self, scene: Scene, players: Players, hand_qpos: Array, dt: float) -> None:
+        """Args:
+        scene: with one hand or two.
+        players: the hands of the scene at its keyboard.
+        hand_qpos: (J,) where the joints of the hands are in the beginning.
+        dt: control step [s].
+        """
+        self._scene, self._dt, self.every = scene, dt, steps_in(_EVERY, dt)
+        self._motion = Motion(scene, dt)
+        self._fingers = NotesInSight(players)
+        self._notes: list[_Note] = []
+        self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
+        self._seen = 0
+        self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
+        self._blas = ThreadpoolController()
+        self._begin, self._plan = 0, self._motion.at_rest(hand_qpos, 0)
+        self._found: Found | None = None  # from its first step on
+
+    def look(self, step: int, keys: NDArray[np.bool_], tips: Array) -> Nominal:
+        """The plan of what is in sight at a step; its first step is this one.
+
+        Args:
+            step: of the song: the first one, then always `every` after the one before.
+            keys: (S, K) that should be down after this step and those after it.
+            tips: (F, 3) where the fingertips are [m].
+        """
+        self._note(step, keys)
+        self._find_fingers(step)
+        past = min(step, steps_in(_PAST, self._dt))
+        concern, ahead, led = (
+            min(len(keys), steps_in(seconds, self._dt)) for seconds in (_PRESSES, _MOTION, _LED)
+        )
+        presses = self._motion.presses(self._asked(step, past, concern))
+        here = step - self._begin
+        if self._found is not None:
+            presses = self._again(presses, step, past, tips, self._plan.fingertips[here])
+        before = self._plan.part(max(here - 1, 0), here)
+        known, effort = None, THOROUGH
+        if self._found is not None:
+            known, effort = (self._found.postures - self._found.guess)[here + 1 :], _IMPROVED
+        with self._blas.limit(limits=1):  # as in `nominal_plans`
+            found = self._motion.found(
+                before, presses, past, past + ahead, known=known, effort=effort
+            )
+            plan = self._motion.led_along(before, presses, found.part(led + 1))
+        presses = [
+            press._replace(first=press.first - past, last=press.last - past) for press in presses
+        ]
+        self._begin, self._found, self._plan = step, found, plan._replace(presses=presses)
+        return self._plan
+
+    def _again(
+        self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
+    ) -> list[Press]:
+        """`presses`, of which those begin again, from above, whose fingers are caught elsewhere.
+
+        Args:
+            presses: by time.
+            step: of the song.
+            now: the state before it, as presses count them.
+            tips: (F, 3) where fingertips are [m].
+            planned: (F', 3) where those of the fingers that are there should be [m].
+        """
+        there, off = self._scene.fingers_there, np.zeros(len(tips))
+        off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
+        lift, wait = steps_in(_LIFT, self._dt), steps_in(_AGAIN, self._dt)
+        lifted = {press: since for press, since in self._lifted.items() if step < since + wait}
+        result = []
+        for press in presses:
+            place = press.finger, press.key
+            if press.first <= now < press.last:
+                if off[press.finger] > _ASTRAY:
+                    lifted.setdefault(place, step)
+                if place in lifted:
+                    first = max(press.first, now + lifted[place] + lift - step)
+                    press = press._replace(first=first, from_above=True)
+            if press.first < press.last:
+                result.append(press)
+        self._lifted = lifted
+        return result
+
+    def _note(self, step: int, keys: NDArray[np.bool_]) -> None:
+        """Which notes begin and end in what was not in sight before."""
+        dt = self._dt
+        for now, row in enumerate(keys[self._seen - step :], start=self._seen):
+            down = set(np.flatnonzero(row).tolist())
+            for key in self._held.keys() - down:
+                note = self._held.pop(key)
+                note.last = now
+                self._fingers.end(note.number, (now - 0.5) * dt)  # in the middle of a step
+            for key in sorted(down - self._held.keys()):
+                note = _Note(key, self._fingers.begin(key, now * dt), now)
+                self._held[key] = note
+                self._notes.append(note)
+        self._seen = step + len(keys)
+
+    def _find_fingers(self, step: int) -> None:
+        found = self._fingers.find((step + self.every) * self._dt)
+        for note in self._notes:
+            if note.number in found:
+                note.finger = self._scene.fingers.number(found[note.number])
+
+    def _asked(self, step: int, past: int, ahead: int) -> NDArray[np.int8]:
+        """(P + S, K) fingers that should press the keys before and after a step, -1 for none."""
+        first = step - past
+        self._notes = [note for note in self._notes if note.last is None or note.last > first]
+        asked = np.full((past + ahead, self._scene.keyboard.num_keys), NO_FINGER, np.int8)
+        for note in self._notes:
+            end = None if note.last is None else note.last - first
+            asked[max(note.first - first, 0) : end, note.key] = note.finger
+        return asked

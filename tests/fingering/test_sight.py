@@ -1,0 +1,87 @@
+"""Fingers that are found as notes come in sight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from cadenza.fingering import sight as module
+from cadenza.fingering.search import Ways, ways_on
+from cadenza.fingering.sight import NotesInSight
+from cadenza.fingers import Finger
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Note, Score
+from players import find_fingering, shadow_hands
+
+
+def show(sight: NotesInSight, *notes: Note) -> list[int]:
+    """Shows notes with their ends; their numbers."""
+    numbers = []
+    for note in notes:
+        numbers.append(sight.begin(note.pitch - PIANO.lowest_pitch, note.start))
+        sight.end(numbers[-1], note.end)
+    return numbers
+
+
+@pytest.mark.parametrize("song", ["FurEliseOpening", "CanonInDOpening"])
+def test_all_notes_at_once_get_what_the_search_finds(song: str) -> None:
+    score = load_score(song).beginning(6.0)
+    score = Score(tuple(replace(note, finger=None, velocity=80) for note in score.notes))
+    sight = NotesInSight(shadow_hands())
+    numbers = show(sight, *score.notes)
+    found = sight.find(0.0)
+    expected, _ = find_fingering(score)
+    assert [found[number] for number in numbers] == [n.finger for n in expected.notes]
+
+
+def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
+    notes = [Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate(range(60, 84))]
+    sight, found = NotesInSight(shadow_hands(["right"])), list[dict[int, Finger | None]]()
+    for note in notes:
+        show(sight, note)
+        found.append(sight.find(note.start - 0.3))
+    asked = [[i for i, some in enumerate(found) if number in some] for number in range(len(notes))]
+    assert all(rounds == list(range(rounds[0], rounds[-1] + 1)) for rounds in asked)
+    assert max(map(len, asked)) == 3  # until it begins less than 0.3 s after what is settled
+    assert any(found[rounds[0]][n] != found[rounds[-1]][n] for n, rounds in enumerate(asked))
+
+
+def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> None:
+    sight = NotesInSight(shadow_hands(["right"]))
+    held = sight.begin(60 - PIANO.lowest_pitch, 0.0)
+    fingers = [sight.find(0.1)[held]]
+    for time in (1.0, 2.0):
+        (number,) = show(sight, Note(time, time + 0.1, 62))
+        fingers.append(sight.find(time + 0.1)[number])
+    assert fingers[0] not in fingers[1:]
+    sight.end(held, 2.5)
+    numbers = show(sight, *(Note(3.0, 4.0, pitch) for pitch in (60, 62, 64, 65, 67)))
+    assert len({sight.find(3.0)[number] for number in numbers}) == 5
+
+
+def test_what_cannot_be_played_gets_no_finger() -> None:
+    sight = NotesInSight(shadow_hands(["right"]))
+    numbers = show(sight, *(Note(0.0, 1.0, pitch) for pitch in (48, 60, 64, 67, 84)))
+    fingers = list(sight.find(0.1).values())
+    assert 0 < fingers.count(None) < len(numbers) == len(fingers)
+
+
+def test_its_work_does_not_grow_with_the_song(monkeypatch: pytest.MonkeyPatch) -> None:
+    moments: list[float] = []
+
+    def noted(before: Ways, time: float, *others: Any) -> Ways:
+        moments.append(time)
+        return ways_on(before, time, *others)
+
+    monkeypatch.setattr(module, "ways_on", noted)
+    sight, work = NotesInSight(shadow_hands()), []
+    for beat in range(160):
+        time, pitch = beat / 4, (60, 64, 67, 72)[beat % 4]
+        show(sight, Note(time, time + 0.25, pitch), Note(time, time + 0.5, pitch - 24))
+        sight.find(time - 0.3)
+        work.append(len(moments))
+        moments.clear()
+    assert max(work[:10]) == max(work) <= 3
