@@ -33,8 +33,8 @@ function showSongs() {
   if (more > 0) $("songs").append(make("li", `${more} more: search for them.`, { className: "remark" }));
 }
 function listed(song) {
-  const button = make("button", "", { type: "button", title: song.title }), item = make("li");
   const about = song.uploaded ? "yours" : song.composer;
+  const button = make("button", "", { type: "button", title: `${song.title}, ${about}` }), item = make("li");
   const level = song.grade ? ` · level ${song.grade.toFixed(1)}` : "";
   button.append(make("span", song.title), make("small", about));
   button.append(make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" }));
