@@ -58,7 +58,7 @@ _ONES = np.ones(3)
 _AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails.
-_SUSTAINED = 0.5
+_SUSTAINED = 0.65
 _SAVED = 1.0  # [s] for which it has been saved where a hand starts over
 EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _ABOUT_TO_PRESS = 0.1  # [s] before a press
