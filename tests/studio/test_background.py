@@ -81,7 +81,7 @@ def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.Monkey
     practising.practise(order(str(song), tmp_path), told.append)
     said = [json.loads(message.content) for message in told if message.kind == JSON]
     assert said[-1]["state"] == "done"
-    played, _ = worker.play(order(str(song), tmp_path), lambda _: None)
+    played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "playback"
     assert played.metrics["f1"] == pytest.approx(max(said[-1]["f1"]))
     with worker.set_up_as_asked(order(str(song), tmp_path), lambda *_: None) as setup:
@@ -193,7 +193,7 @@ def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: 
     write_midi(SCORE, song)
     request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3)
     ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path), agent=agent)
-    streamed, live = worker.play(ours, lambda _: None)
+    streamed, live = worker.play(ours, lambda _: None, lambda: None)
     options = ["--agent", agent, "--seed", "3", "--stretch", "0.8", "--transpose", "2"]
     command = ["play", str(song), "-o", str(tmp_path / "out"), "--no-video", *options]
     subprocess.run([sys.executable, "-m", "cadenza", *command], check=True)
