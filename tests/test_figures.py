@@ -27,6 +27,7 @@ PECULIAR = ("hands", "keyboards")
 COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
+    ("agents/planning/hand_rehearsal.py", 5): "takes of a rehearsal",
     ("music/formats/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",

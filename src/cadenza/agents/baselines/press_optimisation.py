@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
+from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.config import TrackedPressesConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.refinement import NO_HARM, HandPart
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planning.config import TrackedPressesConfig
-from cadenza.agents.planning.refinement import HandPart
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side

@@ -15,8 +15,8 @@ from cadenza.agents.agent import Array
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.weights import Floats
 from cadenza.agents.planning.correction import FURTHEST
+from cadenza.agents.planning.hand_part import ASTRAY, HandPart
 from cadenza.agents.planning.learning_control import changes
-from cadenza.agents.planning.refinement import ASTRAY, HandPart
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.kinematics import TIP, Kinematics

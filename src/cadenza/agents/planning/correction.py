@@ -37,11 +37,16 @@ class Correction:
             off: (H, F, 3) the ways from fingertips to where they should be then [m].
             weight: (H, F) how much they count.
         """
-        far = np.linalg.norm(off, axis=2, keepdims=True)
-        off = off * (FURTHEST / np.maximum(far, FURTHEST))
+        off = no_further(off)
         motion = trials.fingertip_motion(hand_qpos) @ self._joints.T
         slope = (motion * self._sigma).reshape(len(off), -1, len(self._sigma))  # of noise
         pull = slope.transpose(0, 2, 1) * np.repeat(weight, 3, axis=1)[:, None] / _NEAR**2
         square = pull @ slope + np.eye(len(self._sigma))
         change = np.linalg.solve(square, pull @ off.reshape(len(off), -1, 1))[..., 0]
         return np.asarray(change * self._sigma)
+
+
+def no_further(off: Array) -> Array:
+    """The ways (H, F, 3) [m], those that are longer than `FURTHEST` as long as that."""
+    far = np.linalg.norm(off, axis=2, keepdims=True)
+    return off * (FURTHEST / np.maximum(far, FURTHEST))

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import Losses
-from cadenza.agents.planning.refinement import EXPECTED, HandPart
+from cadenza.agents.planning.refinement import EXPECTED
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.takes import Take
 from cadenza.agents.planning.tracking import Follower

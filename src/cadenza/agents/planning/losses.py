@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST
-from cadenza.agents.planning.refinement import NO_HARM, HandPart, later
+from cadenza.agents.planning.hand_part import HandPart, later
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.tasks import reward
 

@@ -28,9 +28,10 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
 from cadenza.agents.planning.practised_planner import Rehearsal
-from cadenza.agents.planning.refinement import HandPart, Memory
+from cadenza.agents.planning.refinement import Memory
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.agents.planning.takes import Moments, Stage, Take

@@ -8,8 +8,8 @@ import numpy as np
 
 from cadenza.agents.agent import Array
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking

@@ -2,28 +2,28 @@
 
 A hand alone, with all keys, moves just as it does beside the other as long as the two do not
 touch. So does a hand with the keys near it, nearly always, and what it is to do is tried out there,
-in about a third of the time that both take. Sampling is only done where the nominal plan fails.
+in about a third of the time that both take. The plan is rehearsed first, a second at a time.
+Sampling is only done where it still fails.
 """
 
 from __future__ import annotations
 
-from copy import copy
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.ahead import Ahead, Trial
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.correction import FURTHEST, Correction
-from cadenza.agents.planning.presses import RISE
+from cadenza.agents.planning.correction import Correction
+from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
+from cadenza.agents.planning.hand_rehearsal import HandRehearsal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.fingers import SIDES, Side
-from cadenza.keyboards.keyboard import Keyboard
-from cadenza.music.metrics import ONSET_TOLERANCE
+from cadenza.fingers import Side
 from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_trials import PLACES, HandTrials
@@ -45,79 +45,12 @@ _FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys t
 _CORRECTED = np.array([1.0, 2.0])  # times the way that fingertips are off, a plan is corrected by
 _HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 
-_WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
-_ONSET = 3.0  # of a note that has not begun in time, and of a key that begins where no note does
-_ALMOST = (
-    3.0  # of a key's travel that lacks to the stop, or passes what does not yet sound, squared
-)
-NO_HARM = 0.3  # of its travel that a key may be down
-ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
-_IDLE_ASTRAY = 200.0
-_COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
-_ONES = np.ones(3)
-_AT_THE_END = 1.5  # of the horizon they count more
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
-# planning within the time of the music on two cores where every step fails.
-_SUSTAINED = 0.65
+# planning within the time of the music on two cores where every step fails. Rehearsals come on top.
+_SUSTAINED = 0.6
 _SAVED = 1.0  # [s] for which it has been saved where a hand starts over
 EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
-_ABOUT_TO_PRESS = 0.1  # [s] before a press
-_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
-
-
-class HandPart:
-    """What one hand has to do over T steps, of which the first P are planned.
-
-    Attributes:
-        mine: (T, K) keys that this hand should hold down.
-        planned: (T, K) those of them that the plan holds down, where it goes.
-        wrong: (T, K) keys that it should not.
-        due: (T, K) its keys that are late unless they sound by then.
-        unwelcome: (T, K) keys, its own or wrong ones, that should not begin to sound.
-        fingertips: (P + 1, F, 3) where its F fingertips should be [m].
-        fingers: their numbers.
-        playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
-        weight: (T + 1, F) of their squared distance from there [1 / m^2].
-    """
-
-    def __init__(self, plan: SongPlan, side: Side) -> None:
-        """Args:
-        plan: of the song.
-        side: of the hand.
-        """
-        dt = plan.track.config.control_timestep
-        keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
-        self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
-        thumb, count = self.fingers.start, plan.scene.fingers.per_hand
-        self.mine = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
-        others = keys & ~self.mine
-        soon = others.copy()
-        for late in range(1, steps_in(_LEAVING, dt) + 1):
-            soon[late:] |= others[:-late]
-        self.wrong = ~keys & ~soon
-        first, in_time = keys & ~later(keys, 1), int(ONSET_TOLERANCE / dt + 1e-9)
-        again = first & later(keys, 2)  # a note of the same key ends as this one should begin
-        self.due = self.mine & (again | later(first & ~again, in_time))
-        welcome = [later(first, steps) for steps in range(in_time + 1)]
-        self.unwelcome = (self.mine | self.wrong) & ~np.any(welcome, axis=0)
-        row = count * plan.scene.sides.index(side)
-        self.fingertips = nominal.fingertips[:, row : row + count]
-        self.planned = np.zeros_like(self.mine)
-        self.playing = np.zeros((len(keys) + 1, count), bool)
-        about_to_press, rise = steps_in(_ABOUT_TO_PRESS, dt), steps_in(RISE, dt)
-        for press in nominal.presses:
-            if press.side == side:
-                self.planned[press.first - 1 : press.last - 1, press.key] = True
-                about = max(press.first - about_to_press, 0)
-                self.playing[about : press.last + rise, press.finger - thumb] = True
-        self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
-
-    def holding(self, sounding: Mask) -> HandPart:
-        """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
-        part = copy(self)
-        part.planned = self.mine & sounding
-        return part
 
 
 class Memory(NamedTuple):
@@ -173,20 +106,26 @@ class HandRefinement:
         self._further = max(self._horizon, steps_in(_FREED, dt))
         self._twin = PlanningSimulation(scene, 1, dt)
         self._trials, self._toward = HandTrials(scene, dt), Correction(scene)
+        self._rehearsal = HandRehearsal(scene, self._trials, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
         self.simulated = 0
-        self._step, self._lost = 0, False
+        self._step, self._lost, self._rehearses = 0, False, self._update is not None
 
     def skip_to(self, step: int) -> None:
         """Goes on with that step, from the state that it is told."""
         self._step, self._lost = step, True
+        self._rehearsal.forget()
 
     def start_over(self, step: int, rng: np.random.Generator) -> None:
-        """Goes on with that step as if it had not searched for a while before."""
+        """Goes on with that step as if it had not searched for a while before.
+
+        What it follows then has been played, and need not be rehearsed.
+        """
         self.skip_to(step)
+        self._rehearses = False
         self._correction[:] = 0.0
         self._savings = self._earned * steps_in(_SAVED, self._dt)
         self._rng, self.simulated = rng, 0
@@ -204,7 +143,8 @@ class HandRefinement:
     @property
     def steps_seen(self) -> int:
         """How many steps of the plan a step looks at, and of those who press soon after."""
-        return self._further + steps_in(_ABOUT_TO_PRESS, self._dt)
+        rehearsed = self._rehearsal.steps_seen if self._rehearses else 0
+        return max(self._further, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
 
     def follow(self, part: HandPart, tracking: Tracking) -> None:
         """From now on, by a plan that goes further than the one before."""
@@ -220,6 +160,7 @@ class HandRefinement:
         """
         self._be_at(hand_qpos, hand_qvel, key_qpos)
         self._savings += self._earned
+        self._rehearse()
         ctrl = self._plan()
         self._go_on(ctrl)
         return ctrl
@@ -227,6 +168,7 @@ class HandRefinement:
     def again(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, ctrl: Array) -> None:
         """Takes a step with the controls (A,) that `act` returned in that state before."""
         self._be_at(hand_qpos, hand_qvel, key_qpos)
+        self._rehearse()
         self._go_on(ctrl)
 
     def _be_at(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
@@ -241,6 +183,9 @@ class HandRefinement:
     def _plan(self) -> Array:
         rows, nominal = self._nominal(self._horizon)
         if self._update is None:
+            return self._clip(nominal[0])
+        if self._rehearsal.foresaw(self._step, self._twin.state.hand_qpos[0]):
+            self._correction[:] = 0.0
             return self._clip(nominal[0])
         best = self._clip(nominal + self._correction)
         self._begin_trials(rows)
@@ -264,9 +209,19 @@ class HandRefinement:
         """(H,) the steps from here on, and (H, A) the plan's controls, with feedback."""
         steps = len(self._tracking.ctrl)
         rows = np.minimum(np.arange(self._step, self._step + horizon), steps - 1)
-        nominal = self._tracking.ctrl[rows]
+        nominal, rehearsed = self._tracking.ctrl[rows], self._rehearsal.ctrl(self._step)[:horizon]
+        nominal[: len(rehearsed)] = rehearsed
         nominal[0] -= self._feedback()
         return rows, nominal
+
+    def _rehearse(self) -> None:
+        """Rehearses what comes next, unless that has been done."""
+        if not self._rehearses or self._step < self._rehearsal.ends:
+            return
+        last = min(self._step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
+        if (rows := np.arange(self._step, last)).size:
+            self._begin_trials(rows)
+            self.simulated += self._rehearsal.rehearse(self._tracking, rows, self._ahead)
 
     def _astray(self, fingertips: Array, state: int) -> Mask:
         """(F,) which of `fingertips` (F, 3) [m] should play in a state, but not there."""
@@ -322,7 +277,7 @@ class HandRefinement:
         return self._tracking.feedback(self._step, self._to_posture.T @ here)
 
     def _search(
-        self, nominal: Array, best: Array, known: _Trial, rows: NDArray[np.intp], caught: Mask
+        self, nominal: Array, best: Array, known: Trial, rows: NDArray[np.intp], caught: Mask
     ) -> Array:
         """A cheaper plan than `best` if one is found before the savings are used up.
 
@@ -366,7 +321,7 @@ class HandRefinement:
             candidates.extend(detours[self._step % len(_DETOURS) :: len(_DETOURS)])
         return np.array(candidates)
 
-    def _corrected(self, plan: Array, trial: _Trial) -> Array:
+    def _corrected(self, plan: Array, trial: Trial) -> Array:
         """(C, H, A) the plan, changed so that fingertips go where they should.
 
         A control changes by what would take fingertips there, in least squares, from where the
@@ -410,17 +365,17 @@ class HandRefinement:
         self._trials.begin_from(self._twin, float(y.min()), float(y.max()))
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
         keys = self._trials.keys
-        self._ahead = _Ahead(self._part, inside, self._keyboard, keys)
-        self._sounding = self._twin.state.key_qpos[0, keys] >= self._keyboard.sounds_from[keys]
+        here_keys = self._twin.state.key_qpos[0, keys]
+        self._ahead = Ahead(self._part, inside, self._keyboard, keys, here_keys)
         self._least = np.full(len(inside), np.inf)
 
-    def _try_all(self, candidates: Array, most: float) -> list[_Trial]:
+    def _try_all(self, candidates: Array, most: float) -> list[Trial]:
         """Tries plans (N, H, A), see `_try`.
 
         They are tried in pairs, so that an idle thread can take one of each: what is known of the
         pairs before decides what is given up, however many threads there are.
         """
-        trials = list[_Trial]()
+        trials = list[Trial]()
         for i in range(0, len(candidates), PLACES):
             tries = [
                 partial(self._try, ctrl, most, place)
@@ -432,7 +387,7 @@ class HandRefinement:
                 most = min(most, self._most(trial.cost))
         return trials
 
-    def _try(self, ctrl: Array, most: float = np.inf, place: int = 0) -> _Trial:
+    def _try(self, ctrl: Array, most: float = np.inf, place: int = 0) -> Trial:
         """Tries a plan (H, A) from here on.
 
         One that will hardly cost less than `most` is given up before its end, at infinite cost: its
@@ -440,7 +395,7 @@ class HandRefinement:
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
         cost, mistakes, steps, tips, qpos = 0.0, 0, list[float](), list[Array](), list[Array]()
-        given_up, sounding = False, self._sounding
+        given_up, sounding = False, self._ahead.sounding
         for k, (key_qpos, fingertips) in enumerate(
             self._trials.run(ctrl[: len(self._least)], place)
         ):
@@ -453,86 +408,14 @@ class HandRefinement:
             if given_up:
                 break
         no_use = given_up or self._trials.unstable(place)
-        return _Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos)
+        return Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos)
 
-    def _note(self, trial: _Trial) -> None:
+    def _note(self, trial: Trial) -> None:
         """Reckons with a trial."""
         taken = len(trial.steps)
         self._savings -= taken
         self.simulated += taken
         self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
-
-
-class _Trial(NamedTuple):
-    """What came of trying a plan."""
-
-    cost: float
-    mistakes: int
-    """How often a key was wrong."""
-    steps: list[float]
-    """What each of the steps that were simulated cost."""
-    fingertips: list[Array]
-    """(F, 3) after each of them [m]."""
-    hand_qpos: list[Array]
-    """(J,) likewise [m, rad]."""
-
-
-class _Ahead:
-    """What the steps ahead ask of a hand, and what it costs not to do it."""
-
-    def __init__(
-        self, part: HandPart, rows: NDArray[np.intp], keyboard: Keyboard, keys: slice
-    ) -> None:
-        """Args:
-        part: of the hand.
-        rows: the steps.
-        keyboard: all of it.
-        keys: those that count.
-        """
-        mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
-        self._mine, self._counts = mine, mine | wrong
-        self._mistaken = (mine & part.planned[rows, keys]) | wrong
-        self._due, self._unwelcome = part.due[rows, keys], part.unwelcome[rows, keys]
-        self._sounds_from = keyboard.sounds_from[keys]
-        # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
-        sign = wrong.astype(np.float64) - mine
-        self._slope = sign / keyboard.travel[keys]
-        self._offset = np.where(mine, 1.0, np.where(wrong, -NO_HARM, 0.0))
-        self._fingertips = part.fingertips[rows + 1]
-        self._weight = part.weight[rows + 1]
-        self._weight[-1] *= _AT_THE_END
-
-    def cost(
-        self, k: int, key_qpos: Array, fingertips: Array, before: Mask
-    ) -> tuple[float, int, Mask]:
-        """Cost and mistakes of a state after the k-th of the steps, and the keys that sound.
-
-        A key that the plan lets go early is no mistake to search for, though it costs.
-
-        Args:
-            k: which step.
-            key_qpos: (K,) of the keys that count [rad].
-            fingertips: (F, 3) [m].
-            before: (K,) those that sounded before the step.
-        """
-        sounding = key_qpos >= self._sounds_from
-        amiss = (sounding ^ self._mine[k]) & self._counts[k]
-        wrong = int(np.count_nonzero(amiss))
-        amiss_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
-        onsets = int(np.count_nonzero(amiss_onsets))
-        lacking = np.maximum(self._slope[k] * key_qpos + self._offset[k], 0.0)
-        offset = (fingertips - self._fingertips[k]) * _COUNTS
-        astray = np.minimum((offset * offset) @ _ONES, FURTHEST**2) @ self._weight[k]
-        mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
-        cost = _WRONG * wrong + _ONSET * onsets + _ALMOST * (lacking @ lacking) + astray
-        return float(cost), mistakes, sounding
-
-    def astray(self, fingertips: Array) -> tuple[Array, Array]:
-        """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].
-
-        And (H, F) how much they count: 1 for those that play.
-        """
-        return self._fingertips - fingertips, self._weight / ASTRAY
 
 
 class HandOfTwo(NamedTuple):
@@ -569,11 +452,6 @@ class HandOfTwo(NamedTuple):
     def _here(self, state: State) -> tuple[Array, Array, Array]:
         qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
         return qpos, qvel, state.key_qpos[0]
-
-
-def later(keys: Mask, steps: int) -> Mask:
-    """(T, K) `keys` (T, K), so many steps later."""
-    return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]
 
 
 def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:

@@ -8,9 +8,10 @@ import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.practice import MOST_EFFORT, Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
-from cadenza.agents.planning.refinement import HandOfTwo, HandPart
+from cadenza.agents.planning.refinement import HandOfTwo
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
 from cadenza.sim.threads import Threads

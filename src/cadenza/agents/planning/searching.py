@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.refinement import HandOfTwo, HandPart, Memory
+from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.refinement import HandOfTwo, Memory
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.sim.protocol import State

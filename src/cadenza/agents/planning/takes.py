@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import Heard, Losses
-from cadenza.agents.planning.refinement import HandPart
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.scene.servos import servos_of

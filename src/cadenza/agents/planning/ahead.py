@@ -1,0 +1,108 @@
+"""What it costs a hand not to do what the steps ahead ask of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.correction import FURTHEST
+from cadenza.agents.planning.hand_part import ASTRAY, HandPart
+from cadenza.keyboards.keyboard import Keyboard
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_WRONG = 3.0  # cost of a key that sounds and should not, or the other way round
+_ONSET = 3.0  # of a note that has not begun in time, and of a key that begins where no note does
+_ALMOST = (
+    3.0  # of a key's travel that lacks to the stop, or passes what does not yet sound, squared
+)
+NO_HARM = 0.3  # of its travel that a key may be down
+_COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
+_ONES = np.ones(3)
+_AT_THE_END = 1.5  # of the horizon they count more
+
+
+class Trial(NamedTuple):
+    """What came of trying a plan."""
+
+    cost: float
+    mistakes: int
+    """How often a key was wrong."""
+    steps: list[float]
+    """What each of the steps that were simulated cost."""
+    fingertips: list[Array]
+    """(F, 3) after each of them [m]."""
+    hand_qpos: list[Array]
+    """(J,) likewise [m, rad]."""
+
+
+class Ahead:
+    """What the steps ahead ask of a hand, and what it costs not to do it.
+
+    Attributes:
+        sounding: (K,) the keys that sound before them.
+    """
+
+    def __init__(
+        self,
+        part: HandPart,
+        rows: NDArray[np.intp],
+        keyboard: Keyboard,
+        keys: slice,
+        key_qpos: Array,
+    ) -> None:
+        """Args:
+        part: of the hand.
+        rows: (H,) the steps.
+        keyboard: all of it.
+        keys: those that count, K of them.
+        key_qpos: (K,) before the steps [rad].
+        """
+        mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
+        self._mine, self._counts = mine, mine | wrong
+        self._mistaken = (mine & part.planned[rows, keys]) | wrong
+        self._due, self._unwelcome = part.due[rows, keys], part.unwelcome[rows, keys]
+        self._sounds_from = keyboard.sounds_from[keys]
+        self.sounding = key_qpos >= self._sounds_from
+        # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
+        sign = wrong.astype(np.float64) - mine
+        self._slope = sign / keyboard.travel[keys]
+        self._offset = np.where(mine, 1.0, np.where(wrong, -NO_HARM, 0.0))
+        self._fingertips = part.fingertips[rows + 1]
+        self._weight = part.weight[rows + 1]
+        self._weight[-1] *= _AT_THE_END
+
+    def cost(
+        self, k: int, key_qpos: Array, fingertips: Array, before: Mask
+    ) -> tuple[float, int, Mask]:
+        """Cost and mistakes of a state after the k-th of the steps, and the keys that sound.
+
+        A key that the plan lets go early is no mistake to search for, though it costs.
+
+        Args:
+            k: which step.
+            key_qpos: (K,) of the keys that count [rad].
+            fingertips: (F, 3) [m].
+            before: (K,) those that sounded before the step.
+        """
+        sounding = key_qpos >= self._sounds_from
+        amiss = (sounding ^ self._mine[k]) & self._counts[k]
+        wrong = int(np.count_nonzero(amiss))
+        amiss_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
+        onsets = int(np.count_nonzero(amiss_onsets))
+        lacking = np.maximum(self._slope[k] * key_qpos + self._offset[k], 0.0)
+        offset = (fingertips - self._fingertips[k]) * _COUNTS
+        astray = np.minimum((offset * offset) @ _ONES, FURTHEST**2) @ self._weight[k]
+        mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
+        cost = _WRONG * wrong + _ONSET * onsets + _ALMOST * (lacking @ lacking) + astray
+        return float(cost), mistakes, sounding
+
+    def astray(self, fingertips: Array) -> tuple[Array, Array]:
+        """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].
+
+        And (H, F) how much they count: 1 for those that play.
+        """
+        return self._fingertips - fingertips, self._weight / ASTRAY

@@ -1,0 +1,80 @@
+"""What one hand has to do of a plan, step by step."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.presses import RISE
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.fingers import SIDES, Side
+from cadenza.music.metrics import ONSET_TOLERANCE
+
+Mask = NDArray[np.bool_]
+
+ABOUT_TO_PRESS = 0.1  # [s] before a press
+ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
+_IDLE_ASTRAY = 200.0
+_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
+
+
+class HandPart:
+    """What one hand has to do over T steps, of which the first P are planned.
+
+    Attributes:
+        mine: (T, K) keys that this hand should hold down.
+        planned: (T, K) those of them that the plan holds down, where it goes.
+        wrong: (T, K) keys that it should not.
+        due: (T, K) its keys that are late unless they sound by then.
+        unwelcome: (T, K) keys, its own or wrong ones, that should not begin to sound.
+        fingertips: (P + 1, F, 3) where its F fingertips should be [m].
+        fingers: their numbers.
+        playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
+        weight: (T + 1, F) of their squared distance from there [1 / m^2].
+    """
+
+    def __init__(self, plan: SongPlan, side: Side) -> None:
+        """Args:
+        plan: of the song.
+        side: of the hand.
+        """
+        dt = plan.track.config.control_timestep
+        keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
+        self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
+        thumb, count = self.fingers.start, plan.scene.fingers.per_hand
+        self.mine = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
+        others = keys & ~self.mine
+        soon = others.copy()
+        for late in range(1, steps_in(_LEAVING, dt) + 1):
+            soon[late:] |= others[:-late]
+        self.wrong = ~keys & ~soon
+        first, in_time = keys & ~later(keys, 1), int(ONSET_TOLERANCE / dt + 1e-9)
+        again = first & later(keys, 2)  # a note of the same key ends as this one should begin
+        self.due = self.mine & (again | later(first & ~again, in_time))
+        welcome = [later(first, steps) for steps in range(in_time + 1)]
+        self.unwelcome = (self.mine | self.wrong) & ~np.any(welcome, axis=0)
+        row = count * plan.scene.sides.index(side)
+        self.fingertips = nominal.fingertips[:, row : row + count]
+        self.planned = np.zeros_like(self.mine)
+        self.playing = np.zeros((len(keys) + 1, count), bool)
+        about_to_press, rise = steps_in(ABOUT_TO_PRESS, dt), steps_in(RISE, dt)
+        for press in nominal.presses:
+            if press.side == side:
+                self.planned[press.first - 1 : press.last - 1, press.key] = True
+                about = max(press.first - about_to_press, 0)
+                self.playing[about : press.last + rise, press.finger - thumb] = True
+        self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
+
+    def holding(self, sounding: Mask) -> HandPart:
+        """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
+        part = copy(self)
+        part.planned = self.mine & sounding
+        return part
+
+
+def later(keys: Mask, steps: int) -> Mask:
+    """(T, K) `keys` (T, K), so many steps later."""
+    return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]

@@ -1,0 +1,125 @@
+"""Rehearsals of one hand: a second of its plan at a time, before it plays it.
+
+In a take, the plan is played in simulation, with feedback. If that goes wrong, iterative learning
+control changes the controls by how far fingertips were astray, and the hand tries again. Nothing is
+drawn. Of a few takes, the one that costs least is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.ahead import Ahead, Trial
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.correction import no_further
+from cadenza.agents.planning.learning_control import changes
+from cadenza.agents.planning.tracking import Tracking
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+from cadenza.sim.hand_trials import HandTrials
+
+Array = NDArray[np.float64]
+
+_WINDOW = 1.0  # [s] that is rehearsed at once
+_JUDGED = 0.2  # [s] after it that count as well: the hand should be able to go on
+_SEEN = 0.4  # [s] after it whose fingertips are corrected, too
+_TAKES = 5  # at most
+_MENDED = 0.5  # of the mistakes may be left; else fingers are caught, which a search frees sooner
+_SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
+_SAME = 1e-3  # [m, rad] that joints may be off where a take had them
+
+
+class HandRehearsal:
+    """What a hand plays in the next steps, as it has been rehearsed.
+
+    Attributes:
+        steps_seen: how many steps of the plan are looked at.
+        ends: the step from which on nothing has been rehearsed.
+    """
+
+    def __init__(self, scene: Scene, trials: HandTrials, dt: float) -> None:
+        """Args:
+        scene: with this hand only.
+        trials: of it.
+        dt: control step [s].
+        """
+        self._servos, self._trials, self._dt = servos_of(scene), trials, dt
+        self._sigma = np.array([scene.hand.servo(name).noise for name in self._servos.names])
+        self._window, self._judged = steps_in(_WINDOW, dt), steps_in(_JUDGED, dt)
+        self.steps_seen = self._window + steps_in(_SEEN, dt)
+        self.forget()
+
+    def forget(self) -> None:
+        """As if nothing had been rehearsed."""
+        self._first, self._ctrl = 0, np.zeros((0, len(self._sigma)))
+        self._foreseen = list[Array]()
+
+    @property
+    def ends(self) -> int:
+        return self._first + len(self._ctrl)
+
+    def ctrl(self, step: int) -> Array:
+        """(N, A) controls of the step and those after it, as far as they have been rehearsed."""
+        return self._ctrl[step - self._first :]
+
+    def foresaw(self, step: int, hand_qpos: Array) -> bool:
+        """Whether a take without mistakes had the hand at (J,) before a step [m, rad]."""
+        played = step - self._first
+        if not 0 < played < len(self._foreseen):
+            return False
+        return bool(np.abs(hand_qpos - self._foreseen[played - 1]).max() < _SAME)
+
+    def rehearse(self, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> int:
+        """Rehearses what comes next, from where trials begin: how many steps were simulated.
+
+        Args:
+            tracking: the plan, of this hand's servos.
+            rows: (S,) its steps from here on, `steps_seen` or up to its end.
+            ahead: what they ask of the hand.
+        """
+        ctrl = kept = tracking.ctrl[rows]
+        best = take = self._play(ctrl, tracking, rows, ahead)
+        most, simulated = _MENDED * take.mistakes, len(rows)
+        for _ in range(_TAKES - 1):
+            if not take.mistakes:
+                break
+            ctrl = self._clip(ctrl + _SHARE * self._changes(take, tracking.gain[rows], ahead))
+            take = self._play(ctrl, tracking, rows, ahead)
+            simulated += len(rows)
+            if take.cost < best.cost and take.mistakes <= most:
+                kept, best = ctrl, take
+        self._foreseen = [] if best.mistakes else best.hand_qpos[: self._window]
+        self._first, self._ctrl = int(rows[0]), kept[: self._window]
+        return simulated
+
+    def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Trial:
+        """What comes of controls (S, A), with feedback."""
+
+        def with_feedback() -> Iterator[Array]:
+            for row, planned in zip(rows, ctrl, strict=True):
+                posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
+                yield self._clip(planned - tracking.feedback(row, posture))
+
+        costs, mistakes, tips, qpos = list[float](), 0, list[Array](), list[Array]()
+        sounding, judged = ahead.sounding, self._window + self._judged
+        for k, (key_qpos, fingertips) in enumerate(self._trials.run(with_feedback())):
+            cost, wrong, sounding = ahead.cost(k, key_qpos, fingertips, sounding)
+            mistakes += wrong * (k < judged)
+            costs.append(cost)
+            tips.append(fingertips)
+            qpos.append(self._trials.hand_joints()[0].copy())
+        cost = np.inf if self._trials.unstable() else sum(costs[:judged])
+        return Trial(cost, mistakes, costs, tips, qpos)
+
+    def _changes(self, take: Trial, gain: Array, ahead: Ahead) -> Array:
+        """(S, A) to the controls of a take that would have been better."""
+        off, weight = ahead.astray(np.array(take.fingertips))
+        motion = self._trials.fingertip_motion(np.array(take.hand_qpos)) @ self._servos.joints.T
+        off = no_further(off)
+        return changes(off, weight, motion, gain, self._servos, self._sigma, self._dt)
+
+    def _clip(self, ctrl: Array) -> Array:
+        return np.clip(ctrl, self._servos.low, self._servos.high)

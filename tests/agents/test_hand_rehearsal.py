@@ -1,0 +1,92 @@
+"""A hand rehearses a second of its plan before it plays it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cadenza.agents.planning.ahead import Ahead, Trial
+from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.libraries.library import load_score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, hand_alone
+from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+DT = 0.05  # [s]
+OFF = 0.03  # [m] of the forearm's controls
+
+
+class Rehearsed:
+    """The right hand before a song, which it rehearses from its beginning."""
+
+    def __init__(self, song: str) -> None:
+        task = PianoTask(
+            [load_score(song)], TaskConfig(initial_buffer_time=0.5), SceneConfig(hands="right")
+        )
+        (track,) = task.tracks
+        start = task.state.hand_qpos[0]
+        self.plan: SongPlan = plan_song(track.with_found_fingers(), start)
+        self.scene: Scene = hand_alone(self.plan.scene, "right").scene
+        self.tracking = self.plan.nominal.tracking
+        self.simulation = PlanningSimulation(self.scene, 1, DT)
+        self.simulation.place(start, np.zeros_like(start), np.zeros(88))
+        self.trials = HandTrials(self.scene, DT)
+        self.rehearsal = HandRehearsal(self.scene, self.trials, DT)
+
+    def rehearse(self) -> int:
+        rows = np.arange(self.rehearsal.steps_seen)
+        self.trials.begin_from(self.simulation, -1.0, 1.0)
+        part, keys = HandPart(self.plan, "right"), self.trials.keys
+        ahead = Ahead(part, rows, PIANO, keys, np.zeros(88)[keys])
+        return self.rehearsal.rehearse(self.tracking, rows, ahead)
+
+
+def test_what_goes_well_is_played_once_and_foreseen() -> None:
+    hand = Rehearsed("TwinkleTwinkleLittleStar")
+    assert hand.rehearse() == hand.rehearsal.steps_seen
+    assert hand.rehearsal.ends == 20
+    np.testing.assert_array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
+    for step in range(10):
+        qpos, qvel = hand.simulation.state.hand_qpos[0], hand.simulation.state.hand_qvel[0]
+        assert hand.rehearsal.foresaw(step, qpos) == (step > 0)
+        assert not hand.rehearsal.foresaw(step, qpos + 0.01)
+        posture = np.linalg.pinv(hand.rehearsal._servos.joints).T @ np.stack([qpos, qvel], axis=1)
+        ctrl = hand.rehearsal.ctrl(step)[0] - hand.tracking.feedback(step, posture)
+        hand.simulation.step(hand.rehearsal._clip(ctrl)[None])
+    assert hand.rehearsal.ctrl(10).shape == (10, hand.tracking.ctrl.shape[1])
+
+
+def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand = Rehearsed("TwinkleTwinkleLittleStar")
+    ctrl = hand.tracking.ctrl.copy()
+    ctrl[:, -2:] += OFF
+    hand.tracking = hand.tracking._replace(ctrl=ctrl, gain=0.0 * hand.tracking.gain)
+    takes, play = list[Trial](), hand.rehearsal._play
+
+    def noted(*args: Any) -> Trial:
+        takes.append(play(*args))
+        return takes[-1]
+
+    monkeypatch.setattr(hand.rehearsal, "_play", noted)
+    hand.rehearse()
+    assert takes[0].mistakes > 0
+    assert min(take.mistakes for take in takes) < takes[0].mistakes / 2
+    assert not np.array_equal(hand.rehearsal.ctrl(0), ctrl[:20])
+
+
+def test_rehearsing_leaves_the_plan_as_it_is() -> None:
+    hand = Rehearsed("CMajorScaleOneHand")
+    before = hand.tracking.ctrl.copy()
+    hand.rehearse()
+    np.testing.assert_array_equal(hand.tracking.ctrl, before)
+    hand.rehearsal.forget()
+    assert hand.rehearsal.ends == 0
+    assert len(hand.rehearsal.ctrl(7)) == 0
