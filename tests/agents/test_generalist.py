@@ -13,14 +13,17 @@ import pytest
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
+from cadenza.agents.generalist import rehearsal
 from cadenza.agents.generalist import weights as weights_module
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.inputs import Corrections
+from cadenza.agents.generalist.rehearsal import Rehearsal, RehearsedHand
 from cadenza.agents.generalist.weights import Weights
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.in_sight import InSight
+from cadenza.agents.planning.learning_control import changes
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Tracking
@@ -122,6 +125,10 @@ def elsewhere(plan: SongPlan, key: Callable[[int], int], of: list[int], sign: fl
     )
 
 
+def actions(score: Score, config: GeneralistConfig) -> Array:
+    return play_episode(PianoTask([score], TASK), Generalist(config), 0).episode["action"]
+
+
 def play(score: Score, agent: Generalist | ScorePlanner, seed: int = 0) -> dict[str, float]:
     return play_episode(PianoTask([score], TASK), agent, seed).metrics
 
@@ -180,6 +187,48 @@ def test_plays_better_for_rehearsing() -> None:
     score = load_score("MoonlightOpening").beginning(5.0)
     at_once = Generalist(GeneralistConfig(rehearsals=0))
     assert play(score, Generalist())["f1"] > play(score, at_once)["f1"] + 0.03
+
+
+def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    rehearsed: dict[int, Array] = {}
+    further = Rehearsal.further
+
+    def noted(self: Rehearsal, plan: SongPlan, times: int) -> SongPlan:
+        part = further(self, plan, times)
+        rehearsed[self.steps] = self.here.state.hand_qpos[0]
+        return part
+
+    monkeypatch.setattr(Rehearsal, "further", noted)
+    task = PianoTask([load_score("MoonlightOpening").beginning(4.0)], TASK)
+    played = play_episode(task, Generalist(), 0).episode["hand_qpos"]  # after each step
+    assert len(rehearsed) > 3
+    for steps, there in rehearsed.items():
+        np.testing.assert_allclose(played[steps - 1], there, atol=1e-6)
+
+
+def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    score = load_score("MoonlightOpening").beginning(3.0)
+    at_once = actions(score, GeneralistConfig(rehearsals=0))
+    assert (actions(score, GeneralistConfig(rehearsals=1)) != at_once).any()
+
+    def too_far(off: Array, *others: object) -> Array:
+        return np.full_like(changes(off, *others), 0.3)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rehearsal, "changes", too_far)
+    np.testing.assert_array_equal(actions(score, GeneralistConfig(rehearsals=1)), at_once)
+
+
+def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[int] = []
+    changed = RehearsedHand.changes
+
+    def noted(self: RehearsedHand) -> Array:
+        taken.append(1)
+        return changed(self)
+
+    monkeypatch.setattr(RehearsedHand, "changes", noted)
+    play(Score((Note(0.0, 1.0, 64, 80), Note(3.0, 4.0, 64, 80))), Generalist())
+    assert len(taken) <= 2 * 6  # by either hand, once for each window
 
 
 def test_plays_the_same_each_time() -> None:
@@ -278,11 +327,6 @@ print("jax" in sys.modules)"""
 # What is in sight only
 
 
-def actions(score: Score, look_ahead: float) -> Array:
-    agent = Generalist(GeneralistConfig(look_ahead=look_ahead))
-    return play_episode(PianoTask([score], TASK), agent, 0).episode["action"]
-
-
 @pytest.mark.parametrize("look_ahead", [0.5, 2.0])
 def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead: float) -> None:
     known = load_score("BachPreludeInCMajor").beginning(4.5)
@@ -292,7 +336,9 @@ def test_plays_the_same_whatever_comes_beyond_what_it_sees(look_ahead: float) ->
     alike = int((one[: len(other)] != other[: len(one)]).any(axis=1).argmax())
     blind = alike - round(look_ahead / TASK.control_timestep)
     assert blind > 20
-    first, second = (actions(score, look_ahead) for score in (known, changed))
+    first, second = (
+        actions(score, GeneralistConfig(look_ahead=look_ahead)) for score in (known, changed)
+    )
     np.testing.assert_array_equal(first[:blind], second[:blind])
     assert (first[blind:alike] != second[blind:alike]).any()
 
@@ -314,7 +360,8 @@ def test_plays_at_sight(look_ahead: float, least: float) -> None:
 def test_fingers_that_a_song_gives_are_not_in_sight() -> None:
     given = notes_of_thumb_to_little(0)
     other = notes_of_thumb_to_little(5)
-    np.testing.assert_array_equal(actions(given, 0.5), actions(other, 0.5))
+    half_a_second = GeneralistConfig(look_ahead=0.5)
+    np.testing.assert_array_equal(actions(given, half_a_second), actions(other, half_a_second))
 
 
 def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ import numpy as np
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.generalist.inputs import FAR
 from cadenza.agents.generalist.rehearsal import Rehearsal
 from cadenza.agents.generalist.weights import Weights, weights_of
 from cadenza.agents.planning.control_steps import steps_in
@@ -83,30 +82,28 @@ class GeneralistSong:
             CadenzaError: it has learnt with other servos.
         """
         self._plans, self._weights, self._rehearsals = plans, weights, rehearsals
-        plan = next(plans)
-        self._hands = corrected_hands(plan, weights)
-        self._rehearsal = Rehearsal(plan, start, weights)
-        self._follow(plan, 0)
+        self.plan = next(plans)
+        self._hands = corrected_hands(self.plan, weights)
+        self._rehearsal = Rehearsal(self.plan, start, weights)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        self._plan_ahead(step)
+        while step >= self._rehearsal.steps:
+            self._go_on(step)
         action = np.zeros(view.task.action_size)
         action[-1] = self.plan.goals.sustain[step]
         for hand in self._hands:
             action[hand.servos] = hand.act(step, view.state, self._weights)
         return action
 
-    def _plan_ahead(self, step: int) -> None:
-        """Plans another window before what is shown of the plan ends."""
-        while not self.plan.complete and self.plan.nominal.num_steps <= step + FAR:
-            self._follow(next(self._plans), step)
-
-    def _follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, that plan as it is after rehearsals."""
-        self.plan = self._rehearsal.rehearsed(plan, self._rehearsals)
+    def _go_on(self, step: int) -> None:
+        """Plans and rehearses what comes from that step on."""
+        needed = self._rehearsal.steps + self._rehearsal.steps_seen
+        while not self.plan.complete and self.plan.nominal.num_steps < needed:
+            self.plan = next(self._plans)
+        part = self._rehearsal.further(self.plan, self._rehearsals)
         for hand in self._hands:
-            hand.follow(self.plan, step)
+            hand.follow(part, step)
 
 
 class SightReader:

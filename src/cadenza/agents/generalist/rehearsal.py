@@ -1,22 +1,27 @@
 """Plays a plan in a simulation, and changes it by how far fingertips were astray.
 
-Nothing is drawn and nothing is chosen: it is iterative learning control over all that has been
-planned. What comes of it serves twice: a plan that has been rehearsed is played better, and how it
-is changed is what the networks learn to foresee.
+It is iterative learning control, a second of the plan at a time: what went wrong in a take says how
+the next one is played, nothing is drawn. Of the takes, each hand keeps the one that it played best,
+and the next second goes on from where that has led.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from copy import copy
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.generalist.weights import Floats
+from cadenza.agents.generalist.inputs import FAR
+from cadenza.agents.generalist.weights import Weights
+from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import FURTHEST
 from cadenza.agents.planning.hand_part import ASTRAY, HandPart
 from cadenza.agents.planning.learning_control import changes
+from cadenza.agents.planning.losses import Heard, Losses
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -25,89 +30,144 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
+_WINDOW = 1.0  # [s] that is rehearsed at once
 _SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
 
-
-class Answers(Protocol):
-    """What corrects a hand."""
-
-    def __call__(self, told: Floats, /) -> Floats:
-        """(A,) of what is told of it (D,)."""
+Mask = NDArray[np.bool_]
 
 
 class Take(NamedTuple):
-    """What came of S steps of one hand, of A servos."""
+    """What came of a window of the plan, and of what follows it, S steps in all."""
 
-    told: Floats
-    """(S, D) before each step."""
+    ctrl: Array
+    """(S, A) of the plan, for the servos of both hands."""
     changes: Array
-    """(S, A) to the controls that were played, which would have been better."""
-    better: Array
-    """(S, A) what would have been the answers then."""
+    """(S, A) to them, which would have been better."""
+    cost: Array
+    """(H,) of each hand, see `Losses`."""
+    faultless: Mask
+    """(H,) whether it did all that the plan has it do, and nothing else."""
+    end: PlanningSimulation
+    """Where the window ends."""
+    heard: Heard
+    """Then."""
+    answers: list[Array]
+    """(A,) by how much each hand was corrected just before."""
 
 
 class Rehearsal:
-    """Both hands in a simulation of their own."""
+    """Both hands in a simulation of their own.
 
-    def __init__(self, plan: SongPlan, start: State, answers: Answers) -> None:
+    Attributes:
+        steps: how many have been rehearsed.
+        here: the simulation after them.
+    """
+
+    def __init__(self, plan: SongPlan, start: State, weights: Weights) -> None:
         """Args:
         plan: of the song, as far as it goes.
         start: the first of its states is where the hands begin.
-        answers: what corrects the plan as it is played.
+        weights: what corrects the plan as it is played.
         """
-        self._answers, self._step = answers, 0
-        self._ctrl = plan.nominal.tracking.ctrl[:0]
         dt = plan.track.config.control_timestep
-        self._here, self._back = (PlanningSimulation(plan.scene, 1, dt) for _ in range(2))
-        self._here.place(start.hand_qpos[0], start.hand_qvel[0], start.key_qpos[0])
+        self._window, self._weights, self.steps = steps_in(_WINDOW, dt), weights, 0
+        self.here = PlanningSimulation(plan.scene, 1, dt)
+        self.here.place(start.hand_qpos[0], start.hand_qvel[0], start.key_qpos[0])
+        silent = np.zeros(plan.scene.keyboard.num_keys, bool)
+        self._heard, self._keys = Heard(silent, silent), plan.scene.keyboard.centre[:, 1]
         self._hands = [RehearsedHand(plan, side) for side in plan.scene.sides]
+        self._answers = [hand.corrected.answer for hand in self._hands]
+        self._plan, self._ctrl = plan, plan.nominal.tracking.ctrl.copy()
 
-    def rehearsed(self, plan: SongPlan, times: int) -> SongPlan:
-        """The plan with other controls, after it has been rehearsed so many times.
+    @property
+    def steps_seen(self) -> int:
+        """How many steps a plan has to go further than has been rehearsed, if the song does."""
+        return self._window + FAR
+
+    def further(self, plan: SongPlan, times: int) -> SongPlan:
+        """What is to be played in the next window: the plan with other controls, from there on.
 
         Args:
-            plan: goes further than the one before, whose changes it takes over.
-            times: that the new part is played, each time from where the last time of the part
-                before has come to.
+            plan: of the song, as far as it goes.
+            times: that the window is changed and played again, unless there is nothing to change.
         """
-        first, ctrl = self._step, plan.nominal.tracking.ctrl.copy()
+        if plan is not self._plan:
+            self._take_over(plan)
+        first = self.steps
+        self.steps = min(first + self._window, plan.nominal.num_steps)
+        if times:
+            takes = [self._play(first, self._ctrl[first : self.steps + FAR])]
+            while len(takes) <= times and not takes[-1].faultless.all():
+                takes.append(self._play(first, self._changed(takes[-1])))
+            best = min([*takes, *self._joined(first, takes)], key=lambda take: take.cost.sum())
+            self._ctrl[first : self.steps + FAR] = best.ctrl
+            self.here, self._heard, self._answers = best.end, best.heard, best.answers
+        return self._part(first, self._ctrl[first : self.steps + FAR])
+
+    def _take_over(self, plan: SongPlan) -> None:
+        """Goes on with a plan that goes further."""
+        ctrl = plan.nominal.tracking.ctrl.copy()
         ctrl[: len(self._ctrl)] = self._ctrl
-        self._back.copy_from(self._here, 0)
-        answers = [hand.corrected.answer for hand in self._hands]
-        for _ in range(times):
-            self._step = first
-            self._here.copy_from(self._back, 0)
-            for hand, answer in zip(self._hands, answers, strict=True):
-                hand.corrected.answer = answer
-            takes = self.play(with_controls(plan, ctrl))
-            ctrl = ctrl.copy()
-            for hand, take in zip(self._hands, takes, strict=True):
-                there = ctrl[first:, hand.servos] + _SHARE * take.changes
-                ctrl[first:, hand.servos] = hand.corrected.clip(there)
-        self._ctrl = ctrl
-        return with_controls(plan, ctrl)
-
-    def play(self, plan: SongPlan, pushes: Array | None = None) -> list[Take]:
-        """Goes on to where the plan ends: what came of it, for each hand.
-
-        Args:
-            plan: goes further than the one before.
-            pushes: (T, A) what is added to the controls of both hands.
-        """
-        first, last = self._step, plan.nominal.num_steps
+        self._plan, self._ctrl = plan, ctrl
         for hand in self._hands:
-            hand.begin(plan, first)
-        ctrl = np.zeros((1, len(plan.scene.actuator_names)))
-        for step in range(first, last):
-            before = self._here.state
+            hand.follow(plan)
+
+    def _part(self, first: int, ctrl: Array) -> SongPlan:
+        """The plan up to where controls (S, A) end that begin with step `first`."""
+        nominal = self._plan.nominal
+        part = nominal.part(0, first + len(ctrl))
+        before = part.tracking.ctrl[:first]
+        tracking = part.tracking._replace(ctrl=np.concatenate([before, ctrl]))
+        presses = [press for press in nominal.presses if press.last > first]
+        return self._plan._replace(nominal=part._replace(tracking=tracking, presses=presses))
+
+    def _changed(self, take: Take) -> Array:
+        """(S, A) controls that should be better, of the hands that had anything wrong."""
+        ctrl = take.ctrl.copy()
+        for i, hand in enumerate(self._hands):
+            if not take.faultless[i]:
+                there = ctrl[:, hand.servos] + _SHARE * take.changes[:, hand.servos]
+                ctrl[:, hand.servos] = hand.corrected.clip(there)
+        return ctrl
+
+    def _joined(self, first: int, takes: list[Take]) -> list[Take]:
+        """What comes of either hand's best take together, if these are not the same."""
+        own = [min(takes, key=lambda take: take.cost[i]) for i in range(len(self._hands))]
+        if all(take is own[0] for take in own):
+            return []
+        ctrl = own[0].ctrl.copy()
+        for hand, take in zip(self._hands, own, strict=True):
+            ctrl[:, hand.servos] = take.ctrl[:, hand.servos]
+        return [self._play(first, ctrl)]
+
+    def _play(self, first: int, ctrl: Array) -> Take:
+        """What comes of controls (S, A) of the plan from where the hands are, before `first`."""
+        part, here, heard = self._part(first, ctrl), copy(self.here), self._heard
+        for hand, answer in zip(self._hands, self._answers, strict=True):
+            hand.begin(part, first, answer)
+        action = np.zeros((1, ctrl.shape[1]))
+        for step in range(first, first + len(ctrl)):
             for hand in self._hands:
-                push = 0.0 if pushes is None else pushes[step, hand.servos]
-                ctrl[0, hand.servos] = hand.act(step, before, self._answers, push)
-            self._here.step(ctrl)
+                action[0, hand.servos] = hand.act(step, here.state, self._weights)
+            here.step(action)
             for hand in self._hands:
-                hand.note(self._here.state)
-        self._step = last
-        return [hand.take() for hand in self._hands]
+                hand.note(here.state)
+            heard = self._judge(step, here.state, heard)
+            if step + 1 == self.steps:
+                end, heard_then = copy(here), heard
+                answers = [hand.corrected.answer for hand in self._hands]
+        changed = np.concatenate([hand.changes() for hand in self._hands], axis=1)
+        cost, faults = np.transpose([hand.judged for hand in self._hands])
+        return Take(ctrl, changed, cost, faults == 0, end, heard_then, answers)
+
+    def _judge(self, step: int, state: State, heard: Heard) -> Heard:
+        """What is heard after a step; the hand that is nearer to a key is to blame for it."""
+        places = [state.fingertip_xpos[0, hand.fingers, 1].mean() for hand in self._hands]
+        nearest = np.argmin([np.abs(self._keys - place) for place in places], axis=0)
+        heards = [
+            hand.judge(step, state, heard, nearest == i) for i, hand in enumerate(self._hands)
+        ]
+        return heards[0]
 
 
 class RehearsedHand:
@@ -116,60 +176,69 @@ class RehearsedHand:
     Attributes:
         corrected: it.
         servos: which of all the scene's are this hand's.
+        fingers: their numbers.
+        judged: (2,) what it has lost since `begin`, and how many faults it has made.
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
         self._side, self._dt = side, plan.track.config.control_timestep
         self.corrected = CorrectedHand(plan, side)
         self.servos = self.corrected.servos
+        self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
         alone = hand_alone(plan.scene, side).scene
         self._of_servos = servos_of(alone)
         self._kinematics = Kinematics(alone, self._of_servos)
         self._sigma = np.array([alone.hand.servo(name).noise for name in self._of_servos.names])
-        self._fingers = plan.scene.fingers.of_hand(SIDES.index(side))
+        self.follow(plan)
 
-    def begin(self, plan: SongPlan, step: int) -> None:
-        """Rehearses that plan from that step on."""
-        self._plan, self._first = plan, step
-        self.corrected.follow(plan, step)
-        self._steps: list[tuple[Floats, Array, Array]] = []
+    def follow(self, plan: SongPlan) -> None:
+        """Goes on with a plan that goes further."""
+        self._part = HandPart(plan, self._side)
+        self._losses = Losses(plan, self._part)
+        self._gain = plan.nominal.tracking.of(self.servos).gain
+
+    def begin(self, part: SongPlan, step: int, answer: Array) -> None:
+        """Plays a part of the plan from that step on, after the correction (A,) before it."""
+        self.corrected.follow(part, step)
+        self.corrected.answer = answer
+        self._first, self.judged = step, np.zeros(2)
         self._states: list[tuple[Array, Array]] = []
 
-    def act(self, step: int, state: State, answers: Answers, push: Array | float) -> Array:
-        """(A,) the next controls, with a `push` (A,) besides."""
-        hand = self.corrected
-        told, planned = hand.see(step, state)
-        ctrl = hand.clip(planned + hand.corrections.ctrl(answers(told)) + push)
-        hand.played(ctrl, planned)
-        self._steps.append((told, planned, ctrl))
-        return ctrl
+    def act(self, step: int, state: State, weights: Weights) -> Array:
+        """(A,) the next controls."""
+        return self.corrected.act(step, state, weights)
 
     def note(self, state: State) -> None:
         """Keeps where the hand is after a step."""
         posture = self.corrected.posture(state)[:, 0]
-        self._states.append((posture, state.fingertip_xpos[0, self._fingers].copy()))
+        self._states.append((posture, state.fingertip_xpos[0, self.fingers].copy()))
 
-    def take(self) -> Take:
-        """What came of it since `begin`."""
-        told, planned, played = (np.array(some) for some in zip(*self._steps, strict=True))
-        postures, fingertips = (np.array(some) for some in zip(*self._states, strict=True))
-        changed = self._changes(postures, fingertips)
-        hand = self.corrected
-        return Take(told, changed, hand.corrections.answer(hand.clip(played + changed) - planned))
+    def judge(self, step: int, state: State, before: Heard, near: Mask) -> Heard:
+        """What is heard after a step.
 
-    def _changes(self, postures: Array, fingertips: Array) -> Array:
-        """(S, A) to controls that have led to postures (S, A) and fingertips (S, F, 3)."""
-        part, after = HandPart(self._plan, self._side), slice(self._first + 1, None)
-        off = part.fingertips[after] - fingertips
+        Args:
+            step: of the song.
+            state: after it.
+            before: heard before it.
+            near: (K,) keys for which the hand is to blame if they sound and should not.
+        """
+        key_qpos, tips = state.key_qpos[0], state.fingertip_xpos[0, self.fingers]
+        _, cost, heard = self._losses.after(step, key_qpos, tips, before, near=near)
+        part, silent = self._part, ~heard.sounding
+        missing = (part.mine | part.due)[step] & part.planned[step] & silent
+        wrong = part.wrong[step] & heard.sounding | part.unwelcome[step] & heard.begins
+        self.judged += np.array([cost, np.count_nonzero(missing | (wrong & near))])
+        return heard
+
+    def changes(self) -> Array:
+        """(S, A) to the controls since `begin`, which would have been better."""
+        postures, tips = (np.array(some) for some in zip(*self._states, strict=True))
+        steps = slice(self._first, self._first + len(tips))
+        after = slice(steps.start + 1, steps.stop + 1)
+        off = self._part.fingertips[after] - tips
         far = np.linalg.norm(off, axis=2, keepdims=True)
         off *= FURTHEST / np.maximum(far, FURTHEST)
         motion = self._kinematics.fingers(postures)[1][:, :, TIP]
-        gain = self._plan.nominal.tracking.of(self.servos).gain[self._first :]
-        weight = part.weight[after][: len(off)] / ASTRAY
+        weight = self._part.weight[after] / ASTRAY
+        gain = self._gain[steps]
         return changes(off, weight, motion, gain, self._of_servos, self._sigma, self._dt)
-
-
-def with_controls(plan: SongPlan, ctrl: Array) -> SongPlan:
-    """The same plan with other controls (T, A)."""
-    nominal = plan.nominal
-    return plan._replace(nominal=nominal._replace(tracking=nominal.tracking._replace(ctrl=ctrl)))
