@@ -24,6 +24,7 @@ from cadenza.agents.generalist.weights import Weights
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.learning_control import changes
+from cadenza.agents.planning.losses import Heard
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Tracking
@@ -216,6 +217,35 @@ def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(rehearsal, "changes", too_far)
     np.testing.assert_array_equal(actions(score, GeneralistConfig(rehearsals=1)), at_once)
+
+
+@pytest.mark.parametrize(
+    ("depths", "deeper", "higher"),
+    [({}, [0], []), ({39: 0.067}, [], []), ({39: 0.067, 44: 0.067}, [], [3])],
+)
+def test_what_a_take_should_have_been(
+    scene_of_both: SongPlan,
+    monkeypatch: pytest.MonkeyPatch,
+    depths: dict[int, float],
+    deeper: list[int],
+    higher: list[int],
+) -> None:
+    asked: list[Array] = []
+
+    def noted(off: Array, *others: object) -> Array:
+        asked.append(off)
+        return changes(off, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rehearsal, "changes", noted)
+    hand = RehearsedHand(scene_of_both, "right")
+    hand.begin(scene_of_both, 11, np.zeros(19))  # the thumb holds key 39 since step 10
+    silent, near = np.zeros(88, bool), np.ones(88, bool)
+    hand.note(11, state_on(scene_of_both, 12, depths), Heard(silent, silent), near)
+    hand.changes()
+    (off,) = asked[0]
+    assert np.flatnonzero(off[:, 2] < -0.005).tolist() == deeper
+    assert np.flatnonzero(off[:, 2] > 0.005).tolist() == higher
+    assert hand.judged[1] == len(deeper) + len(higher)
 
 
 def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:

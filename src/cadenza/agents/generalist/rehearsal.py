@@ -31,6 +31,10 @@ from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
 _WINDOW = 1.0  # [s] that is rehearsed at once
+_DEEPER = 0.006  # [m] that a fingertip should be whose key should sound and does not
+_THERE = 0.006  # [m] beside where it should be, it is not too high but astray
+_HIGHER = 0.01  # [m] that a fingertip should be whose key should not sound and does
+_OVER = 0.015  # [m] from the middle of that key, it is not this fingertip that presses it
 _SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
 
 Mask = NDArray[np.bool_]
@@ -150,9 +154,7 @@ class Rehearsal:
             for hand in self._hands:
                 action[0, hand.servos] = hand.act(step, here.state, self._weights)
             here.step(action)
-            for hand in self._hands:
-                hand.note(here.state)
-            heard = self._judge(step, here.state, heard)
+            heard = self._note(step, here.state, heard)
             if step + 1 == self.steps:
                 end, heard_then = copy(here), heard
                 answers = [hand.corrected.answer for hand in self._hands]
@@ -160,14 +162,13 @@ class Rehearsal:
         cost, faults = np.transpose([hand.judged for hand in self._hands])
         return Take(ctrl, changed, cost, faults == 0, end, heard_then, answers)
 
-    def _judge(self, step: int, state: State, heard: Heard) -> Heard:
+    def _note(self, step: int, state: State, before: Heard) -> Heard:
         """What is heard after a step; the hand that is nearer to a key is to blame for it."""
         places = [state.fingertip_xpos[0, hand.fingers, 1].mean() for hand in self._hands]
         nearest = np.argmin([np.abs(self._keys - place) for place in places], axis=0)
-        heards = [
-            hand.judge(step, state, heard, nearest == i) for i, hand in enumerate(self._hands)
-        ]
-        return heards[0]
+        for i, hand in enumerate(self._hands):
+            heard = hand.note(step, state, before, nearest == i)
+        return heard
 
 
 class RehearsedHand:
@@ -196,25 +197,21 @@ class RehearsedHand:
         self._part = HandPart(plan, self._side)
         self._losses = Losses(plan, self._part)
         self._gain = plan.nominal.tracking.of(self.servos).gain
+        self._keyboard, self._asked = plan.scene.keyboard, plan.goals.fingers
 
     def begin(self, part: SongPlan, step: int, answer: Array) -> None:
         """Plays a part of the plan from that step on, after the correction (A,) before it."""
         self.corrected.follow(part, step)
         self.corrected.answer = answer
         self._first, self.judged = step, np.zeros(2)
-        self._states: list[tuple[Array, Array]] = []
+        self._states: list[tuple[Array, Array, Mask]] = []
 
     def act(self, step: int, state: State, weights: Weights) -> Array:
         """(A,) the next controls."""
         return self.corrected.act(step, state, weights)
 
-    def note(self, state: State) -> None:
-        """Keeps where the hand is after a step."""
-        posture = self.corrected.posture(state)[:, 0]
-        self._states.append((posture, state.fingertip_xpos[0, self.fingers].copy()))
-
-    def judge(self, step: int, state: State, before: Heard, near: Mask) -> Heard:
-        """What is heard after a step.
+    def note(self, step: int, state: State, before: Heard, near: Mask) -> Heard:
+        """What is heard after a step; keeps what the hand did.
 
         Args:
             step: of the song.
@@ -222,23 +219,49 @@ class RehearsedHand:
             before: heard before it.
             near: (K,) keys for which the hand is to blame if they sound and should not.
         """
-        key_qpos, tips = state.key_qpos[0], state.fingertip_xpos[0, self.fingers]
+        posture = self.corrected.posture(state)[:, 0]
+        key_qpos, tips = state.key_qpos[0], state.fingertip_xpos[0, self.fingers].copy()
         _, cost, heard = self._losses.after(step, key_qpos, tips, before, near=near)
         part, silent = self._part, ~heard.sounding
         missing = (part.mine | part.due)[step] & part.planned[step] & silent
         wrong = part.wrong[step] & heard.sounding | part.unwelcome[step] & heard.begins
         self.judged += np.array([cost, np.count_nonzero(missing | (wrong & near))])
+        self._states.append((posture, tips, heard.sounding))
         return heard
 
     def changes(self) -> Array:
         """(S, A) to the controls since `begin`, which would have been better."""
-        postures, tips = (np.array(some) for some in zip(*self._states, strict=True))
-        steps = slice(self._first, self._first + len(tips))
-        after = slice(steps.start + 1, steps.stop + 1)
-        off = self._part.fingertips[after] - tips
+        postures, tips, sounding = (np.array(some) for some in zip(*self._states, strict=True))
+        off, weight = self._better(tips, sounding)
         far = np.linalg.norm(off, axis=2, keepdims=True)
         off *= FURTHEST / np.maximum(far, FURTHEST)
         motion = self._kinematics.fingers(postures)[1][:, :, TIP]
-        weight = self._part.weight[after] / ASTRAY
-        gain = self._gain[steps]
+        gain = self._gain[self._first : self._first + len(off)]
         return changes(off, weight, motion, gain, self._of_servos, self._sigma, self._dt)
+
+    def _better(self, tips: Array, sounding: Mask) -> tuple[Array, Array]:
+        """(S, F, 3) ways to where fingertips should have been, and (S, F) how much they count.
+
+        Args:
+            tips: (S, F, 3) where they were after each step since `begin` [m].
+            sounding: (S, K) keys.
+        """
+        part, first, keyboard = self._part, self._first, self._keyboard
+        steps, after = (slice(first + late, first + late + len(tips)) for late in (0, 1))
+        off = part.fingertips[after] - tips
+        weight = part.weight[after] / ASTRAY
+        step, key = np.nonzero(part.mine[steps] & part.planned[steps] & ~sounding)
+        finger = self._asked[first + step, key] - self.fingers.start
+        there = np.hypot(*off[step, finger, :2].T) < _THERE
+        off[step[there], finger[there], 2] -= _DEEPER
+        step, key = np.nonzero(part.wrong[steps] & sounding)
+        beside = np.abs(tips[step, :, :2] - keyboard.centre[key, None, :2])
+        beside[..., 0] = np.maximum(beside[..., 0] - keyboard.half_size[key, None, 0], 0.0)
+        away = beside.sum(axis=2)
+        finger, over = away.argmin(axis=1), away.min(axis=1) < _OVER
+        high = np.zeros(weight.shape, bool)
+        for then in (step, np.maximum(step - 1, 0)):  # it comes too low before
+            high[then[over], finger[over]] = True
+        off[high, 2] += _HIGHER
+        weight[high] = 1.0
+        return off, weight
