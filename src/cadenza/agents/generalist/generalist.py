@@ -98,8 +98,7 @@ class GeneralistSong:
 
     def _go_on(self, step: int) -> None:
         """Plans and rehearses what comes from that step on."""
-        needed = self._rehearsal.steps + self._rehearsal.steps_seen
-        while not self.plan.complete and self.plan.nominal.num_steps < needed:
+        while not self.plan.complete and self.plan.nominal.num_steps < self._rehearsal.needed:
             self.plan = next(self._plans)
         part = self._rehearsal.further(self.plan, self._rehearsals)
         for hand in self._hands:

@@ -30,7 +30,7 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_WINDOW = 1.0  # [s] that is rehearsed at once
+_FIRST, _WINDOW = 0.5, 1.0  # [s] rehearsed at once: less before the first action
 _DEEPER = 0.006  # [m] that a fingertip should be whose key should sound and does not
 _THERE = 0.006  # [m] beside where it should be, it is not too high but astray
 _HIGHER = 0.01  # [m] that a fingertip should be whose key should not sound and does
@@ -74,7 +74,8 @@ class Rehearsal:
         weights: what corrects the plan as it is played.
         """
         dt = plan.track.config.control_timestep
-        self._window, self._weights, self.steps = steps_in(_WINDOW, dt), weights, 0
+        self._first, self._more = steps_in(_FIRST, dt), steps_in(_WINDOW, dt)
+        self._weights, self.steps = weights, 0
         self.here = PlanningSimulation(plan.scene, 1, dt)
         self.here.place(start.hand_qpos[0], start.hand_qvel[0], start.key_qpos[0])
         silent = np.zeros(plan.scene.keyboard.num_keys, bool)
@@ -84,9 +85,14 @@ class Rehearsal:
         self._plan, self._ctrl = plan, plan.nominal.tracking.ctrl.copy()
 
     @property
-    def steps_seen(self) -> int:
-        """How many steps a plan has to go further than has been rehearsed, if the song does."""
-        return self._window + FAR
+    def needed(self) -> int:
+        """How many steps a plan has to have for `further`, if the song does."""
+        return self._until + FAR
+
+    @property
+    def _until(self) -> int:
+        """Where the next window ends, if the song goes on."""
+        return self.steps + self._more if self.steps else self._first
 
     def further(self, plan: SongPlan, times: int) -> SongPlan:
         """What is to be played in the next window: the plan with other controls, from there on.
@@ -98,7 +104,7 @@ class Rehearsal:
         if plan is not self._plan:
             self._take_over(plan)
         first = self.steps
-        self.steps = min(first + self._window, plan.nominal.num_steps)
+        self.steps = min(self._until, plan.nominal.num_steps)
         if times:
             takes = [self._play(first, self._ctrl[first : self.steps + FAR])]
             while len(takes) <= times and not takes[-1].faultless.all():
