@@ -18,7 +18,7 @@ from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.inputs import FAR
 from cadenza.agents.generalist.weights import Weights
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.correction import FURTHEST
+from cadenza.agents.planning.correction import no_further
 from cadenza.agents.planning.hand_part import ASTRAY, HandPart
 from cadenza.agents.planning.learning_control import changes
 from cadenza.agents.planning.losses import Heard, Losses
@@ -239,8 +239,7 @@ class RehearsedHand:
         """(S, A) to the controls since `begin`, which would have been better."""
         postures, tips, sounding = (np.array(some) for some in zip(*self._states, strict=True))
         off, weight = self._better(tips, sounding)
-        far = np.linalg.norm(off, axis=2, keepdims=True)
-        off *= FURTHEST / np.maximum(far, FURTHEST)
+        off = no_further(off)
         motion = self._kinematics.fingers(postures)[1][:, :, TIP]
         gain = self._gain[self._first : self._first + len(off)]
         return changes(off, weight, motion, gain, self._of_servos, self._sigma, self._dt)
