@@ -18,7 +18,7 @@ import av
 import av.filter
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, signal
+from scipy import ndimage
 from threadpoolctl import threadpool_limits
 
 from cadenza.music.score import PITCHES, Note, Score
@@ -271,6 +271,8 @@ def _pan(pitch: int) -> NDArray[np.float32]:
 
 def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArray[np.float32]]:
     """Adds a little room: decaying noise, always the same, as impulse response."""
+    from scipy import signal  # which takes half a second, and would delay the first action
+
     time = np.arange(int(_TAIL * rate)) / rate
     noise = np.random.default_rng(88).standard_normal((len(time), 2)).T
     band = signal.butter(1, [200, 3500], "bandpass", fs=rate, output="sos")

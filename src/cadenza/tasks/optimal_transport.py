@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -25,6 +24,8 @@ def keys_by_transport_on_host(
         goal: (N, K) the keys to press.
         there: those of the F fingers that there are.
     """
+    from scipy.optimize import linear_sum_assignment  # slow, and most tasks do without
+
     keys = np.full(fingertips.shape[:2], -1)
     for row in np.flatnonzero(goal.any(axis=1)):
         key = np.flatnonzero(goal[row])
