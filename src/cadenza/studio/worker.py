@@ -48,12 +48,14 @@ from cadenza.studio.request import (
 __all__ = ["ScorePlanner", "main"]
 
 _MOST_PUT_DOWN = 32  # songs, of each of which a few MB stay behind, before the process ends
+_LESS = 5  # priority
 _BETWEEN = 0.2  # [s] between two times that a stage is told
 
 
 def main() -> None:
     """See above."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
+    os.nice(_LESS)  # than the browser beside it, which draws pictures and makes sound
     with os.fdopen(os.dup(1), "wb") as out, open(0, "rb", buffering=0) as orders:
         os.dup2(2, 1)  # what others print is no message
         warm_up()

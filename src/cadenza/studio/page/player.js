@@ -3,7 +3,7 @@
 const instrument = createInstrument(), looks = createLooks();
 // [s] ahead before it plays; less where planning is so many times faster than the music or the visitor
 // has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning falls behind.
-const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 3.5;
+const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 2.2;
 const FLUENT = 20; // [ms] between two frames: who draws so often can leave out every other
 const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
