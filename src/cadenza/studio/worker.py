@@ -48,7 +48,7 @@ from cadenza.studio.request import (
 __all__ = ["ScorePlanner", "main"]
 
 _MOST_PUT_DOWN = 32  # songs, of each of which a few MB stay behind, before the process ends
-_LESS = 5  # priority
+_LESS = 4  # priority
 _BETWEEN = 0.2  # [s] between two times that a stage is told
 
 
