@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.correction import FURTHEST
 from cadenza.agents.planning.hand_part import ASTRAY, HandPart
+from cadenza.agents.planning.mending import mending
 from cadenza.keyboards.keyboard import Keyboard
 
 Array = NDArray[np.float64]
@@ -61,6 +62,7 @@ class Ahead:
         keys: those that count, K of them.
         key_qpos: (K,) before the steps [rad].
         """
+        self._part, self._rows, self._keyboard, self._keys = part, rows, keyboard, keys
         mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
         self._mine, self._counts = mine, mine | wrong
         self._mistaken = (mine & part.planned[rows, keys]) | wrong
@@ -106,3 +108,7 @@ class Ahead:
         And (H, F) how much they count: 1 for those that play.
         """
         return self._fingertips - fingertips, self._weight / ASTRAY
+
+    def mending(self, fingertips: Array, sounding: Mask) -> tuple[Array, Array]:
+        """As `astray`, but deeper or higher where keys (H, K) sounded wrong, see `mending`."""
+        return mending(self._part, self._rows, self._keyboard, self._keys, fingertips, sounding)

@@ -26,6 +26,7 @@ class HandPart:
 
     Attributes:
         mine: (T, K) keys that this hand should hold down.
+        asked: (T, K) which of its fingers should hold them, 0 for its thumb.
         planned: (T, K) those of them that the plan holds down, where it goes.
         wrong: (T, K) keys that it should not.
         due: (T, K) its keys that are late unless they sound by then.
@@ -46,6 +47,7 @@ class HandPart:
         self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
         thumb, count = self.fingers.start, plan.scene.fingers.per_hand
         self.mine = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
+        self.asked = fingers - np.int8(thumb)
         others = keys & ~self.mine
         soon = others.copy()
         for late in range(1, steps_in(_LEAVING, dt) + 1):

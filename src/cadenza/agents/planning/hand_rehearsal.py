@@ -8,13 +8,13 @@ drawn. Of a few takes, the one that costs least is kept.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.ahead import Ahead, Trial
+from cadenza.agents.planning.ahead import Ahead
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.correction import no_further
 from cadenza.agents.planning.learning_control import changes
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.scene.scene import Scene
@@ -30,6 +30,20 @@ _TAKES = 5  # at most
 _MENDED = 0.5  # of the mistakes may be left; else fingers are caught, which a search frees sooner
 _SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
 _SAME = 1e-3  # [m, rad] that joints may be off where a take had them
+
+
+class Take(NamedTuple):
+    """What came of a rehearsal of S steps."""
+
+    cost: float
+    mistakes: int
+    """How often a key was wrong."""
+    fingertips: Array
+    """(S, F, 3) after each step [m]."""
+    sounding: NDArray[np.bool_]
+    """(S, K) keys likewise, of those that the hand can reach."""
+    hand_qpos: Array
+    """(S, J) likewise [m, rad]."""
 
 
 class HandRehearsal:
@@ -55,7 +69,7 @@ class HandRehearsal:
     def forget(self) -> None:
         """As if nothing had been rehearsed."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._sigma)))
-        self._foreseen = list[Array]()
+        self._foreseen = np.zeros((0, 0))  # (N, J)
 
     @property
     def ends(self) -> int:
@@ -91,11 +105,11 @@ class HandRehearsal:
             simulated += len(rows)
             if take.cost < best.cost and take.mistakes <= most:
                 kept, best = ctrl, take
-        self._foreseen = [] if best.mistakes else best.hand_qpos[: self._window]
+        self._foreseen = best.hand_qpos[: 0 if best.mistakes else self._window]
         self._first, self._ctrl = int(rows[0]), kept[: self._window]
         return simulated
 
-    def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Trial:
+    def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Take:
         """What comes of controls (S, A), with feedback."""
 
         def with_feedback() -> Iterator[Array]:
@@ -103,22 +117,23 @@ class HandRehearsal:
                 posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
                 yield self._clip(planned - tracking.feedback(row, posture))
 
-        costs, mistakes, tips, qpos = list[float](), 0, list[Array](), list[Array]()
-        sounding, judged = ahead.sounding, self._window + self._judged
+        cost, mistakes, tips, qpos = 0.0, 0, list[Array](), list[Array]()
+        sounding, judged = [ahead.sounding], self._window + self._judged
         for k, (key_qpos, fingertips) in enumerate(self._trials.run(with_feedback())):
-            cost, wrong, sounding = ahead.cost(k, key_qpos, fingertips, sounding)
-            mistakes += wrong * (k < judged)
-            costs.append(cost)
+            more, wrong, sounds = ahead.cost(k, key_qpos, fingertips, sounding[-1])
+            if k < judged:
+                cost, mistakes = cost + more, mistakes + wrong
+            sounding.append(sounds)
             tips.append(fingertips)
             qpos.append(self._trials.hand_joints()[0].copy())
-        cost = np.inf if self._trials.unstable() else sum(costs[:judged])
-        return Trial(cost, mistakes, costs, tips, qpos)
+        if self._trials.unstable():
+            cost = np.inf
+        return Take(cost, mistakes, np.array(tips), np.array(sounding[1:]), np.array(qpos))
 
-    def _changes(self, take: Trial, gain: Array, ahead: Ahead) -> Array:
+    def _changes(self, take: Take, gain: Array, ahead: Ahead) -> Array:
         """(S, A) to the controls of a take that would have been better."""
-        off, weight = ahead.astray(np.array(take.fingertips))
-        motion = self._trials.fingertip_motion(np.array(take.hand_qpos)) @ self._servos.joints.T
-        off = no_further(off)
+        off, weight = ahead.mending(take.fingertips, take.sounding)
+        motion = self._trials.fingertip_motion(take.hand_qpos) @ self._servos.joints.T
         return changes(off, weight, motion, gain, self._servos, self._sigma, self._dt)
 
     def _clip(self, ctrl: Array) -> Array:
