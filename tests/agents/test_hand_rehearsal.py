@@ -10,6 +10,7 @@ import pytest
 from cadenza.agents.planning.ahead import Ahead, Trial
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.mending import mending
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
@@ -90,3 +91,49 @@ def test_rehearsing_leaves_the_plan_as_it_is() -> None:
     hand.rehearsal.forget()
     assert hand.rehearsal.ends == 0
     assert len(hand.rehearsal.ctrl(7)) == 0
+
+
+# Where fingertips should have been
+
+
+class Played:
+    """Twinkle, with fingertips just where the plan has them, and keys as it holds them."""
+
+    def __init__(self) -> None:
+        self.part = HandPart(Rehearsed("TwinkleTwinkleLittleStar").plan, "right")
+        self.steps = np.arange(30)
+        self.tips = self.part.fingertips[self.steps + 1]
+        self.sounding = (self.part.mine & self.part.planned)[self.steps]
+
+    def off(self) -> tuple[np.ndarray, np.ndarray]:
+        return mending(self.part, self.steps, PIANO, slice(None), self.tips, self.sounding)
+
+
+def test_who_plays_as_planned_has_nothing_to_mend() -> None:
+    off, weight = Played().off()
+    assert (off == 0.0).all()
+    assert weight.max() == 1.0
+
+
+def test_a_finger_whose_key_is_silent_should_have_been_deeper() -> None:
+    played = Played()
+    step, key = np.argwhere(played.sounding)[2]
+    finger = played.part.asked[step, key]
+    played.sounding[step, key] = False
+    off, weight = played.off()
+    assert np.argwhere(off).tolist() == [[step, finger, 2]]
+    assert off[step, finger, 2] < -0.003
+    assert weight[step, finger] == 1.0
+
+
+def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher() -> None:
+    played = Played()
+    step, key = 2, 40  # before anything sounds
+    assert played.part.wrong[step, key]
+    played.sounding[step, key] = True
+    assert (played.off()[0] == 0.0).all()  # no finger is near
+    played.tips[step, 3, :2] = PIANO.centre[key, :2]
+    off, weight = played.off()
+    assert (off[step - 1 : step + 1, 3, 2] > 0.003).all()
+    assert (weight[step - 1 : step + 1, 3] == 1.0).all()
+    assert (off[[step - 2, step + 1]] == 0.0).all()
