@@ -1,9 +1,10 @@
 // What is played now: a performance, or two side by side and in step, of which one is heard.
 
 const instrument = createInstrument(), looks = createLooks();
-// [s] ahead before it plays; less where planning is so many times faster than the music or the visitor
-// has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning falls behind.
-const LEAD = 2.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 2.2;
+// [s] ahead before it plays; less where planning is so many times faster than the music, and least when
+// the visitor has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning
+// falls behind.
+const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 2.2;
 const FLUENT = 20; // [ms] between two frames: who draws so often can leave out every other
 const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
@@ -178,8 +179,9 @@ function keepOnly(performance) {
 
 /** How much has to be planned ahead before it plays [s]. */
 function lead() {
-  const isFast = shown.every(({ pace }) => pace > FAST), isLate = wall() > asked + LATE;
-  return !cadenza.waits && (isFast || isLate) ? SHORT_LEAD : Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
+  if (cadenza.waits) return Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
+  if (wall() > asked + LATE) return SHORT_LEAD;
+  return shown.every(({ pace }) => pace > FAST) ? FAST_LEAD : LEAD;
 }
 
 /** Plays while there is something planned ahead, and says what it waits for. */
