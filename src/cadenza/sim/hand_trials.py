@@ -87,6 +87,11 @@ class HandTrials:
         data, first = self._hand.data[place], self._hand.keys.stop
         return data.qpos[first:], data.qvel[first:]
 
+    def key_qvel(self, place: int = 0) -> Array:
+        """(K,) velocities of `keys` in the trial there [rad/s]."""
+        hand = self._hand
+        return hand.data[place].qvel[hand.keys]
+
     def fingertips(self, place: int = 0) -> Array:
         """(F, 3) those in the trial there [m]."""
         hand = self._hand

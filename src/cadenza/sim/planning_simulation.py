@@ -62,13 +62,16 @@ class PlanningSimulation(MujocoSimulation):
         self.state = state
 
     @one_at_a_time
-    def place(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> None:
-        """Puts the joints of every simulation of this batch here, with the keys at rest.
+    def place(
+        self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, key_qvel: Array | float = 0.0
+    ) -> None:
+        """Puts the joints of every simulation of this batch here.
 
         Args:
             hand_qpos: (J,) [m, rad].
             hand_qvel: (J,) [m/s, rad/s].
-            key_qpos: (88,) [rad].
+            key_qpos: (K,) [rad].
+            key_qvel: (K,) [rad/s].
         """
 
         def put(_: int, data: mujoco.MjData) -> None:
@@ -76,6 +79,7 @@ class PlanningSimulation(MujocoSimulation):
             data.qpos[self.scene.hand_qpos] = hand_qpos
             data.qvel[self.scene.hand_qvel] = hand_qvel
             data.qpos[self.scene.key_qpos] = key_qpos
+            data.qvel[self.scene.key_qpos] = key_qvel  # each key is one hinge
 
         self._put(put)
 

@@ -9,11 +9,11 @@ from cadenza.configs import added
 
 @dataclass(frozen=True)
 class GeneralistConfig:
-    """The generalist: the planner's plan, corrected by what was learnt from the planner."""
+    """The generalist: the planner's plan, rehearsed or corrected by what was learnt; no search."""
 
     weights: str | None = None
     """File of what it has learnt, as tools/train_generalist.py writes it. By default, it is what
-    comes with Cadenza for these hands."""
+    comes with Cadenza for these hands. Where it rehearses, it plays without it."""
     look_ahead: float | None = field(default=None, metadata=added(before=None))
     """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
     rehearsals: int = field(default=4, metadata=added(before=0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.generalist.inputs import About, Corrections, HandInputs
+from cadenza.agents.generalist.inputs import FAR, About, Corrections, HandInputs
 from cadenza.agents.generalist.weights import Floats, Weights
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower
@@ -18,14 +18,18 @@ class CorrectedHand:
     """One hand, and what is corrected of its plan.
 
     Attributes:
+        steps_seen: how many steps of the plan matter to one.
         servos: which of all the scene's are this hand's.
         corrections: how answers are read.
         about: what it is told.
         answer: (A,) by how much the step before was corrected.
     """
 
-    def __init__(self, plan: SongPlan, side: Side) -> None:
-        self._side = side
+    steps_seen = FAR
+
+    def __init__(self, plan: SongPlan, side: Side, weights: Weights | None = None) -> None:
+        """`weights` are what corrects it, when it plays."""
+        self._side, self._weights = side, weights
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self.corrections = Corrections.of(side, self._alone)
         self.about = About.of(self._alone)
@@ -54,10 +58,11 @@ class CorrectedHand:
         planned = self._follower.ctrl(np.array([step]), alone)
         return self._inputs.at(step, self.posture(state), self.answer, state), planned[0]
 
-    def act(self, step: int, state: State, weights: Weights) -> Array:
+    def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
+        assert self._weights is not None
         inputs, planned = self.see(step, state)
-        ctrl = self.clip(planned + self.corrections.ctrl(weights(inputs)))
+        ctrl = self.clip(planned + self.corrections.ctrl(self._weights(inputs)))
         self.played(ctrl, planned)
         return ctrl
 

@@ -1,28 +1,31 @@
-"""Plays any score by its plan and what it has learnt about plans: nothing is searched.
+"""Plays any score by its plan, and what it has learnt about plans: nothing is searched.
 
 The plan is inverse kinematics of the song, with feedback, rehearsed in simulation. What goes wrong
-with such plans is much the same in all music: a finger is caught, a thumb comes late. What corrects
-them, the same for both hands, has been learnt from the planner's search over many songs.
+with such plans is much the same in all music: a finger is caught, a thumb comes late. Where there
+is no time to rehearse, what corrects them, the same for both hands, has been learnt from the
+planner's search over many songs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.generalist.rehearsal import Rehearsal
+from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.generalist.weights import Weights, weights_of
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
+from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
@@ -52,57 +55,68 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             it has learnt is damaged.
         """
         (track,) = view.tracks
-        own = self.config.weights
-        weights = weights_of(view.task.scene) if own is None else Weights.load(Path(own))
-        if self.config.look_ahead is not None:
-            return SightReader(track, view.state, self.config.look_ahead, weights)
+        config, scene = self.config, view.task.scene
+        if config.look_ahead is not None:
+            return SightReader(track, view.state, config.look_ahead, self._weights(scene))
         plans = song_plans(track.with_found_fingers(), view.state.hand_qpos[0], self.progress)
-        return GeneralistSong(plans, view.state, weights, self.config.rehearsals)
+        plan = next(plans)
+        if config.rehearsals:
+            takes = config.rehearsals + 1
+            rehearsed = [RehearsedHand(plan, side, takes) for side in plan.scene.sides]
+            return GeneralistSong(plan, plans, rehearsed)
+        return GeneralistSong(plan, plans, corrected_hands(plan, self._weights(scene)))
+
+    def _weights(self, scene: Scene) -> Weights:
+        own = self.config.weights
+        return weights_of(scene) if own is None else Weights.load(Path(own))
+
+
+class PlanPlayer(Protocol):
+    """One hand that plays a plan."""
+
+    servos: slice
+    """Which of all the scene's are this hand's."""
+    steps_seen: int
+    """How many steps of the plan it looks at before one."""
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """From that step on, by a plan that goes further than the one before."""
+
+    def act(self, step: int, state: State) -> Array:
+        """(A,) the next controls."""
 
 
 class GeneralistSong:
     """Plays one song.
 
     Attributes:
-        plan: without corrections, as far as it goes; all of it when the song is over.
+        plan: before anything of it is changed, as far as it goes; all of it when the song is over.
     """
 
     plan: SongPlan
 
     def __init__(
-        self, plans: Iterator[SongPlan], start: State, weights: Weights, rehearsals: int
+        self, plan: SongPlan, plans: Iterator[SongPlan], hands: Sequence[PlanPlayer]
     ) -> None:
         """Args:
-        plans: of the song, each longer than the one before.
-        start: the first of its states is where the hands begin.
-        weights: what corrects them.
-        rehearsals: how often each part is rehearsed.
-
-        Raises:
-            CadenzaError: it has learnt with other servos.
+        plan: of the song, as far as it goes.
+        plans: the next ones, each longer than the one before.
+        hands: that play it.
         """
-        self._plans, self._weights, self._rehearsals = plans, weights, rehearsals
-        self.plan = next(plans)
-        self._hands = corrected_hands(self.plan, weights)
-        self._rehearsal = Rehearsal(self.plan, start, weights)
+        self.plan, self._plans, self._hands = plan, plans, hands
+        self._seen = max(hand.steps_seen for hand in hands)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        while step >= self._rehearsal.steps:
-            self._go_on(step)
+        while not self.plan.complete and self.plan.nominal.num_steps < step + self._seen:
+            self.plan = next(self._plans)
+            for hand in self._hands:
+                hand.follow(self.plan, step)
         action = np.zeros(view.task.action_size)
         action[-1] = self.plan.goals.sustain[step]
         for hand in self._hands:
-            action[hand.servos] = hand.act(step, view.state, self._weights)
+            action[hand.servos] = hand.act(step, view.state)
         return action
-
-    def _go_on(self, step: int) -> None:
-        """Plans and rehearses what comes from that step on."""
-        while not self.plan.complete and self.plan.nominal.num_steps < self._rehearsal.needed:
-            self.plan = next(self._plans)
-        part = self._rehearsal.further(self.plan, self._rehearsals)
-        for hand in self._hands:
-            hand.follow(part, step)
 
 
 class SightReader:
@@ -120,7 +134,7 @@ class SightReader:
         weights: what corrects its plans.
         """
         dt = track.config.control_timestep
-        self._track, self._goals, self._weights = track, track.goals, weights
+        self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = scene_planned_with(track)
         self._in_sight = InSight(self._scene, players_of(self._scene), start.hand_qpos[0], dt)
@@ -136,7 +150,7 @@ class SightReader:
         action = np.zeros(view.task.action_size)
         action[-1] = self._goals.sustain[step]
         for hand in self._hands:
-            action[hand.servos] = hand.act(step - self._looked, view.state, self._weights)
+            action[hand.servos] = hand.act(step - self._looked, view.state)
         return action
 
     def _look(self, step: int, state: State) -> SongPlan:
@@ -153,7 +167,7 @@ def corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
     Raises:
         CadenzaError: it has been learnt with other servos.
     """
-    hands = [CorrectedHand(plan, side) for side in plan.scene.sides]
+    hands = [CorrectedHand(plan, side, weights) for side in plan.scene.sides]
     for hand in hands:
         if hand.sizes != weights.sizes:
             raise CadenzaError(

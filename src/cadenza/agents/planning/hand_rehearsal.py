@@ -27,7 +27,7 @@ _WINDOW = 1.0  # [s] that is rehearsed at once
 _JUDGED = 0.2  # [s] after it that count as well: the hand should be able to go on
 _SEEN = 0.4  # [s] after it whose fingertips are corrected, too
 _TAKES = 5  # at most
-_MENDED = 0.5  # of the mistakes may be left; else fingers are caught, which a search frees sooner
+_LEFT = 0.5  # of the mistakes; else fingers are caught, which a search frees sooner
 _SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
 _SAME = 1e-3  # [m, rad] that joints may be off where a take had them
 
@@ -44,6 +44,8 @@ class Take(NamedTuple):
     """(S, K) keys likewise, of those that the hand can reach."""
     hand_qpos: Array
     """(S, J) likewise [m, rad]."""
+    keys: Array
+    """(S, 2, K) positions and speeds of these keys likewise [rad, rad/s]."""
 
 
 class HandRehearsal:
@@ -52,14 +54,27 @@ class HandRehearsal:
     Attributes:
         steps_seen: how many steps of the plan are looked at.
         ends: the step from which on nothing has been rehearsed.
+        keys_then: (2, K) positions and speeds of the keys near the hand then, by the take that is
+            kept [rad, rad/s].
+        keys: which these are.
     """
 
-    def __init__(self, scene: Scene, trials: HandTrials, dt: float) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        trials: HandTrials,
+        dt: float,
+        takes: int = _TAKES,
+        left: float = _LEFT,
+    ) -> None:
         """Args:
         scene: with this hand only.
         trials: of it.
         dt: control step [s].
+        takes: at most.
+        left: of the mistakes may be left by what is kept instead of the plan.
         """
+        self._takes, self._left = takes, left
         self._servos, self._trials, self._dt = servos_of(scene), trials, dt
         self._sigma = np.array([scene.hand.servo(name).noise for name in self._servos.names])
         self._window, self._judged = steps_in(_WINDOW, dt), steps_in(_JUDGED, dt)
@@ -70,6 +85,7 @@ class HandRehearsal:
         """As if nothing had been rehearsed."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._sigma)))
         self._foreseen = np.zeros((0, 0))  # (N, J)
+        self.keys, self.keys_then = slice(0), np.zeros((2, 0))
 
     @property
     def ends(self) -> int:
@@ -96,8 +112,8 @@ class HandRehearsal:
         """
         ctrl = kept = tracking.ctrl[rows]
         best = take = self._play(ctrl, tracking, rows, ahead)
-        most, simulated = _MENDED * take.mistakes, len(rows)
-        for _ in range(_TAKES - 1):
+        most, simulated = self._left * take.mistakes, len(rows)
+        for _ in range(self._takes - 1):
             if not take.mistakes:
                 break
             ctrl = self._clip(ctrl + _SHARE * self._changes(take, tracking.gain[rows], ahead))
@@ -107,6 +123,7 @@ class HandRehearsal:
                 kept, best = ctrl, take
         self._foreseen = best.hand_qpos[: 0 if best.mistakes else self._window]
         self._first, self._ctrl = int(rows[0]), kept[: self._window]
+        self.keys, self.keys_then = self._trials.keys, best.keys[: self._window][-1]
         return simulated
 
     def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Take:
@@ -117,7 +134,7 @@ class HandRehearsal:
                 posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
                 yield self._clip(planned - tracking.feedback(row, posture))
 
-        cost, mistakes, tips, qpos = 0.0, 0, list[Array](), list[Array]()
+        cost, mistakes, tips, qpos, keys = 0.0, 0, *(list[Array]() for _ in range(3))
         sounding, judged = [ahead.sounding], self._window + self._judged
         for k, (key_qpos, fingertips) in enumerate(self._trials.run(with_feedback())):
             more, wrong, sounds = ahead.cost(k, key_qpos, fingertips, sounding[-1])
@@ -126,9 +143,10 @@ class HandRehearsal:
             sounding.append(sounds)
             tips.append(fingertips)
             qpos.append(self._trials.hand_joints()[0].copy())
+            keys.append(np.stack([key_qpos, self._trials.key_qvel()]))
         if self._trials.unstable():
             cost = np.inf
-        return Take(cost, mistakes, np.array(tips), np.array(sounding[1:]), np.array(qpos))
+        return Take(cost, mistakes, *map(np.array, (tips, sounding[1:], qpos, keys)))
 
     def _changes(self, take: Take, gain: Array, ahead: Ahead) -> Array:
         """(S, A) to the controls of a take that would have been better."""

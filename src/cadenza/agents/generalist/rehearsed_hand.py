@@ -1,0 +1,81 @@
+"""One hand that rehearses its plan, a second at a time, and plays it as it went best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planning.ahead import Ahead
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
+from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.tracking import Follower
+from cadenza.fingers import Side
+from cadenza.scene.scene import hand_alone
+from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
+
+_SAME = 1e-3  # [rad] that a key may be off where a take had it, to be as fast
+
+
+class RehearsedHand:
+    """One hand of a plan.
+
+    It rehearses by itself, from the state that it is in when the second begins. What it does not
+    foresee, such as that it touches the other hand, is left to feedback until then.
+
+    Attributes:
+        servos: which of all the scene's are this hand's.
+        steps_seen: how many steps of the plan a step looks at.
+    """
+
+    def __init__(self, plan: SongPlan, side: Side, takes: int) -> None:
+        """Args:
+        plan: of the song, as far as it goes.
+        side: of the hand.
+        takes: of each second, at most.
+        """
+        dt = plan.track.config.control_timestep
+        self._side, self._keyboard = side, plan.scene.keyboard
+        self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
+        self._here = PlanningSimulation(self._alone, 1, dt)
+        self._trials = HandTrials(self._alone, dt)
+        self._rehearsal = HandRehearsal(self._alone, self._trials, dt, takes, left=1.0)
+        self.steps_seen = self._rehearsal.steps_seen + steps_in(ABOUT_TO_PRESS, dt)
+        self.follow(plan, 0)
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """From that step on, by a plan that goes further than the one before."""
+        self._part = HandPart(plan, self._side)
+        self._tracking = plan.nominal.tracking.of(self.servos)
+        self._follower = Follower(self._alone, self._tracking)
+
+    def act(self, step: int, state: State) -> Array:
+        """(A,) the next controls."""
+        qpos, qvel = state.hand_qpos[0, self._joints], state.hand_qvel[0, self._joints]
+        if step >= self._rehearsal.ends:
+            key_qpos = state.key_qpos[0]
+            self._here.place(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
+            self._rehearse(step)
+        back = self._tracking.feedback(step, self._follower.posture(qpos, qvel))
+        return self._follower.clip(self._rehearsal.ctrl(step)[0] - back)
+
+    def _rehearse(self, step: int) -> None:
+        """Rehearses what comes from that step on."""
+        last = min(step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
+        rows, part, here = np.arange(step, last), self._part, self._here.state
+        tips = here.fingertip_xpos[0, part.fingers, 1]
+        y = np.concatenate([tips, part.fingertips[rows + 1, :, 1].ravel()])
+        self._trials.begin_from(self._here, float(y.min()), float(y.max()))
+        keys = self._trials.keys
+        ahead = Ahead(part, rows, self._keyboard, keys, here.key_qpos[0, keys])
+        self._rehearsal.rehearse(self._tracking, rows, ahead)
+
+    def _key_qvel(self, key_qpos: Array) -> Array:
+        """(K,) how fast keys at (K,) move, as far as it was foreseen: no state says it."""
+        speeds, keys = np.zeros_like(key_qpos), self._rehearsal.keys
+        there, speed = self._rehearsal.keys_then
+        speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _SAME, speed, 0.0)
+        return speeds
