@@ -49,7 +49,8 @@ class RehearsedHand:
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""
         self._part = HandPart(plan, self._side)
-        self._tracking = plan.nominal.tracking.of(self.servos)
+        tracking = plan.nominal.tracking.of(self.servos)
+        self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
         self._follower = Follower(self._alone, self._tracking)
 
     def act(self, step: int, state: State) -> Array:
@@ -71,6 +72,9 @@ class RehearsedHand:
         self._trials.begin_from(self._here, float(y.min()), float(y.max()))
         keys = self._trials.keys
         ahead = Ahead(part, rows, self._keyboard, keys, here.key_qpos[0, keys])
+        if step == self._rehearsal.ends:  # the second before has found how to begin this one
+            known = self._rehearsal.beyond
+            self._tracking.ctrl[step : step + len(known)] = known
         self._rehearsal.rehearse(self._tracking, rows, ahead)
 
     def _key_qvel(self, key_qpos: Array) -> Array:

@@ -54,6 +54,7 @@ class HandRehearsal:
     Attributes:
         steps_seen: how many steps of the plan are looked at.
         ends: the step from which on nothing has been rehearsed.
+        beyond: (N, A) controls of the steps after that, of the take that is kept.
         keys_then: (2, K) positions and speeds of the keys near the hand then, by the take that is
             kept [rad, rad/s].
         keys: which these are.
@@ -85,6 +86,7 @@ class HandRehearsal:
         """As if nothing had been rehearsed."""
         self._first, self._ctrl = 0, np.zeros((0, len(self._sigma)))
         self._foreseen = np.zeros((0, 0))  # (N, J)
+        self.beyond = self._ctrl
         self.keys, self.keys_then = slice(0), np.zeros((2, 0))
 
     @property
@@ -123,6 +125,7 @@ class HandRehearsal:
                 kept, best = ctrl, take
         self._foreseen = best.hand_qpos[: 0 if best.mistakes else self._window]
         self._first, self._ctrl = int(rows[0]), kept[: self._window]
+        self.beyond = kept[self._window :]
         self.keys, self.keys_then = self._trials.keys, best.keys[: self._window][-1]
         return simulated
 
