@@ -49,6 +49,25 @@ def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
     assert any(found[rounds[0]][n] != found[rounds[-1]][n] for n, rounds in enumerate(asked))
 
 
+@pytest.mark.parametrize("song", ["FurEliseOpening", "BachPreludeInCMajor"])
+def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
+    notes, dt = load_score(song).beginning(4.0).notes, 0.05
+    on, anew = NotesInSight(shadow_hands(), 8), NotesInSight(shadow_hands(), 8)
+    numbers: dict[int, int] = {}
+    for step in range(100):
+        for i, note in enumerate(notes):
+            if i in numbers and round(note.end / dt) == step:
+                on.end(numbers[i], (step - 0.5) * dt)
+                anew.end(numbers[i], (step - 0.5) * dt)
+        for i, note in enumerate(notes):
+            if round(note.start / dt) == step:
+                numbers[i] = on.begin(note.pitch - PIANO.lowest_pitch, step * dt)
+                anew.begin(note.pitch - PIANO.lowest_pitch, step * dt)
+        anew._come = []
+        assert on.find((step - 10) * dt) == anew.find((step - 10) * dt)
+    assert len(numbers) == len(notes)
+
+
 def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> None:
     sight = NotesInSight(shadow_hands(["right"]))
     held = sight.begin(60 - PIANO.lowest_pitch, 0.0)

@@ -7,19 +7,22 @@ import numpy as np
 import pytest
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.kinematics import TIP, Kinematics, KinematicsOfFew
 from cadenza.scene.scene import build_scene
-from cadenza.scene.servos import reaction, servos_of
+from cadenza.scene.servos import Reaction, servos_of
 
 CONFIGS = [SceneConfig(), SceneConfig(hands="left"), SceneConfig(reduced_action_space=False)]
 
 
+@pytest.mark.parametrize("kinematics", [Kinematics, KinematicsOfFew])
 @pytest.mark.parametrize("config", CONFIGS, ids=["both", "left", "full"])
-def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
+def test_fingertips_and_their_jacobian_are_mujocos(
+    config: SceneConfig, kinematics: type[Kinematics]
+) -> None:
     scene = build_scene(config)
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
-    points, jacobian = Kinematics(scene, servos).fingers(postures)
+    points, jacobian = kinematics(scene, servos).fingers(postures)
     model, data = scene.model, mujoco.MjData(scene.model)
     for posture, tips, slope in zip(postures, points[:, :, TIP], jacobian[:, :, TIP], strict=True):
         data.qpos[scene.hand_qpos] = posture @ servos.joints
@@ -79,7 +82,7 @@ def test_reaction_is_what_inverse_dynamics_say() -> None:
     needed = data.qfrc_inverse + data.qfrc_passive + data.qfrc_constraint
     others = np.arange(len(servos.low)) != slide
     np.testing.assert_allclose(
-        reaction(scene, servos, postures, dt)[2][others],
+        Reaction(scene, servos).along(postures, dt)[2][others],
         (needed[scene.hand_qvel] @ servos.joints.T)[others],
         atol=1e-9,
     )

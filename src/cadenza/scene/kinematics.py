@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.body import prefix
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, hand_on_keys
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
@@ -25,6 +25,8 @@ class _Joints(NamedTuple):
 
     bodies: Ids
     """(J,) among those of their level."""
+    ids: Ids
+    """(J,) in the model."""
     servo: Ids
     """(J,)"""
     share: Array
@@ -99,6 +101,7 @@ class Kinematics:
             point_body += [*origins, origins[-1]]
             point_pos += [np.zeros(3)] * len(origins) + [model.site_pos[site].copy()]
         self._num_points = len(scene.hand.fingers[0].links) + 1
+        self._point_bodies = _ids(bodies[i] for i in point_body)
         self._point_pos = np.array(point_pos)[:, None, :, None]
         parent = [index.get(int(model.body_parentid[body]), -1) for body in bodies]
         chain: list[list[int]] = []  # of a body and those that carry it
@@ -129,6 +132,22 @@ class Kinematics:
 
     def fingers(self, postures: Array) -> tuple[Array, Array]:
         """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A)."""
+        points, axes, centres = self._there(postures)
+        count = len(postures)
+        jacobian = np.zeros((self._num_servos, count, len(points), 3))
+        for moves in self._moves:
+            column = moves.share * axes[moves.joint]
+            if moves.hinge:
+                column = _cross(column, points[moves.point] - centres[moves.joint])
+            if moves.again:
+                column += jacobian[moves.servo, :, moves.point]
+            jacobian[moves.servo, :, moves.point] = column
+        shape = (count, len(points) // self._num_points, self._num_points, 3)
+        points = np.ascontiguousarray(points.transpose(1, 0, 2)).reshape(shape)
+        return points, np.moveaxis(jacobian, 0, -1).reshape(*shape, -1)
+
+    def _there(self, postures: Array) -> tuple[Array, Array, Array]:
+        """(N, S, 3) points, and (J, S, 3) axes and anchors of joints, of postures (S, A)."""
         count, coordinates = len(postures), np.ascontiguousarray(postures.T)
         points = np.zeros((len(self._point_pos), count, 3))
         motions = []
@@ -156,20 +175,41 @@ class Kinematics:
             on = (rot[level.carriers] @ self._point_pos[level.points])[..., 0]
             points[level.points] = pos[level.carriers] + on
         axes, centres = map(np.concatenate, zip(*motions, strict=True))
-        jacobian = np.zeros((self._num_servos, count, len(points), 3))
-        for moves in self._moves:
-            column = moves.share * axes[moves.joint]
-            if moves.hinge:
-                column = _cross(column, points[moves.point] - centres[moves.joint])
-            if moves.again:
-                column += jacobian[moves.servo, :, moves.point]
-            jacobian[moves.servo, :, moves.point] = column
-        shape = (count, len(points) // self._num_points, self._num_points, 3)
-        points = np.ascontiguousarray(points.transpose(1, 0, 2)).reshape(shape)
-        return points, np.moveaxis(jacobian, 0, -1).reshape(*shape, -1)
+        return points, axes, centres
+
+
+class KinematicsOfFew(Kinematics):
+    """The same, of one posture after the other by MuJoCo: faster where there are few.
+
+    The last digits are not the same.
+    """
+
+    def __init__(self, scene: Scene, servos: Servos) -> None:
+        super().__init__(scene, servos)
+        model = self._model = hand_on_keys(scene, range(0), ())
+        self._servos, self._data = servos, mujoco.MjData(model)
+        joints = np.concatenate([j.ids for level in self._levels for j in level.joints])
+        self._joints = _ids(model.joint(scene.model.joint(i).name).id for i in joints)
+        self._bodies = _ids(model.body(scene.model.body(i).name).id for i in self._point_bodies)
+        self._tips = _ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
+
+    def _there(self, postures: Array) -> tuple[Array, Array, Array]:
+        data, count, size = self._data, len(postures), self._num_points
+        now = data.xpos, data.site_xpos, data.xaxis, data.xanchor
+        rows = [np.empty((count, *values.shape)) for values in now]
+        for row, qpos in enumerate(postures @ self._servos.joints):
+            data.qpos = qpos
+            mujoco.mj_kinematics(self._model, data)
+            for kept, values in zip(rows, now, strict=True):
+                kept[row] = values
+        bodies, sites, axes, anchors = (values.swapaxes(0, 1) for values in rows)
+        points = bodies[self._bodies]
+        points[size - 1 :: size] = sites[self._tips]
+        return points, axes[self._joints], anchors[self._joints]
 
 
 class _Joint(NamedTuple):
+    id: int
     servo: int
     share: float  # of the servo's coordinate
     hinge: bool
@@ -187,7 +227,7 @@ def _joints_of(scene: Scene, servos: Servos, body: int) -> list[_Joint]:
             servo = int(np.argmax(shares))
             hinge = bool(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE)
             axis, anchor = model.jnt_axis[j].copy(), model.jnt_pos[j].copy()
-            joints.append(_Joint(servo, float(shares[servo]), hinge, axis, anchor))
+            joints.append(_Joint(j, servo, float(shares[servo]), hinge, axis, anchor))
     return joints
 
 
@@ -206,6 +246,7 @@ def _together(joints: list[list[_Joint]], moved: list[list[int]]) -> list[_Joint
                 result.append(
                     _Joints(
                         bodies=_ids(mine),
+                        ids=_ids(joint.id for joint in some),
                         servo=_ids(joint.servo for joint in some),
                         share=np.array([[joint.share] for joint in some]),
                         hinge=hinge,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, hand_on_keys
 
 Array = NDArray[np.float64]
 
@@ -103,30 +103,40 @@ def _inertia(scene: Scene) -> Array:
     return np.diagonal(columns)
 
 
-def reaction(scene: Scene, servos: Servos, postures: Array, dt: float) -> Array:
-    """(T, A) [N, N m] what the motion of all joints asks of each servo beside its own inertia.
+class Reaction:
+    """What the motion of all joints asks of each servo beside its own inertia.
 
-    A forearm that is pushed along the keyboard would leave its hand behind. By inverse dynamics
-    (recursive Newton-Euler, MuJoCo's `mj_rne`) of postures (T + 1, A), `dt` [s] apart; row t
-    belongs to the step from posture t to t + 1. Gravity is compensated in the model.
+    A forearm that is pushed along the keyboard would leave its hand behind.
     """
-    model, data = scene.model, mujoco.MjData(scene.model)
-    speed = np.gradient(postures, dt, axis=0)
-    acceleration = np.zeros_like(postures)
-    acceleration[1:-1] = np.diff(postures, n=2, axis=0) / dt**2
-    force = np.zeros((len(postures) - 1, len(scene.hand_joint_names)))
-    moving, resting = np.zeros(model.nv), np.zeros(model.nv)
-    dofs = scene.hand_qvel
-    rows = zip(*(a @ servos.joints for a in (postures, speed, acceleration)), strict=True)
-    for t, (qpos, qvel, qacc) in enumerate(list(rows)[:-1]):
-        data.qpos[scene.hand_qpos] = qpos
-        data.qvel[dofs], data.qacc[dofs] = qvel, qacc
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_rne(model, data, 1, moving)
-        data.qvel[dofs] = 0.0
-        mujoco.mj_comVel(model, data)
-        mujoco.mj_rne(model, data, 0, resting)
-        force[t] = (moving - resting)[dofs]
-    return force @ servos.joints.T - servos.inertia * acceleration[:-1]
+
+    def __init__(self, scene: Scene, servos: Servos) -> None:
+        """Args:
+        scene: with hands. Gravity is compensated in its model.
+        servos: of the scene.
+        """
+        self._servos, self._model = servos, hand_on_keys(scene, range(0), ())
+        self._data = mujoco.MjData(self._model)
+
+    def along(self, postures: Array, dt: float) -> Array:
+        """(T, A) [N, N m] by inverse dynamics (recursive Newton-Euler, MuJoCo's `mj_rne`).
+
+        Of postures (T + 1, A), `dt` [s] apart; row t belongs to the step from posture t to t + 1.
+        """
+        servos, model, data = self._servos, self._model, self._data
+        speed = np.gradient(postures, dt, axis=0)
+        acceleration = np.zeros_like(postures)
+        acceleration[1:-1] = np.diff(postures, n=2, axis=0) / dt**2
+        force = np.zeros((len(postures) - 1, model.nv))
+        moving, resting = np.zeros(model.nv), np.zeros(model.nv)
+        rows = zip(*(a @ servos.joints for a in (postures, speed, acceleration)), strict=True)
+        for t, (qpos, qvel, qacc) in enumerate(list(rows)[:-1]):
+            data.qpos, data.qvel, data.qacc = qpos, qvel, qacc
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 1, moving)
+            data.qvel = 0.0
+            mujoco.mj_comVel(model, data)
+            mujoco.mj_rne(model, data, 0, resting)
+            force[t] = moving - resting
+        return force @ servos.joints.T - servos.inertia * acceleration[:-1]

@@ -62,7 +62,11 @@ class CorrectedHand:
         """(A,) the next controls."""
         assert self._weights is not None
         inputs, planned = self.see(step, state)
-        ctrl = self.clip(planned + self.corrections.ctrl(self._weights(inputs)))
+        return self.corrected(planned, self._weights(inputs))
+
+    def corrected(self, planned: Array, answer: Floats) -> Array:
+        """(A,) the controls of a step, which are planned, with the networks' answer (A,) to it."""
+        ctrl = self.clip(planned + self.corrections.ctrl(answer))
         self.played(ctrl, planned)
         return ctrl
 

@@ -134,7 +134,7 @@ class SightReader:
         weights: what corrects its plans.
         """
         dt = track.config.control_timestep
-        self._track, self._goals = track, track.goals
+        self._track, self._goals, self._weights = track, track.goals, weights
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = scene_planned_with(track)
         self._in_sight = InSight(self._scene, players_of(self._scene), start.hand_qpos[0], dt)
@@ -143,14 +143,16 @@ class SightReader:
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        while step >= self._looked + self._in_sight.every:  # once, unless others have played
-            plan = self._look(self._looked + self._in_sight.every, view.state)
+        while self._looked < step:  # once, unless others have played
+            plan = self._look(self._looked + 1, view.state)
             for hand in self._hands:
                 hand.follow(plan, 0)
         action = np.zeros(view.task.action_size)
         action[-1] = self._goals.sustain[step]
-        for hand in self._hands:
-            action[hand.servos] = hand.act(step - self._looked, view.state)
+        seen = [hand.see(step - self._looked, view.state) for hand in self._hands]
+        answers = self._weights(np.stack([told for told, _ in seen]))  # sooner than one by one
+        for hand, (_, planned), answer in zip(self._hands, seen, answers, strict=True):
+            action[hand.servos] = hand.corrected(planned, answer)
         return action
 
     def _look(self, step: int, state: State) -> SongPlan:

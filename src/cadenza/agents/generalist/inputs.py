@@ -109,10 +109,7 @@ class HandInputs:
         self._wanted = plan.goals.keys
         steps = np.arange(first, plan.nominal.num_steps)
         mine = [press for press in plan.nominal.presses if press.side == side]
-        fingers = range(self._fingers.start, self._fingers.stop)
-        coming = [self._coming([p for p in mine if p.finger == f], f, steps) for f in fingers]
-        self._key = np.stack([key for key, _ in coming], axis=1)  # (S, F) -1 for none
-        self._presses = np.stack([shown for _, shown in coming], axis=1)  # (S, F, 15)
+        self._key, self._presses = self._coming(mine, steps)  # (S, F), (S, F, 15)
         presses = self._presses.reshape(len(steps), -1)
         self._planned = np.concatenate([self._postures(alone, steps), presses], axis=1)
 
@@ -128,30 +125,40 @@ class HandInputs:
         return np.concatenate([*relative, still, expected[steps, :, 1] * turned / _SPEED], axis=1)
 
     def _coming(
-        self, presses: list[Press], finger: int, steps: NDArray[np.intp]
+        self, presses: list[Press], steps: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Array]:
-        """(S,) the key that a finger presses or will press next, and (S, 15) what is told of it."""
-        shown = np.zeros((len(steps), _OF_A_PRESS))
-        if not presses:
-            shown[:, :2], shown[:, 4 + _HELD] = 1.0, 1.0
-            return np.full(len(steps), -1), shown
-        begins, ends, keys = np.array([(p.first, p.last, p.key) for p in presses]).T
-        jumps = np.array([press.flies_to or press.flies_off for press in presses])
-        following = np.searchsorted(ends, steps, "right")
-        over = following == len(presses)
-        which = np.minimum(following, len(presses) - 1)
-        key = keys[which]
-        shown[:, 0] = np.clip(begins[which] - steps, -FAR, FAR) / FAR
-        shown[:, 1] = np.clip(ends[which] - steps, 0, FAR) / FAR
-        shown[:, 2], shown[:, 3] = self._keyboard.is_black[key], jumps[which]
+        """(S, F) the keys that fingers press or will press next, and (S, F, 15) what is told of it.
+
+        Keys are -1 for none.
+        """
+        shape = len(steps), len(range(self._fingers.start, self._fingers.stop))
+        shown, over = np.zeros((*shape, _OF_A_PRESS)), np.ones(shape, bool)
+        begins, ends, key, jumps = (np.zeros(shape, np.intp) for _ in range(4))
         soon = steps[:, None] + np.arange(1, _HELD + 1)
-        at = np.searchsorted(begins, soon, "right") - 1
-        shown[:, 4 : 4 + _HELD] = (at >= 0) & (soon < ends[np.maximum(at, 0)])
-        near = np.clip(1 - (begins[which] - steps) / FAR, 0, 1)
-        tips = self._tips[steps, finger - self._fingers.start]
-        way = (self._keyboard.centre[key] - tips) * self._mirror.place / _KEY_OFF
-        shown[:, 5 + _HELD : 8 + _HELD] = np.clip(way, -2, 2) * (near > 0)[:, None]
-        shown[:, 8 + _HELD] = near
+        for row in range(shape[1]):
+            number = self._fingers.start + row
+            mine = [
+                (p.first, p.last, p.key, p.flies_to or p.flies_off)
+                for p in presses
+                if p.finger == number
+            ]
+            if mine:
+                first, last, keys, jump = np.array(mine).T
+                following = last.searchsorted(steps, "right")
+                over[:, row] = following == len(mine)
+                which = np.minimum(following, len(mine) - 1)
+                begins[:, row], ends[:, row] = first[which], last[which]
+                key[:, row], jumps[:, row] = keys[which], jump[which]
+                at = first.searchsorted(soon, "right") - 1
+                shown[:, row, 4 : 4 + _HELD] = (at >= 0) & (soon < last[np.maximum(at, 0)])
+        to_begin = begins - steps[:, None]
+        shown[..., 0] = np.clip(to_begin, -FAR, FAR) / FAR
+        shown[..., 1] = np.clip(ends - steps[:, None], 0, FAR) / FAR
+        shown[..., 2], shown[..., 3] = self._keyboard.is_black[key], jumps
+        near = np.clip(1 - to_begin / FAR, 0, 1)
+        way = (self._keyboard.centre[key] - self._tips[steps]) * self._mirror.place / _KEY_OFF
+        shown[..., 5 + _HELD : 8 + _HELD] = np.clip(way, -2, 2) * (near > 0)[..., None]
+        shown[..., 8 + _HELD] = near
         shown[over] = 0.0
         shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
         return np.where(over, -1, key), shown

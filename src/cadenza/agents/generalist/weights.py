@@ -60,12 +60,13 @@ class Network(NamedTuple):
     """(N, 1, H), ... (N, 1, O)"""
 
     def __call__(self, told: Floats) -> Floats:
-        """(M, O) the answers to what is told of a hand (D + 2,), `CONSTANTS` included."""
-        hidden = np.clip((told[self.inputs] - self.middle) / self.spread, -FURTHEST, FURTHEST)
+        """(H, M, O) the answers to what is told of H hands (H, D + 2), `CONSTANTS` included."""
+        shown = told[:, self.inputs].reshape(-1, len(self.middle))
+        hidden = np.clip((shown - self.middle) / self.spread, -FURTHEST, FURTHEST)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ kernel + bias, 0.0)
         answers: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
-        return answers
+        return answers.reshape(len(told), *self.servos.shape)
 
 
 class Weights(NamedTuple):
@@ -119,11 +120,13 @@ class Weights(NamedTuple):
         return arrays
 
     def __call__(self, told: Floats) -> Floats:
-        """(A,) the answers to what is told of a hand (D,)."""
-        told, answers = np.concatenate([told, CONSTANTS]), np.empty(self.sizes[1], np.float32)
+        """(A,) the answers to what is told of a hand (D,); of several hands at once, (H, D)."""
+        told, shape = np.atleast_2d(told), (*told.shape[:-1], self.sizes[1])
+        told = np.concatenate([told, np.tile(CONSTANTS, (len(told), 1))], axis=1)
+        answers = np.empty((len(told), self.sizes[1]), np.float32)
         for network in self.networks:
-            answers[network.servos] = network(told)
-        return answers
+            answers[:, network.servos] = network(told)
+        return answers.reshape(shape)
 
 
 def weights_of(scene: Scene) -> Weights:

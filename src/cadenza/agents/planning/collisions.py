@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -51,7 +52,7 @@ class LinkCollisions:
         radii = np.tile([finger.radii for finger in hand.fingers], (num_hands, 1))  # (F, links)
         self._least = radii[self._a] + radii[self._b] + _CLEARANCE
 
-    def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, Array]:
+    def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, tuple[Ids, Ids], Array]:
         """How much nearer than allowed links are, as negative lengths, and zero where they are not.
 
         Args:
@@ -59,7 +60,7 @@ class LinkCollisions:
             jacobian: (S, F, P, 3, A).
 
         Returns:
-            (S, C) [m] and their Jacobian (S, C, A).
+            (S, C) [m]; where that is not zero, (N,) and (N,); and the Jacobian there, (N, A).
         """
         a0, a1 = _ends(points, self._a)
         b0, b1 = _ends(points, self._b)
@@ -67,7 +68,6 @@ class LinkCollisions:
         gap = a0 + s[..., None] * (a1 - a0) - b0 - t[..., None] * (b1 - b0)
         distance = np.sqrt((gap**2).sum(axis=-1)) + 1e-9
         overlap = np.minimum(distance - self._least, 0.0)
-        slope = np.zeros((*overlap.shape, jacobian.shape[-1]))
         row, pair = np.nonzero(overlap)
         s, t = s[row, pair, None, None], t[row, pair, None, None]
         ends = [
@@ -77,8 +77,10 @@ class LinkCollisions:
         ]
         approach = (1 - s) * ends[0] + s * ends[1] - (1 - t) * ends[2] - t * ends[3]
         normal = gap[row, pair] / distance[row, pair, None]
-        slope[row, pair] = np.einsum("nk,nka->na", normal, approach)
-        return overlap, slope
+        return overlap, (row, pair), np.einsum("nk,nka->na", normal, approach)
+
+
+link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short ask again and again
 
 
 def _ends(points: Array, links: tuple[Ids, Ids]) -> tuple[Array, Array]:

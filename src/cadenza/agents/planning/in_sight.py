@@ -1,8 +1,9 @@
 """Plans of a song of which only what is in sight is known: the next half second, or the next two.
 
-Fingers, presses, postures and controls are found as for a whole song, but again every few steps for
-what is in sight then. Each time postures go on from those of the plan before, and those that were
-planned before are only improved.
+Fingers, presses, postures and controls are found as for a whole song, but again at every step for
+what is in sight then. Each time postures go on from those of the plan before, which are only
+improved, by two steps of Gauss-Newton: what is still lacking, the looks that follow make up for
+(real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and Optimization 43, 2005).
 """
 
 from __future__ import annotations
@@ -21,14 +22,15 @@ from cadenza.agents.planning.presses import Press
 from cadenza.fingering.players import Players
 from cadenza.fingering.sight import NotesInSight
 from cadenza.fingers import NO_FINGER
+from cadenza.scene.kinematics import KinematicsOfFew
 from cadenza.scene.scene import Scene
 
-_EVERY = 0.15  # [s] from look to look
-_MOTION = 0.8  # [s] for which postures are planned
+_MOTION = 0.6  # [s] for which postures are planned
 _LED = 0.4  # [s] for which controls are found
 _PRESSES = 1.3  # [s] whose presses matter to them
-_PAST = 1.0  # [s] for which is remembered what was pressed
-_IMPROVED = Effort(iterations=3, trials=2, converged=0.03, damping=10.0)
+_PAST = 0.5  # [s] for which is remembered what was pressed
+_IMPROVED = Effort(iterations=2, trials=0, converged=0.0, damping=10.0)
+_MOMENTS = 12  # at which notes begin, for which fingers are found at once
 _ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
 _LIFT = 0.15  # [s] that it takes until it presses
 _AGAIN = 0.3  # [s] after which it may begin once more
@@ -51,9 +53,6 @@ class InSight:
 
     What is caught gets free by itself: where a finger is not where it should press, it is lifted
     above all keys, and presses again.
-
-    Attributes:
-        every: how many steps it is from one look to the next.
     """
 
     def __init__(self, scene: Scene, players: Players, hand_qpos: Array, dt: float) -> None:
@@ -63,22 +62,22 @@ class InSight:
         hand_qpos: (J,) where the joints of the hands are in the beginning.
         dt: control step [s].
         """
-        self._scene, self._dt, self.every = scene, dt, steps_in(_EVERY, dt)
-        self._motion = Motion(scene, dt)
-        self._fingers = NotesInSight(players)
+        self._scene, self._dt = scene, dt
+        self._motion = Motion(scene, dt, KinematicsOfFew)
+        self._fingers = NotesInSight(players, _MOMENTS)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
         self._seen = 0
         self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
         self._blas = ThreadpoolController()
-        self._begin, self._plan = 0, self._motion.at_rest(hand_qpos, 0)
-        self._found: Found | None = None  # from its first step on
+        self._plan = self._motion.at_rest(hand_qpos, 0)  # from its first step on, as what follows
+        self._found: Found | None = None
 
     def look(self, step: int, keys: NDArray[np.bool_], tips: Array) -> Nominal:
         """The plan of what is in sight at a step; its first step is this one.
 
         Args:
-            step: of the song: the first one, then always `every` after the one before.
+            step: of the song: the first one, then always the next.
             keys: (S, K) that should be down after this step and those after it.
             tips: (F, 3) where the fingertips are [m].
         """
@@ -89,13 +88,12 @@ class InSight:
             min(len(keys), steps_in(seconds, self._dt)) for seconds in (_PRESSES, _MOTION, _LED)
         )
         presses = self._motion.presses(self._asked(step, past, concern))
-        here = step - self._begin
-        if self._found is not None:
-            presses = self._again(presses, step, past, tips, self._plan.fingertips[here])
-        before = self._plan.part(max(here - 1, 0), here)
-        known, effort = None, THOROUGH
-        if self._found is not None:
-            known, effort = (self._found.postures - self._found.guess)[here + 1 :], _IMPROVED
+        if self._found is None:
+            before, known, effort = self._plan, None, THOROUGH
+        else:
+            before, effort = self._plan.part(0, 1), _IMPROVED
+            presses = self._again(presses, step, past, tips, before.fingertips[1])
+            known = (self._found.postures - self._found.guess)[2:]
         with self._blas.limit(limits=1):  # as in `nominal_plans`
             found = self._motion.found(
                 before, presses, past, past + ahead, known=known, effort=effort
@@ -104,7 +102,7 @@ class InSight:
         presses = [
             press._replace(first=press.first - past, last=press.last - past) for press in presses
         ]
-        self._begin, self._found, self._plan = step, found, plan._replace(presses=presses)
+        self._found, self._plan = found, plan._replace(presses=presses)
         return self._plan
 
     def _again(
@@ -153,7 +151,7 @@ class InSight:
         self._seen = step + len(keys)
 
     def _find_fingers(self, step: int) -> None:
-        found = self._fingers.find((step + self.every) * self._dt)
+        found = self._fingers.find((step + 1) * self._dt)
         for note in self._notes:
             if note.number in found:
                 note.finger = self._scene.fingers.number(found[note.number])

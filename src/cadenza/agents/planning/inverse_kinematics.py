@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.collisions import LinkCollisions
+from cadenza.agents.planning.collisions import link_collisions
 from cadenza.agents.planning.targets import Targets, pressing
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
@@ -42,7 +42,8 @@ class Effort(NamedTuple):
     iterations: int
     """Of Gauss-Newton at most."""
     trials: int
-    """With more and more damping, in each of them."""
+    """With more and more damping, in each of them. With 0, what comes first is taken without a look
+    at its cost, and found for each hand as if the other stayed where it is."""
     converged: float
     """Relative decrease of the cost with which it ends."""
     damping: float
@@ -84,13 +85,18 @@ def solve_postures(
         begin: (S, A) where to begin, if not with the guess; with the same first row.
         effort: how long.
     """
-    problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
+    problem = _Problem(scene, kinematics, servos, targets, guess, before, dt, not effort.trials)
     postures = (guess if begin is None else begin).copy()
     damping = np.full(len(guess) - 1, effort.damping)
     now = problem.linearise(postures)
     for iteration in range(effort.iterations):
         progress("postures", iteration, effort.iterations)
         band, gradient = problem.normal_equations(postures, now)
+        if not effort.trials:
+            postures = problem.step(postures, band, gradient, damping)
+            if iteration + 1 < effort.iterations:
+                now = problem.linearise(postures)
+            continue
         for _ in range(effort.trials):
             trial = problem.step(postures, band, gradient, damping)
             there = problem.linearise(trial)
@@ -170,12 +176,15 @@ class _Problem:
         guess: Array,
         before: Array,
         dt: float,
+        in_a_hurry: bool = False,
     ) -> None:
+        # Then the last digits may be others, and each hand is moved as if the other stayed.
+        self._in_a_hurry, self._hands = in_a_hurry, len(scene.sides)
         self._kinematics, self._servos, there = kinematics, servos, scene.fingers_there
         self._low, self._high = targets.low[1:, there], targets.high[1:, there]
         self._sigma = targets.sigma[1:, there]
         self._wall = targets.wall[1:, there]
-        self._links = LinkCollisions(scene.hand, len(scene.sides))
+        self._links = link_collisions(scene.hand, len(scene.sides))
         self._rest, self._before = guess[1:], before
         uses = [scene.hand.servo(name) for name in servos.names]
         self._stiffness = np.array([use.ease for use in uses]) ** -2.0
@@ -233,28 +242,30 @@ class _Problem:
         points, jacobian = self._kinematics.fingers(moving)
         tips = points[:, :, TIP]
         outside = (tips - np.clip(tips, low, high)) / sigma
-        pulled = jacobian[:, :, TIP] * ((outside != 0) / sigma)[..., None]
-        overlap, overlap_slope = self._links.overlaps(points, jacobian)
-        count, size = moving.shape
+        overlap, (state, pair), overlap_slope = self._links.overlaps(points, jacobian)
+        if self._in_a_hurry:
+            there, pair = np.unique(pair, return_inverse=True)
+            overlap = overlap[:, there]
+        (count, size), tip = moving.shape, jacobian[:, :, TIP]
         into_wall = np.minimum(tips[:, :, 0] - self._wall[some], 0.0) / _WALL
-        out_of_wall = jacobian[:, :, TIP, 0] * ((into_wall < 0) / _WALL)[..., None]
         residuals = [outside.reshape(count, -1), into_wall, overlap / _OVERLAP]
-        slopes = [pulled.reshape(count, -1, size), out_of_wall, overlap_slope / _OVERLAP]
         if self._slides:
-            near, near_slope = self._forearms(moving)
-            residuals.append(near)
-            slopes.append(near_slope)
-        pressed = pressing(jacobian[:, :, TIP, 2], self._force[some])
-        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1), pressed
-
-    def _forearms(self, moving: Array) -> tuple[Array, Array]:
-        right, left = self._slides
-        distance = self._mounted_apart + moving[:, right] - moving[:, left]
-        near = np.minimum(distance - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
-        slope = np.zeros((len(moving), 1, moving.shape[1]))
-        slope[:, 0, right] = (near < 0) / _FOREARMS_SIGMA
-        slope[:, 0, left] = -slope[:, 0, right]
-        return near[:, None], slope
+            right, left = self._slides
+            distance = self._mounted_apart + moving[:, right] - moving[:, left]
+            near = np.minimum(distance - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
+            residuals.append(near[:, None])
+        residual = np.concatenate(residuals, axis=1)
+        slope = np.zeros((*residual.shape, size))
+        walls = outside[0].size
+        links = walls + into_wall.shape[1]
+        pulled = slope[:, :walls].reshape(tip.shape)
+        np.multiply(tip, ((outside != 0) / sigma)[..., None], out=pulled)
+        np.multiply(tip[:, :, 0], ((into_wall < 0) / _WALL)[..., None], out=slope[:, walls:links])
+        slope[state, links + pair] = overlap_slope / _OVERLAP
+        if self._slides:
+            slope[:, -1, right] = (near < 0) / _FOREARMS_SIGMA
+            slope[:, -1, left] = -slope[:, -1, right]
+        return residual, slope, pressing(tip[:, :, 2], self._force[some])
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
         """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""
@@ -276,7 +287,28 @@ class _Problem:
     def step(self, postures: Array, band: Array, gradient: Array, damping: Array) -> Array:
         damped = band.copy()
         damped[-1] += (damping[:, None] / self._stride**2).ravel()
-        change = solveh_banded(damped, -gradient.ravel(), overwrite_ab=True, check_finite=False)
-        change = np.clip(change.reshape(gradient.shape), -self._stride, self._stride)
-        moved = np.clip(postures[1:] + change, self._servos.low, self._servos.high)
-        return np.concatenate([postures[:1], moved])
+        solved = self._of_each_hand if self._in_a_hurry else _solved
+        change = solved(damped, gradient)
+        moved = postures[1:] + np.clip(change, -self._stride, self._stride)
+        return np.concatenate([postures[:1], np.clip(moved, self._servos.low, self._servos.high)])
+
+    def _of_each_hand(self, band: Array, gradient: Array) -> Array:
+        """As `_solved`, for each hand as if the other stayed, which takes less than half."""
+        (count, size), hands = gradient.shape, self._hands
+        each = size // hands
+        wide = band.reshape(-1, count, hands, each).transpose(2, 0, 1, 3)
+        narrow = np.zeros((hands, 2 * each + 1, count, each))
+        narrow[:, 0], narrow[:, each] = wide[:, 0], wide[:, size]
+        own = np.arange(each) >= np.arange(each - 1, -1, -1)[:, None]  # with servos of this hand
+        narrow[:, each + 1 :] = wide[:, -each:] * own[:, None]
+        change = np.empty((count, hands, each))
+        for hand, pull in enumerate(gradient.reshape(count, hands, each).swapaxes(0, 1)):
+            change[:, hand] = _solved(narrow[hand].reshape(2 * each + 1, -1), pull)
+        return change.reshape(count, size)
+
+
+def _solved(band: Array, gradient: Array) -> Array:
+    """The step (S - 1, A) down a gradient; the matrix, in the upper form, is written over."""
+    pull = -gradient.ravel()
+    change = solveh_banded(band, pull, overwrite_ab=True, overwrite_b=True, check_finite=False)
+    return np.asarray(change).reshape(gradient.shape)

@@ -35,7 +35,7 @@ from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import Servos, reaction, servos_of
+from cadenza.scene.servos import Reaction, Servos, servos_of
 
 Array = NDArray[np.float64]
 
@@ -131,6 +131,7 @@ def controls_along(
     scene: Scene,
     kinematics: Kinematics,
     servos: Servos,
+    reaction: Reaction,
     targets: Targets,
     postures: Array,
     earlier: Array,
@@ -143,6 +144,7 @@ def controls_along(
         scene: with one hand or two.
         kinematics: of the scene.
         servos: of the scene.
+        reaction: of their motion.
         targets: which say what is pressed with.
         postures: (S, A); the first is where the hands are.
         earlier: (E, A) those before the first, if there are any.
@@ -152,7 +154,7 @@ def controls_along(
     points, jacobian = kinematics.fingers(postures)
     force = pressing(jacobian[1:, :, TIP, 2], targets.force[1:, scene.fingers_there])
     moving = np.concatenate([earlier, postures])
-    force += reaction(scene, servos, moving, dt)[len(earlier) :]
+    force += reaction.along(moving, dt)[len(earlier) :]
     return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)
 
 
@@ -173,10 +175,16 @@ class Found(NamedTuple):
 class Motion:
     """Plans motions of the hands of a scene, in control steps of `dt` [s]."""
 
-    def __init__(self, scene: Scene, dt: float) -> None:
+    def __init__(self, scene: Scene, dt: float, kinematics: type[Kinematics] = Kinematics) -> None:
+        """Args:
+        scene: with one hand or two.
+        dt: control step [s].
+        kinematics: what postures are found with.
+        """
         self._scene, self._dt = scene, dt
         self._servos = servos_of(scene)
-        self._kinematics = Kinematics(scene, self._servos)
+        self._kinematics = kinematics(scene, self._servos)
+        self._reaction = Reaction(scene, self._servos)
         self._rest = rest_posture(scene.hand, self._servos)
         self._stances = Stances(scene, self._kinematics, self._servos, self._rest)
         self._places = forearm_places(scene, self._kinematics, self._rest)
@@ -259,6 +267,7 @@ class Motion:
             self._scene,
             self._kinematics,
             self._servos,
+            self._reaction,
             found.targets,
             found.postures,
             plan.postures[-2:-1],

@@ -114,7 +114,8 @@ def _with_jumps(
 def _let_hand_go(
     presses: list[Press], side: Side, places: Array, dt: float, hand: Hand
 ) -> list[Press]:
-    ahead, least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
+    ahead, least, times = steps_in(_AHEAD, dt), steps_in(_LEAST, dt), hand.jump_times
+    near = min(times.within_reach, times.while_holding)
     mine = [press for press in presses if press.side == side]
     if not mine:
         return []
@@ -126,19 +127,23 @@ def _let_hand_go(
     finger = number % len(hand.fingers)
     outwards = places[key, 0] * (1 if side == "right" else -1)
     place = places[key, number]
-    means = np.array([place[begin:end].mean() for begin, end in pairwise(begins)])
+    means = np.array([place[begin:end].sum() for begin, end in pairwise(begins)]) / sizes
     cut = []
     for i, chord in enumerate(chords):
-        lasts = np.array([press.last for press in chord])[:, None]
-        end = int(np.searchsorted(firsts, lasts.max() + ahead, "right"))
+        latest = max(press.last for press in chord)
+        end = int(firsts.searchsorted(latest + ahead, "right"))
         if end == i + 1:
             cut += chord
             continue
         first, mean, strikes = firsts[i + 1 : end], means[i + 1 : end], begins[i + 1 : end]
+        lasts = np.array([press.last for press in chord])[:, None]
         here, there = slice(begins[i], begins[i + 1]), slice(begins[i + 1], begins[end])
         holding = lasts > first + least  # while the hand plays on
         way = np.abs(mean - np.where(holding, place[here, None], means[i]))
-        seconds = hand.jump_times.seconds(way, len(chord), sizes[i + 1 : end], holding)
+        if way.max() <= near:
+            cut += chord
+            continue
+        seconds = times.seconds(way, len(chord), sizes[i + 1 : end], holding)
         jump = np.ceil(np.round(seconds / dt, 9)).astype(np.intp)
         spans = hand.reach.spans(
             finger[here, None], finger[there], outwards[there] - outwards[here, None]

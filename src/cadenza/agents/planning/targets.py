@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from cadenza.fingers import SIDES
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
 
 # Where fingertips press and stay, towards the player from the middle of the white keys [m].
 _ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
@@ -22,7 +22,7 @@ _FROM_FRONT = 0.004  # not nearer to the player's end of white keys
 _BEFORE_BLACK, _BESIDE_BLACK = 0.01, 0.0015  # in front of black keys; from them to the finger
 _OVER_KEYS = (-0.04, 0.066)  # idle ones
 
-_TOLERANCE = (0.003, 0.001)  # [m] along the key, across it
+_TOLERANCE = np.array([0.003, 0.001])  # [m] along the key, across it
 _DEEP = 0.0015  # [m] below where the key stops
 _HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is pressed next
 _LIFTED = 0.008  # [m] above a key that was let go, and above all keys for an idle finger
@@ -86,8 +86,9 @@ class _Writer:
     def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
         self._dt = dt
         self._keyboard = scene.keyboard
-        fingers = self._fingers = scene.hand.fingers * len(SIDES)
-        radius = np.array([finger.tip_radius for finger in fingers])
+        fingers = scene.hand.fingers * len(SIDES)
+        radius = self._radius = np.array([finger.tip_radius for finger in fingers])
+        self._on_white = np.array([finger.on_white for finger in fingers])
         black = scene.keyboard.black
         # To the micrometre: the sum must not depend on how its parts are written.
         front = black.centre_x + black.half_size[0]
@@ -101,80 +102,122 @@ class _Writer:
         self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
     def write(self, presses: Sequence[Press]) -> Targets:
-        num_states = len(self._targets.low)
-        for finger in range(len(self._fingers)):
-            mine = [press for press in presses if press.finger == finger]
-            before = 0
-            for press, following in pairwise([*mine, None]):
-                assert press is not None
-                self._approach(press, before)
-                self._hold(press)
-                self._let_go(press, num_states if following is None else following.first)
-                before = press.last
+        if presses:
+            some = _Presses.of(presses, len(self._targets.low))
+            over = self._at(some, np.zeros(len(presses)))
+            self._hold(some)
+            self._let_go(some, over)
+            self._approach(some, over)
         return self._targets
 
-    def _approach(self, press: Press, before: int) -> None:
+    def _approach(self, some: _Presses, over: Array) -> None:
         """Over the key, the nearer in time the more closely, and low when it is ready."""
-        over = self._at(press, angle=0.0)
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
-        risen, states = before + steps_in(RISE, self._dt), len(self._targets.low)
-        for state in range(max(press.first - approach, risen), min(press.first, states)):
-            ahead = press.first - state
-            is_ready = ahead <= ready
-            low = over[2] + (_HOVER if is_ready else _HOVER + 0.004)
-            if press.from_above and not is_ready:
-                low = max(low, self._above_all[press.finger])
-            high = over[2] + _HOVER + _HOVER_ROOM if is_ready else np.inf
-            sigma = _ABOVE_KEY * max(ahead / ready, 1.0)
-            sigma[2] = _ABOVE_KEY[2] if is_ready else _IDLE[2]
-            if press.flies_to:
-                lands = is_ready and self._keyboard.is_black[press.key]
-                sigma *= _BEFORE_LANDING_ON_BLACK if lands else _IN_FLIGHT
-            self._box(press, state, over, (low, high), sigma)
+        risen = some.before + steps_in(RISE, self._dt)
+        which, states = self._spread(np.maximum(some.first - approach, risen), some.first)
+        ahead, height = some.first[which] - states, over[which, 2]
+        is_ready = ahead <= ready
+        low = height + np.where(is_ready, _HOVER, _HOVER + 0.004)
+        high = np.where(is_ready, height + _HOVER + _HOVER_ROOM, np.inf)
+        from_above = some.from_above[which] & ~is_ready
+        above_all = self._above_all[some.finger[which]]
+        low = np.where(from_above, np.maximum(low, above_all), low)
+        sigma = _ABOVE_KEY * np.maximum(ahead / ready, 1.0)[:, None]
+        sigma[:, 2] = np.where(is_ready, _ABOVE_KEY[2], _IDLE[2])
+        flies, lands = some.flies_to[which], is_ready & self._keyboard.is_black[some.key[which]]
+        sigma[flies & lands] *= _BEFORE_LANDING_ON_BLACK
+        sigma[flies & ~lands] *= _IN_FLIGHT
+        self._box(some, which, states, over, (low, high), sigma)
 
-    def _hold(self, press: Press) -> None:
-        keyboard, key = self._keyboard, press.key
-        at = self._at(press, keyboard.travel[key])
-        depth = at[2] - _DEEP
-        states = slice(press.first, press.last)
-        self._box(press, states, at, (depth, depth), _AT_KEY)
-        lever = at[0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
-        force = _FORCE_MARGIN * keyboard.holding_torque[key] / lever
-        self._targets.force[states, press.finger] = force
-        if not keyboard.is_black[key]:
-            struck = min(press.first + steps_in(_STRIKING, self._dt), press.last)
-            self._targets.force[press.first : struck, press.finger] *= _STRIKE
+    def _hold(self, some: _Presses) -> None:
+        keyboard, key = self._keyboard, some.key
+        at = self._at(some, keyboard.travel[key])
+        which, states = self._spread(some.first, some.last)
+        depth = at[which, 2] - _DEEP
+        self._box(some, which, states, at, (depth, depth), np.tile(_AT_KEY, (len(which), 1)))
+        lever = at[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
+        force = (_FORCE_MARGIN * keyboard.holding_torque[key] / lever)[which]
+        struck = states < some.first[which] + steps_in(_STRIKING, self._dt)
+        force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
+        self._targets.force[states, some.finger[which]] = force
 
-    def _let_go(self, press: Press, until: int) -> None:
+    def _let_go(self, some: _Presses, over: Array) -> None:
         """Straight up, or it would drag along the key; in a jump just up."""
-        over = self._at(press, angle=0.0)
-        sigma = _ABOVE_KEY * _IN_FLIGHT if press.flies_off else _ABOVE_KEY
-        states = slice(press.last, min(press.last + steps_in(RISE, self._dt), until))
-        self._box(press, states, over, (over[2] + _LIFTED, np.inf), sigma)
+        risen = some.last + steps_in(RISE, self._dt)
+        which, states = self._spread(some.last, np.minimum(risen, some.until))
+        sigma = np.tile(_ABOVE_KEY, (len(which), 1))
+        sigma[some.flies_off[which]] *= _IN_FLIGHT
+        height = over[which, 2] + _LIFTED, np.full(len(which), np.inf)
+        self._box(some, which, states, over, height, sigma)
+
+    def _spread(self, first: Ids, last: Ids) -> tuple[Ids, Ids]:
+        """(N,) which of the presses, and (N,) all states from `first` (P,) up to `last` (P,)."""
+        counts = np.maximum(np.minimum(last, len(self._targets.low)) - first, 0)
+        which = np.repeat(np.arange(len(first)), counts)
+        begins = np.cumsum(counts) - counts
+        return which, np.arange(len(which)) - (begins - first)[which]
 
     def _box(
         self,
-        press: Press,
-        states: int | slice,
+        some: _Presses,
+        which: Ids,
+        states: Ids,
         at: Array,
-        height: tuple[float, float],
+        height: tuple[Array, Array],
         sigma: Array,
     ) -> None:
-        targets, room = self._targets, np.array(_TOLERANCE)
-        targets.low[states, press.finger] = (*(at[:2] - room), height[0])
-        targets.high[states, press.finger] = (*(at[:2] + room), height[1])
-        targets.sigma[states, press.finger] = sigma
-        if self._keyboard.is_black[press.key]:
-            targets.sigma[states, press.finger, 0] *= _X_ON_BLACK
-        else:
-            targets.wall[states, press.finger] = self._walls[press.finger]
+        """Writes boxes (N,) around places `at` (P, 3), of `height` from and to."""
+        targets, there, finger = self._targets, at[which, :2], some.finger[which]
+        low, high = (
+            np.column_stack([there + room, z])
+            for room, z in zip((-_TOLERANCE, _TOLERANCE), height, strict=True)
+        )
+        black = self._keyboard.is_black[some.key[which]]
+        sigma[black, 0] *= _X_ON_BLACK
+        targets.low[states, finger], targets.high[states, finger] = low, high
+        targets.sigma[states, finger] = sigma
+        targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
 
-    def _at(self, press: Press, angle: float) -> Array:
-        """(3,) where the fingertip touches the key when that is down by `angle` [rad]."""
-        keyboard, key = self._keyboard, press.key
-        finger = self._fingers[press.finger]
+    def _at(self, some: _Presses, angle: Array) -> Array:
+        """(P, 3) where fingertips touch the keys when those are down by `angle` (P,) [rad]."""
+        keyboard, key = self._keyboard, some.key
         centre, half = keyboard.centre[key], keyboard.half_size[key]
         front = keyboard.white.centre_x + keyboard.white.half_size[0]
-        x = _ON_BLACK if keyboard.is_black[key] else min(finger.on_white, front - _FROM_FRONT)
-        fall = np.tan(angle) * (x - centre[0] + half[0])
-        return np.array([x, centre[1], centre[2] + half[2] - fall + finger.tip_radius])
+        on_white = np.minimum(self._on_white, front - _FROM_FRONT)[some.finger]
+        x = np.where(keyboard.is_black[key], _ON_BLACK, on_white)
+        fall = np.tan(angle) * (x - centre[:, 0] + half[:, 0])
+        height = centre[:, 2] + half[:, 2] - fall + self._radius[some.finger]
+        return np.column_stack([x, centre[:, 1], height])
+
+
+class _Presses(NamedTuple):
+    """P presses, each (P,)."""
+
+    finger: Ids
+    key: Ids
+    first: Ids
+    last: Ids
+    before: Ids
+    """Until when the finger holds another key."""
+    until: Ids
+    """Where it holds the next one."""
+    flies_off: NDArray[np.bool_]
+    flies_to: NDArray[np.bool_]
+    from_above: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, presses: Sequence[Press], num_states: int) -> _Presses:
+        before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
+        earlier: dict[int, int] = {}
+        for i, press in enumerate(presses):
+            if press.finger in earlier:
+                j = earlier[press.finger]
+                before[i], until[j] = presses[j].last, press.first
+            earlier[press.finger] = i
+        finger, key, first, last = np.array(
+            [(press.finger, press.key, press.first, press.last) for press in presses]
+        ).T
+        jumps = np.array(
+            [(press.flies_off, press.flies_to, press.from_above) for press in presses]
+        ).T
+        return cls(finger, key, first, last, before, until, *jumps)

@@ -85,26 +85,18 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     """
     step, push = discretised(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
+    gain, curvature, closed = _feedback(servos, dt, steps)
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
     leading = before * earlier + now * reference[:-1] + after * reference[1:]
     leading = np.clip(leading, servos.low, servos.high)
-    gain = np.zeros((steps, count, 2))
     towards = np.zeros((steps, count))
-    value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
     slope = np.zeros((count, 2))
     for t in range(steps - 1, -1, -1):
-        value[:, 0, 0] += 1.0
         slope[:, 0] -= reference[t + 1]
-        pushed = np.einsum("aij,aj->ai", value, push)
-        curvature = _CONTROL_WEIGHT + np.einsum("ai,ai->a", push, pushed)
-        gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[:, None]
         pull = _CONTROL_WEIGHT * leading[t]
-        towards[t] = (pull - np.einsum("ai,ai->a", push, slope)) / curvature
-        closed = step - push[:, :, None] * gain[t][:, None, :]
-        slope = np.einsum("aji,aj->ai", closed, slope) + gain[t] * pull[:, None]
-        value = np.einsum("aji,ajk->aik", step, value @ closed)
-        value = (value + value.transpose(0, 2, 1)) / 2
+        towards[t] = (pull - np.einsum("ai,ai->a", push, slope)) / curvature[t]
+        slope = np.einsum("aji,aj->ai", closed[t], slope) + gain[t] * pull[:, None]
     expected = np.zeros((steps + 1, count, 2))
     expected[0] = start
     ctrl = np.zeros((steps, count))
@@ -116,6 +108,31 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
 
 
 @lru_cache(maxsize=8)  # where plans are short, it would take most of the time
+def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
+    """What of the tracker does not depend on the reference: (T, A, 2), (T, A) and (T, A, 2, 2).
+
+    Those are the gains, the curvature of what a control costs, and what a step makes of position
+    and speed with feedback.
+    """
+    step, push = discretised(servos, dt)
+    count = len(servos.low)
+    gain, curvature = np.zeros((steps, count, 2)), np.zeros((steps, count))
+    closed = np.zeros((steps, count, 2, 2))
+    value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
+    for t in range(steps - 1, -1, -1):
+        value[:, 0, 0] += 1.0
+        pushed = np.einsum("aij,aj->ai", value, push)
+        curvature[t] = _CONTROL_WEIGHT + np.einsum("ai,ai->a", push, pushed)
+        gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[t][:, None]
+        closed[t] = step - push[:, :, None] * gain[t][:, None, :]
+        value = np.einsum("aji,ajk->aik", step, value @ closed[t])
+        value = (value + value.transpose(0, 2, 1)) / 2
+    for values in (gain, curvature, closed):
+        values.flags.writeable = False
+    return gain, curvature, closed
+
+
+@lru_cache(maxsize=8)
 def discretised(servos: Servos, dt: float) -> tuple[Array, Array]:
     """(A, 2, 2) and (A, 2): what a step of `dt` [s] makes of position and speed, and of control."""
     k, d, m = servos.stiffness, servos.damping, servos.inertia

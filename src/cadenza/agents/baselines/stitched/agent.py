@@ -22,7 +22,7 @@ from cadenza.hands.hand import Hand
 from cadenza.music.goals import Goals
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene, build_scene, hand_alone
-from cadenza.scene.servos import Servos, servos_of
+from cadenza.scene.servos import Reaction, Servos, servos_of
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
@@ -98,7 +98,15 @@ def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
             targets.force[press.first : press.last, press.finger] *= _FIRMLY
     at_rest = np.stack([here, np.zeros_like(here)], axis=1)
     fingertips, tracking = controls_along(
-        scene, kinematics, servos, targets, postures, postures[:0], at_rest, dt
+        scene,
+        kinematics,
+        servos,
+        Reaction(scene, servos),
+        targets,
+        postures,
+        postures[:0],
+        at_rest,
+        dt,
     )
     return SongPlan(scene, track, goals, Nominal(presses, postures, fingertips, tracking))
 
