@@ -42,8 +42,7 @@ class Effort(NamedTuple):
     iterations: int
     """Of Gauss-Newton at most."""
     trials: int
-    """With more and more damping, in each of them. With 0, what comes first is taken without a look
-    at its cost, and found for each hand as if the other stayed where it is."""
+    """With more and more damping, in each of them; with 0, the first is taken unseen."""
     converged: float
     """Relative decrease of the cost with which it ends."""
     damping: float
@@ -178,8 +177,7 @@ class _Problem:
         dt: float,
         in_a_hurry: bool = False,
     ) -> None:
-        # Then the last digits may be others, and each hand is moved as if the other stayed.
-        self._in_a_hurry, self._hands = in_a_hurry, len(scene.sides)
+        self._in_a_hurry = in_a_hurry  # then the last digits may be others
         self._kinematics, self._servos, there = kinematics, servos, scene.fingers_there
         self._low, self._high = targets.low[1:, there], targets.high[1:, there]
         self._sigma = targets.sigma[1:, there]
@@ -287,28 +285,7 @@ class _Problem:
     def step(self, postures: Array, band: Array, gradient: Array, damping: Array) -> Array:
         damped = band.copy()
         damped[-1] += (damping[:, None] / self._stride**2).ravel()
-        solved = self._of_each_hand if self._in_a_hurry else _solved
-        change = solved(damped, gradient)
-        moved = postures[1:] + np.clip(change, -self._stride, self._stride)
-        return np.concatenate([postures[:1], np.clip(moved, self._servos.low, self._servos.high)])
-
-    def _of_each_hand(self, band: Array, gradient: Array) -> Array:
-        """As `_solved`, for each hand as if the other stayed, which takes less than half."""
-        (count, size), hands = gradient.shape, self._hands
-        each = size // hands
-        wide = band.reshape(-1, count, hands, each).transpose(2, 0, 1, 3)
-        narrow = np.zeros((hands, 2 * each + 1, count, each))
-        narrow[:, 0], narrow[:, each] = wide[:, 0], wide[:, size]
-        own = np.arange(each) >= np.arange(each - 1, -1, -1)[:, None]  # with servos of this hand
-        narrow[:, each + 1 :] = wide[:, -each:] * own[:, None]
-        change = np.empty((count, hands, each))
-        for hand, pull in enumerate(gradient.reshape(count, hands, each).swapaxes(0, 1)):
-            change[:, hand] = _solved(narrow[hand].reshape(2 * each + 1, -1), pull)
-        return change.reshape(count, size)
-
-
-def _solved(band: Array, gradient: Array) -> Array:
-    """The step (S - 1, A) down a gradient; the matrix, in the upper form, is written over."""
-    pull = -gradient.ravel()
-    change = solveh_banded(band, pull, overwrite_ab=True, overwrite_b=True, check_finite=False)
-    return np.asarray(change).reshape(gradient.shape)
+        change = solveh_banded(damped, -gradient.ravel(), overwrite_ab=True, check_finite=False)
+        change = np.clip(change.reshape(gradient.shape), -self._stride, self._stride)
+        moved = np.clip(postures[1:] + change, self._servos.low, self._servos.high)
+        return np.concatenate([postures[:1], moved])
