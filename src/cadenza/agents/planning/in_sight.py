@@ -30,6 +30,7 @@ _LED = 0.4  # [s] for which controls are found
 _PRESSES = 1.3  # [s] whose presses matter to them
 _PAST = 0.5  # [s] for which is remembered what was pressed
 _IMPROVED = Effort(iterations=2, trials=0, converged=0.0, damping=10.0)
+_SETTLED = 0.1  # of what is in sight, in which fingers do not change
 _MOMENTS = 12  # at which notes begin, for which fingers are found at once
 _ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
 _LIFT = 0.15  # [s] that it takes until it presses
@@ -82,7 +83,7 @@ class InSight:
             tips: (F, 3) where the fingertips are [m].
         """
         self._note(step, keys)
-        self._find_fingers(step)
+        self._find_fingers(step + max(1, round(_SETTLED * len(keys))))
         past = min(step, steps_in(_PAST, self._dt))
         concern, ahead, led = (
             min(len(keys), steps_in(seconds, self._dt)) for seconds in (_PRESSES, _MOTION, _LED)
@@ -150,8 +151,9 @@ class InSight:
                 self._notes.append(note)
         self._seen = step + len(keys)
 
-    def _find_fingers(self, step: int) -> None:
-        found = self._fingers.find((step + 1) * self._dt)
+    def _find_fingers(self, settled: int) -> None:
+        """Those of notes that begin before a step are settled."""
+        found = self._fingers.find(settled * self._dt)
         for note in self._notes:
             if note.number in found:
                 note.finger = self._scene.fingers.number(found[note.number])
