@@ -204,7 +204,7 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RehearsedHand, "act", noted)
     play(load_score("FurEliseOpening").beginning(4.0), Generalist())
     assert len(off) > 100
-    assert np.quantile(off, 0.95) < 1e-4  # keys are as fast as they were when the second began
+    assert np.quantile(off, 0.95) < 1e-4  # keys are as fast as they were when the half second began
 
 
 def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,7 +219,7 @@ def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_allclose(actions(score, GeneralistConfig(rehearsals=1)), plan, atol=1e-3)
 
 
-def test_a_second_begins_with_what_the_one_before_found_for_it(
+def test_half_a_second_begins_with_what_the_one_before_found_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rehearse, changed = RehearsedHand._rehearse, list[bool]()
@@ -248,8 +248,8 @@ def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(HandRehearsal, "rehearse", noted)
     play(Score((Note(0.0, 1.0, 64, 80), Note(3.0, 4.0, 64, 80))), Generalist())
-    assert len(simulated) == 2 * 5  # by either hand, once for each second
-    assert max(simulated) == 28
+    assert len(simulated) == 2 * 10  # by either hand, once for each half second
+    assert max(simulated) == 24  # with what comes soon after
 
 
 def test_plays_the_same_each_time() -> None:

@@ -17,5 +17,5 @@ class GeneralistConfig:
     look_ahead: float | None = field(default=None, metadata=added(before=None))
     """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
     rehearsals: int = field(default=4, metadata=added(before=0))
-    """How often it changes each second of the plan by what went wrong in simulation, unless nothing
-    does. With 0, it plays what is planned at once. At sight, it never rehearses."""
+    """How often it changes each half second of the plan by what went wrong in simulation, unless
+    nothing does. With 0, it plays what is planned at once. At sight, it never rehearses."""

@@ -1,4 +1,4 @@
-"""One hand that rehearses its plan, a second at a time, and plays it as it went best."""
+"""One hand that rehearses its plan, half a second at a time, and plays it as it went best."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cadenza.agents.agent import Array
 from cadenza.agents.planning.ahead import Ahead
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
-from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.hand_rehearsal import HandRehearsal, Manner
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower
 from cadenza.fingers import Side
@@ -17,14 +17,15 @@ from cadenza.sim.hand_trials import HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
+_MANNER = Manner(window=0.5, judged=0.5, seen=0.7, left=1.0)
 _SAME = 1e-3  # [rad] that a key may be off where a take had it, to be as fast
 
 
 class RehearsedHand:
     """One hand of a plan.
 
-    It rehearses by itself, from the state that it is in when the second begins. What it does not
-    foresee, such as that it touches the other hand, is left to feedback until then.
+    It rehearses by itself, from the state that it is in when the half second begins. What it does
+    not foresee, such as that it touches the other hand, is left to feedback until then.
 
     Attributes:
         servos: which of all the scene's are this hand's.
@@ -35,14 +36,15 @@ class RehearsedHand:
         """Args:
         plan: of the song, as far as it goes.
         side: of the hand.
-        takes: of each second, at most.
+        takes: of each half second, at most.
         """
         dt = plan.track.config.control_timestep
         self._side, self._keyboard = side, plan.scene.keyboard
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._here = PlanningSimulation(self._alone, 1, dt)
         self._trials = HandTrials(self._alone, dt)
-        self._rehearsal = HandRehearsal(self._alone, self._trials, dt, takes, left=1.0)
+        manner = _MANNER._replace(takes=takes)
+        self._rehearsal = HandRehearsal(self._alone, self._trials, dt, manner)
         self.steps_seen = self._rehearsal.steps_seen + steps_in(ABOUT_TO_PRESS, dt)
         self.follow(plan, 0)
 
@@ -72,7 +74,7 @@ class RehearsedHand:
         self._trials.begin_from(self._here, float(y.min()), float(y.max()))
         keys = self._trials.keys
         ahead = Ahead(part, rows, self._keyboard, keys, here.key_qpos[0, keys])
-        if step == self._rehearsal.ends:  # the second before has found how to begin this one
+        if step == self._rehearsal.ends:  # the one before has found how to begin
             known = self._rehearsal.beyond
             self._tracking.ctrl[step : step + len(known)] = known
         self._rehearsal.rehearse(self._tracking, rows, ahead)

@@ -23,13 +23,27 @@ from cadenza.sim.hand_trials import HandTrials
 
 Array = NDArray[np.float64]
 
-_WINDOW = 1.0  # [s] that is rehearsed at once
-_JUDGED = 0.2  # [s] after it that count as well: the hand should be able to go on
-_SEEN = 0.4  # [s] after it whose fingertips are corrected, too
-_TAKES = 5  # at most
-_LEFT = 0.5  # of the mistakes; else fingers are caught, which a search frees sooner
 _SHARE = 0.7  # of the changes that should be enough: nothing is as simple as they take it to be
 _SAME = 1e-3  # [m, rad] that joints may be off where a take had them
+
+
+class Manner(NamedTuple):
+    """How a hand rehearses; by default, one that searches where that is not enough."""
+
+    window: float = 1.0
+    """[s] that are played as they were rehearsed at once."""
+    judged: float = 0.2
+    """[s] after them that count as well: the hand should be able to go on."""
+    seen: float = 0.4
+    """[s] after them whose fingertips are corrected, too."""
+    takes: int = 5
+    """At most."""
+    left: float = 0.5
+    """Of the mistakes that may be left: with more of them, fingers are caught, which a search frees
+    sooner, and the plan is kept."""
+
+
+_DEFAULT = Manner()
 
 
 class Take(NamedTuple):
@@ -61,25 +75,19 @@ class HandRehearsal:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        trials: HandTrials,
-        dt: float,
-        takes: int = _TAKES,
-        left: float = _LEFT,
+        self, scene: Scene, trials: HandTrials, dt: float, manner: Manner = _DEFAULT
     ) -> None:
         """Args:
         scene: with this hand only.
         trials: of it.
         dt: control step [s].
-        takes: at most.
-        left: of the mistakes may be left by what is kept instead of the plan.
+        manner: how.
         """
-        self._takes, self._left = takes, left
+        self._takes, self._left = manner.takes, manner.left
         self._servos, self._trials, self._dt = servos_of(scene), trials, dt
         self._sigma = np.array([scene.hand.servo(name).noise for name in self._servos.names])
-        self._window, self._judged = steps_in(_WINDOW, dt), steps_in(_JUDGED, dt)
-        self.steps_seen = self._window + steps_in(_SEEN, dt)
+        self._window, self._judged = steps_in(manner.window, dt), steps_in(manner.judged, dt)
+        self.steps_seen = self._window + steps_in(manner.seen, dt)
         self.forget()
 
     def forget(self) -> None:
