@@ -233,6 +233,7 @@ def test_what_is_chosen_behind_more_is_played(
     assert settings["task"]["stretch"] == pytest.approx(1 / 1.5)
     wanted = load_episode(folder / id / "episode.npz")["goal_keys"].any(axis=0)
     assert list(np.flatnonzero(wanted) + 21) == [66]
+    wait(browser, "!!document.querySelector('#kept li:first-child a[download=\"two.mid\"]')")
     links = browser.evaluate("""(async () => {
         const links = [...document.querySelectorAll("#kept li:first-child a")];
         return await Promise.all(links.map(async (link) => {
