@@ -446,7 +446,7 @@ def test_windows_last_as_long_at_any_control_step(dt: float) -> None:
         plans = nominal_plans(scene, keys, fingers, start, dt)
         return [plan.num_steps * dt for plan in plans]
 
-    assert ends(4.5) == pytest.approx([4.5])
+    assert ends(6.5) == pytest.approx([6.5])
     assert ends(80.0) == pytest.approx([2.5, 5.0, 10.0, 20.0, 40.0, 66.0, 80.0])
 
 

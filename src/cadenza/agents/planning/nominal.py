@@ -44,7 +44,7 @@ _SMOOTH = 0.1  # [s] standard deviation of the filter that smooths the first gue
 _FIRST = 2.5  # [s] that the first window plans: who plays a second has rehearsed more than two
 _MORE = 1.0  # times what has been planned is what the next one plans
 _MOST = 26.0  # [s] that a window plans
-_OVERLAP = 2.0  # [s] that it plans besides, and the next one plans again
+_OVERLAP = 4.0  # [s] that it plans besides, and the next one plans again
 _SETTLED = 0.5  # [s] before a window in which presses have ended that do not matter to it
 
 
