@@ -33,6 +33,7 @@ _LACKING = 0.02  # of a servo's stride that it does not go, as its control would
 _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
+_LEAST = 5  # iterations: one of the first may gain little because it is damped a lot
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -105,13 +106,14 @@ def solve_postures(
             if better:
                 eased = np.maximum(damping / 4, 1e-3)
                 damping = np.where(near, np.minimum(damping * 4, 1e3), eased)
+            if better or not near.any():  # more trials would be the same
                 break
             damping = np.where(near, np.minimum(damping * 8, 1e3), damping)
         if not better:
             break
         gained = now.cost.sum() - there.cost.sum()
         postures, now = trial, there
-        if gained < effort.converged * now.cost.sum():
+        if iteration >= _LEAST and gained < effort.converged * now.cost.sum():
             break
     return postures
 
