@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))
     parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--episodes", type=int, default=3, help="demonstrations of each song")
+    parser.add_argument("--episodes", type=int, default=6, help="demonstrations of each song")
     parser.add_argument("--updates", type=int, default=625, help="for each song")
     parser.add_argument("--least-updates", type=int, default=3_000)
     options = parser.parse_args()
