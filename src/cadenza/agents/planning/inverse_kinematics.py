@@ -33,7 +33,7 @@ _LACKING = 0.02  # of a servo's stride that it does not go, as its control would
 _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
-_LEAST = 5  # iterations: one of the first may gain little because it is damped a lot
+_LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -113,7 +113,7 @@ def solve_postures(
             break
         gained = now.cost.sum() - there.cost.sum()
         postures, now = trial, there
-        if iteration >= _LEAST and gained < effort.converged * now.cost.sum():
+        if iteration + 1 >= _LEAST and gained < effort.converged * now.cost.sum():
             break
     return postures
 
