@@ -263,7 +263,7 @@ def test_plays_the_same_each_time() -> None:
 
 def test_plays_on_where_a_window_of_the_plan_ends() -> None:
     agent = Generalist()
-    task = PianoTask([load_score("OdeToJoy").beginning(6.0)], TASK)
+    task = PianoTask([load_score("OdeToJoy").beginning(9.0)], TASK)
     whole = []
 
     def noted(view: View) -> Array:
