@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.planning.ahead import Ahead
+from cadenza.agents.planning.ahead import look_ahead
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal, Manner
@@ -68,12 +68,8 @@ class RehearsedHand:
     def _rehearse(self, step: int) -> None:
         """Rehearses what comes from that step on."""
         last = min(step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
-        rows, part, here = np.arange(step, last), self._part, self._here.state
-        tips = here.fingertip_xpos[0, part.fingers, 1]
-        y = np.concatenate([tips, part.fingertips[rows + 1, :, 1].ravel()])
-        self._trials.begin_from(self._here, float(y.min()), float(y.max()))
-        keys = self._trials.keys
-        ahead = Ahead(part, rows, self._keyboard, keys, here.key_qpos[0, keys])
+        rows = np.arange(step, last)
+        ahead = look_ahead(self._part, rows, self._keyboard, self._trials, self._here)
         if step == self._rehearsal.ends:  # the one before has found how to begin
             known = self._rehearsal.beyond
             self._tracking.ctrl[step : step + len(known)] = known

@@ -11,6 +11,8 @@ from cadenza.agents.planning.correction import FURTHEST
 from cadenza.agents.planning.hand_part import ASTRAY, HandPart
 from cadenza.agents.planning.mending import mending
 from cadenza.keyboards.keyboard import Keyboard
+from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.planning_simulation import PlanningSimulation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -112,3 +114,25 @@ class Ahead:
     def mending(self, fingertips: Array, sounding: Mask) -> tuple[Array, Array]:
         """As `astray`, but deeper or higher where keys (H, K) sounded wrong, see `mending`."""
         return mending(self._part, self._rows, self._keyboard, self._keys, fingertips, sounding)
+
+
+def look_ahead(
+    part: HandPart,
+    rows: NDArray[np.intp],
+    keyboard: Keyboard,
+    trials: HandTrials,
+    here: PlanningSimulation,
+) -> Ahead:
+    """What steps (H,) ask of a hand from where it is; trials begin there, over all keys on its way.
+
+    Args:
+        part: of the hand.
+        rows: (H,) the steps.
+        keyboard: all of it.
+        trials: of the hand.
+        here: where it is.
+    """
+    tips = here.state.fingertip_xpos[0, part.fingers, 1]
+    y = np.append(part.fingertips[rows + 1, :, 1], tips)
+    trials.begin_from(here, float(y.min()), float(y.max()))
+    return Ahead(part, rows, keyboard, trials.keys, here.state.key_qpos[0, trials.keys])

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.ahead import Ahead, Trial
+from cadenza.agents.planning.ahead import Trial, look_ahead
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
@@ -359,14 +359,8 @@ class HandRefinement:
 
     def _begin_trials(self, rows: NDArray[np.intp]) -> None:
         """From where the hand is, over all keys on its way through the steps `rows`."""
-        here = self._twin.state.fingertip_xpos[0, self._part.fingers]
-        there = self._part.fingertips[rows + 1]
-        y = np.concatenate([here[:, 1], there[..., 1].ravel()])
-        self._trials.begin_from(self._twin, float(y.min()), float(y.max()))
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        keys = self._trials.keys
-        here_keys = self._twin.state.key_qpos[0, keys]
-        self._ahead = Ahead(self._part, inside, self._keyboard, keys, here_keys)
+        self._ahead = look_ahead(self._part, inside, self._keyboard, self._trials, self._twin)
         self._least = np.full(len(inside), np.inf)
 
     def _try_all(self, candidates: Array, most: float) -> list[Trial]:
