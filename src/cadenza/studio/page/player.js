@@ -5,7 +5,9 @@ const instrument = createInstrument(), looks = createLooks();
 // the visitor has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning
 // falls behind.
 const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 2.2;
-const FLUENT = 20; // [ms] between two frames: who draws so often can leave out every other
+// [ms] between two pictures of the flat view while it is planned: 30 a second, and a few more that make
+// up for those that come late.
+const SPARING = 32;
 const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
 const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
 const ENDS = {
@@ -14,7 +16,7 @@ const ENDS = {
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
 let shown = [], heard = null, stage = null, roll = null;
-let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0, asked = 0, drawn = 0;
+let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0, asked = 0, due = 0;
 
 // The clock is that of the sound where there is one, else the wall's.
 const wall = () => performance.now() / 1000, audible = () => instrument.time;
@@ -59,7 +61,7 @@ function watch(ids, at = 0) {
   clearPicture();
   shown = ids.map((id) => createPerformance(id, changed));
   [heard, position, resumeAt, running, paused, asked] = [shown[0], 0, at, false, false, wall()];
-  Object.assign(cadenza, { state: "queued", live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
+  Object.assign(cadenza, { state: "queued", time: 0, live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
   $("cancel").disabled = false;
   showLink();
 }
@@ -261,9 +263,9 @@ function sound() {
 function frame(time) {
   requestAnimationFrame(frame);
   proceed();
-  // Without a graphics card, half of the frames leave more of the machine to who plans.
-  if (!stage || (stage.flat && !isComplete() && time - drawn < FLUENT)) return;
-  drawn = time;
+  // Without a graphics card, fewer pictures leave more of the machine to who plans.
+  if (!stage || (stage.flat && !isComplete() && time < due)) return;
+  due = Math.max(due + SPARING, time);
   show(now());
 }
 function show(time) {
