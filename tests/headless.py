@@ -21,7 +21,7 @@ CHROMIUM = (
 )
 # Of each canvas, what has been written on it since it was cleared: text, left, top, right, bottom.
 _WRITTEN = """(() => {
-    const written = window.written = new Map(), drawing = CanvasRenderingContext2D.prototype;
+    const written = window.written = new WeakMap(), drawing = CanvasRenderingContext2D.prototype;
     const { fillText, clearRect } = drawing;
     drawing.clearRect = function (...box) {
         written.delete(this.canvas);

@@ -161,6 +161,28 @@ def test_two_performances_are_watched_in_step(browser: Browser, address: str) ->
     assert browser.problems() == []
 
 
+def test_what_is_shown_no_more_is_let_go(browser: Browser, address: str) -> None:
+    """A page that is open for days shows many performances."""
+    visit(browser, address)
+    browser.call("Performance.enable")
+
+    def counted() -> tuple[float, float]:
+        press(browser, "#kept", "Watch")
+        wait(browser, "cadenza.live && cadenza.time > 0.3")
+        browser.settle()
+        browser.call("HeapProfiler.collectGarbage")
+        found = browser.call("Performance.getMetrics")["metrics"]
+        metrics = {metric["name"]: metric["value"] for metric in found}
+        return metrics["JSEventListeners"], metrics["Nodes"]
+
+    listeners, nodes = counted()
+    for _ in range(5):
+        more = counted()
+    assert more[0] <= listeners + 12  # those of one may wait to be collected
+    assert more[1] <= nodes + 20
+    assert browser.problems() == []
+
+
 def test_one_can_go_back_and_forth(browser: Browser, address: str) -> None:
     visit(browser, address)
     press(browser, "#kept", "Watch")

@@ -8,14 +8,14 @@ const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const PALM = 0.3; // opacity of palms, which hide keys
 
 /** What draws WebGL here, such as the name of a graphics card; null where nothing does. */
-function graphics() {
+const graphics = lazily(() => {
   const gl = document.createElement("canvas").getContext("webgl2");
   if (!gl) return null;
   const about = gl.getExtension("WEBGL_debug_renderer_info");
   const name = String(gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
   gl.getExtension("WEBGL_lose_context")?.loseContext();
   return name;
-}
+});
 
 /**
  * Poses of step rows, blended between rows: `move(time)` puts bodies and keys where they were.
@@ -122,7 +122,8 @@ function createStage(canvas, data, colours) {
     if (view) place();
     stale = true;
   }
-  new ResizeObserver(fit).observe(canvas);
+  const resized = new ResizeObserver(fit);
+  resized.observe(canvas);
 
   function move(time) {
     if (time === shown) return;
@@ -177,13 +178,20 @@ function createStage(canvas, data, colours) {
       stale = false;
       renderer.render(scene, camera);
     },
+    /** Lets go of what would outlive the canvas. */
+    end() {
+      resized.disconnect();
+      controls.dispose(); // which listens to the whole page
+      solidRenderer?.dispose();
+      solidRenderer?.forceContextLoss();
+    },
   };
 }
 
-const lazily = (make) => {
+function lazily(make) {
   let made;
   return () => (made ??= make());
-};
+}
 const quaternion = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
 
 const SAMPLES = 0.2; // [s] between the poses of which a camera that follows the hands takes notice

@@ -125,7 +125,7 @@ function hearOnly(performance) {
 }
 
 function clearPicture() {
-  for (const old of $("halves").querySelectorAll("canvas")) old.getContext("webgl2")?.getExtension("WEBGL_lose_context")?.loseContext();
+  stage?.end();
   $("halves").replaceChildren();
   stage = null;
 }
@@ -164,6 +164,7 @@ const together = (stages) => ({
   draw() { for (const each of stages) each.draw(); },
   look(name) { for (const each of stages) each.look(name); },
   showNotes(visible) { for (const each of stages) each.showNotes(visible); },
+  end() { for (const each of stages) each.end(); },
   setFlat(flat) { return stages.map((each) => each.setFlat(flat)).includes(true); },
   get flat() { return stages.some(({ flat }) => flat); },
   solid: stages.every(({ solid }) => solid),
