@@ -279,6 +279,29 @@ def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) 
     assert browser.problems() == []
 
 
+def test_a_song_after_a_whole_one_is_drawn_at_once(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    """The flat view draws more often what is whole, and must not make up for that afterwards."""
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.finished")
+    time.sleep(8)
+    drop(browser, song(tmp_path / "g.mid", 60), "g.mid")
+    wait(browser, "cadenza.state === 'playing' && cadenza.began")
+    frames = browser.evaluate("""new Promise((done) => {
+        let frames = 0;
+        (function next() {
+            frames++;
+            if (cadenza.time > 0.3 || frames > 300) done(frames);
+            else requestAnimationFrame(next);
+        })();
+    })""")
+    assert frames < 60  # of which there are sixty a second at most
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+
+
 def test_a_page_that_is_loaded_again_goes_on(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:

@@ -266,7 +266,7 @@ function frame(time) {
   proceed();
   // Without a graphics card, fewer pictures leave more of the machine to who plans.
   if (!stage || (stage.flat && !isComplete() && time < due)) return;
-  due = Math.max(due + SPARING, time);
+  due = Math.max(Math.min(due, time) + SPARING, time);
   show(now());
 }
 function show(time) {
