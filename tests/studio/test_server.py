@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -22,7 +23,7 @@ pytest.importorskip("starlette", reason="needs cadenza[studio]")
 pytest.importorskip("uvicorn", reason="needs cadenza[studio]")
 pytest.importorskip("httpx2", reason="needs the development group")
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -154,13 +155,17 @@ def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -
     own, linked = studio / "0123456789abcdef", studio / "fedcba9876543210"
     own.mkdir()
     write_json(own / "studio.json", asdict(Kept("Ode", wanted, 0.9, 8.0, 1.0)))
-    (own / "report.html").symlink_to(secret)
+    for name in "report.html", TOLD, ROWS:
+        (own / name).symlink_to(secret)
     linked.symlink_to(own)
     for folder in own, linked:
         answer = client.get(f"/TOKEN/performances/{folder.name}/report.html")
         assert (answer.status_code, "secret" in answer.text) == (400, False)
+        url = f"ws://127.0.0.1:8000/TOKEN/watch/{folder.name}"
+        with client.websocket_connect(url, headers=SAME) as told:
+            assert told.receive_json() == {"state": "gone"}
     (listed,) = client.get("/TOKEN/api/performances").json()
-    assert listed["files"] == []
+    assert (listed["files"], listed["told"]) == ([], False)
 
 
 def test_links_stay_valid(tmp_path: Path) -> None:
@@ -349,6 +354,49 @@ def test_a_file_that_does_not_come_is_given_up(
     monkeypatch.setattr(server, "_PATIENCE", 0.05)
     answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
     assert answer.json()["error"] == "the file takes too long to come"
+
+
+def test_files_that_do_not_come_keep_no_others_out(
+    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream, answers, enough = Request.stream, list[int](), Event()
+
+    def slow(request: Request) -> AsyncIterator[bytes]:
+        async def never() -> AsyncIterator[bytes]:
+            while not enough.is_set():
+                await asyncio.sleep(0.01)
+            yield b"MThd"
+
+        return never() if "slow" in request.url.query else stream(request)
+
+    def upload(name: str) -> None:
+        url = f"/TOKEN/api/songs?name={name}"
+        answers.append(client.post(url, content=path.read_bytes(), headers=SAME).status_code)
+
+    path = tmp_path / "a.mid"
+    write_midi(Score((Note(0.0, 1.0, 60),)), path)
+    monkeypatch.setattr(Request, "stream", slow)
+    threads = [Thread(target=upload, args=("slow",)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    upload("quick")
+    assert answers[-1] == 201
+    enough.set()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [201] + [400] * 8
+
+
+def test_a_page_that_closes_while_it_sends_is_no_fault_of_the_server(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def gone(_: Any) -> AsyncIterator[bytes]:
+        yield b"MThd"
+        raise ClientDisconnect
+
+    monkeypatch.setattr(Request, "stream", gone)
+    answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=SAME)
+    assert answer.json()["error"] == "the file has not come to its end"
 
 
 def test_a_synthesizer_that_ends_is_started_again() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
@@ -63,7 +63,7 @@ class Studio(Watchable):
             for name, entry in REGISTERED.entries().items()
             if name not in REGISTERED.own
         }
-        self._receiving = asyncio.Semaphore(_RECEIVING_AT_ONCE)
+        self._receiving = list[asyncio.Timeout]()
         self._reading = asyncio.Semaphore(_READING_AT_ONCE)
 
     async def stream(self, id: str) -> Stream | None:
@@ -72,7 +72,7 @@ class Studio(Watchable):
             return self.jobs.jobs[id]
         try:
             return await run_in_threadpool(self.shelf.stream, id)
-        except CadenzaError:
+        except (CadenzaError, OSError):
             return None
 
     def routes(self) -> list[BaseRoute]:
@@ -119,11 +119,10 @@ class Studio(Watchable):
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
-        async with self._receiving:
-            content = await _body(request, MOST_BYTES, "the file")
         name = request.query_params.get("name", "")
-        put = await run_in_threadpool(self.shelf.put, content, name)
-        path, id, title, ending = put
+        content = await _body(request, MOST_BYTES, "the file", self._receiving)
+        path, id, title, ending = await run_in_threadpool(self.shelf.put, content, name)
+        del content  # others may be read before it
         try:
             async with self._reading:
                 holds = await read_upload(path)
@@ -214,19 +213,40 @@ class Studio(Watchable):
         return FileResponse(page, media_type="text/html; charset=utf-8", headers=_COMPARING)
 
 
-async def _body(request: Request, most: int, what: str) -> bytes:
-    """Raises: CadenzaError: it is larger."""
+async def _body(
+    request: Request, most: int, what: str, receiving: list[asyncio.Timeout] | None = None
+) -> bytes:
+    """All of it.
+
+    Args:
+        request: brings it.
+        most: bytes that it may have.
+        what: it is called.
+        receiving: those that come at the same time. Where there is one too many, the first is given
+            up: it had the most time, and must not keep others out.
+
+    Raises:
+        CadenzaError: it is larger, or does not come.
+    """
     too_large = CadenzaError(f"{what} is larger than {most / 2**20:.3g} MiB")
     length = request.headers.get("content-length", "0")
     if not length.isascii() or not length.isdigit() or int(length) > most:
         raise too_large
-    content = bytearray()
+    content, receiving = bytearray(), [] if receiving is None else receiving
     try:
-        async with asyncio.timeout(_PATIENCE):
+        async with asyncio.timeout(_PATIENCE) as patience:
+            receiving.append(patience)
+            if len(receiving) > _RECEIVING_AT_ONCE and not (first := receiving.pop(0)).expired():
+                first.reschedule(0)
             async for chunk in request.stream():
                 content += chunk
                 if len(content) > most:
                     raise too_large
     except TimeoutError as error:
         raise CadenzaError(f"{what} takes too long to come") from error
+    except ClientDisconnect as error:
+        raise CadenzaError(f"{what} has not come to its end") from error
+    finally:
+        with suppress(ValueError):
+            receiving.remove(patience)
     return bytes(content)

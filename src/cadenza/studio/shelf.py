@@ -162,8 +162,8 @@ class Shelf:
             except CadenzaError:
                 continue
             files = [name for name in FILES if _is_own(path / name)]
-            told = (path / TOLD).is_file()
-            found.append(asdict(kept) | {"id": path.name, "files": files, "told": told})
+            about = {"id": path.name, "files": files, "told": _was_told(path)}
+            found.append(asdict(kept) | about)
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
@@ -186,10 +186,9 @@ class Shelf:
         folder = self._performance(id)
         kept = read_json(folder / _ABOUT, Kept)
         status = {"state": "kept", "performance": id, "metrics": {"f1": kept.f1}}
-        try:
-            about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)
-        except OSError as error:
-            raise CadenzaError("of this performance there is only the report") from error
+        if not _was_told(folder):
+            raise CadenzaError("of this performance there is only the report")
+        about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)
         return Stream(kept.title, kept.request, status, about, rows)
 
     def remove(self, id: str) -> None:
@@ -220,6 +219,11 @@ class Shelf:
 def _is_own(path: Path) -> bool:
     """Whether it is a file that lies here, not a link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
+
+
+def _was_told(folder: Path) -> bool:
+    """Whether a performance can be told again."""
+    return _is_own(folder / TOLD) and _is_own(folder / ROWS)
 
 
 def _offered(
