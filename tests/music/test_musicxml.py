@@ -248,6 +248,7 @@ ATTACKS = {
     ),
     "zip bomb": (compressed(b" " * (MAX_XML_BYTES + 1)), "over 16 MiB unpacked"),
     "zip of nothing": (compressed(b"", "x")[:60], "damaged"),
+    "zip that names nothing": (compressed(b"<a/>", "'"), "names no document"),
     "zip without a score": (compressed(b"<a/>", "&quot;"), "damaged"),
     "deep": ("<score-partwise>" + "<a>" * 100_000, "cannot be read as MusicXML"),
     "too many tags": ("<score-partwise>" + "<a/>" * MOST[b"<"], "too large for a song"),

@@ -53,6 +53,7 @@ def test_what_cannot_be_asked_for_is_refused_in_a_line(content: dict[str, object
     with pytest.raises(CadenzaError) as refused:
         read(content)
     assert "\n" not in str(refused.value)
+    assert "another version" not in str(refused.value)  # as is said of files
 
 
 @pytest.fixture

@@ -79,7 +79,7 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
     try:
         request = checked(content, PlayRequest, "request")
     except CadenzaError as error:
-        raise CadenzaError(str(error).rpartition(";")[0]) from error
+        raise CadenzaError(str(error).partition(";")[0]) from error
     for name, known in ("agent", agents), ("hand", hands):
         if getattr(request, name) not in known:
             raise CadenzaError(f"{name}: choose from {', '.join(known)}")

@@ -209,8 +209,10 @@ def _unpacked(data: bytes, path: Path) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             with archive.open("META-INF/container.xml") as file:
                 contents = file.read(2**16).decode("utf-8", "replace")
-            names = re.findall(r"""full-path\s*=\s*["']([^"']+)""", contents)
-            with archive.open(html.unescape(names[0])) as file:
+            named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
+            if named is None:
+                raise CadenzaError("its table of contents names no document")
+            with archive.open(html.unescape(named[1])) as file:
                 unpacked = file.read(MAX_XML_BYTES + 1)
     except Exception as error:  # damage shows in many ways
         reason = " ".join(str(error).split()) or type(error).__name__

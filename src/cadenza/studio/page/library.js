@@ -65,7 +65,8 @@ function choose(id) {
   showSongs();
 }
 function request() {
-  const wanted = { song: chosen.id };
+  const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
+  if (wrong) throw new Error(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
   const boxes = [...$("tracks").querySelectorAll("input")], on = boxes.filter((box) => box.checked);
   if (boxes.length && !on.length) throw new Error("Choose at least one of the tracks.");
