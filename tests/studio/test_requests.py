@@ -156,7 +156,7 @@ def kept(songs: Shelf, id: str, song: str, seed: int) -> Path:
     folder = songs.folder / id
     with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
         perform(setup).save(folder, page=False)
-    about = Kept(song, asdict(PlayRequest(song, seed=seed)), 0.9, 8.0, 1.0)
+    about = Kept(song, asdict(PlayRequest(song, "sight", seed=seed)), 0.9, 8.0, 1.0)
     write_json(folder / "studio.json", asdict(about))
     return folder
 
@@ -173,7 +173,7 @@ def test_two_performances_of_a_song_are_compared(
     monkeypatch.setattr(sys, "argv", ["comparing", str(one), str(two), str(page)])
     monkeypatch.setattr(comparing, "limit", lambda _: None)  # not on the process of the tests
     comparing.main()
-    assert "2. RandomAgent, shadow, seed 1" in page.read_text()
+    assert "2. Planner, unrefined, shadow, seed 1" in page.read_text()
     songs.remove(ids[1])
     assert not page.exists()
 

@@ -11,17 +11,21 @@ from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.report.comparison import COLUMNS, Run, write_comparison
 from cadenza.studio.limits import PLAYING, limit
+from cadenza.studio.request import AGENTS
+from cadenza.studio.shelf import Kept
 
 
 def run_of(folder: Path, number: int) -> Run:
     """What is compared of a performance."""
     metrics = read_json(folder / "metrics.json", dict[str, Any])
     settings = read_json(folder / "settings.json", dict[str, Any])
+    wanted = read_json(folder / "studio.json", Kept).request["agent"]
     episode = load_episode(folder / "episode.npz")
     planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
     known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
     figures = {name: math.nan if value is None else value for name, value in known.items()}
-    name = f"{number}. {settings['agent']}, {settings['scene']['hand']}"
+    agent, _ = AGENTS.get(wanted, (wanted, ""))  # as the page calls it
+    name = f"{number}. {agent}, {settings['scene']['hand']}"
     return Run(name, settings["seed"], figures, episode)
 
 

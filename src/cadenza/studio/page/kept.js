@@ -22,7 +22,7 @@ function keptOne(each) {
     links.append(link);
   }
   links.append(act("Delete", `Delete ${title}`, () => remove(each)));
-  item.append(make("b", title), make("small", howPlayed(each.request)), make("small", about), links);
+  item.append(make("b", title, { title }), make("small", howPlayed(each.request)), make("small", about), links);
   return item;
 }
 async function remove({ id, title }) {

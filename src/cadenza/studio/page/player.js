@@ -95,7 +95,7 @@ function showStatus(performance) {
 }
 function showRequest({ title, request: wanted }) {
   set(wanted);
-  $("title").textContent = title;
+  $("title").textContent = $("title").title = title;
   document.title = `${title} · Cadenza studio`;
   $("facts").replaceChildren(make("span", `Played by ${howPlayed(wanted)}`));
 }
