@@ -331,6 +331,20 @@ def test_cancel_ends_the_player_and_keeps_nothing(
     assert not list(folder.glob(".*/episode.npz"))
 
 
+def test_a_song_is_chosen_by_the_keyboard(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    browser.evaluate("document.querySelector('[data-song=MaryHadALittleLamb]').focus()")
+    enter = {"key": "Enter", "code": "Enter", "windowsVirtualKeyCode": 13, "text": "\r"}
+    browser.call("Input.dispatchKeyEvent", type="keyDown", **enter)
+    browser.call("Input.dispatchKeyEvent", type="keyUp", **enter)
+    wait(browser, "cadenza.live")
+    assert browser.evaluate("document.activeElement.dataset.song") == "MaryHadALittleLamb"
+    pressed = "[...document.querySelectorAll('#songs [aria-pressed=true]')].map((b) => b.title)"
+    assert browser.evaluate(pressed) == ["Mary Had a Little Lamb, traditional"]
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+
+
 def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
     visit(browser, address)
     drop(browser, b"MThd" + b"\xff" * 100, "broken.mid")

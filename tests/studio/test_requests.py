@@ -19,8 +19,9 @@ from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
 from cadenza.studio import comparing, reading, shelf
-from cadenza.studio.request import AGENTS, PlayRequest, read_request
+from cadenza.studio.request import AGENTS, Order, PlayRequest, read_request
 from cadenza.studio.shelf import Kept, Shelf, Upload
+from cadenza.studio.worker import what_failed
 
 SCORE = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
 
@@ -137,6 +138,15 @@ def test_what_is_no_music_is_refused_in_a_line(
     assert error
     assert "\n" not in error
     assert str(path) not in error
+
+
+def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> None:
+    def said(source: str, uploaded: bool) -> str:
+        order = Order(PlayRequest("x"), "", source, uploaded, "0" * 16, "")
+        return what_failed(CadenzaError(f"{source}: nobody\nknows '{source}'"), order)
+
+    assert said("/home/me/x.mid", True) == "nobody knows 'the file'"
+    assert said("OdeToJoy", False) == "OdeToJoy: nobody knows 'OdeToJoy'"
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,8 @@ from cadenza.performing.setup import PRACTISED
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Send, as_json
 from cadenza.studio.messages import Message
-from cadenza.studio.reading import without_path
 from cadenza.studio.request import Order, practice_folder
-from cadenza.studio.worker import Told, set_up_as_asked
+from cadenza.studio.worker import Told, set_up_as_asked, what_failed
 
 _TOLD = 1.0  # [s] between two times that it tells how far it is
 _SAVED = 20.0  # [s] between two times that practice is kept
@@ -47,7 +46,7 @@ def main() -> None:
         try:
             practise(order, send)
         except (CadenzaError, OSError) as error:
-            send(as_json(state="failed", error=without_path(error, Path(order.source))))
+            send(as_json(state="failed", error=what_failed(error, order)))
 
 
 def practise(order: Order, send: Send) -> None:

@@ -45,9 +45,11 @@ def check_size(score: Score) -> None:
         raise CadenzaError(f"{len(score.notes)} notes; the studio plays up to {MOST_NOTES}")
 
 
-def without_path(error: BaseException, path: Path) -> str:
-    """What is wrong, in one line that names no file of this machine."""
-    text = str(error).removeprefix(f"{path}: ").replace(str(path), "the file")
+def without_path(error: BaseException, path: Path | None) -> str:
+    """What is wrong, in one line that does not say where a file lies on this machine."""
+    text = str(error)
+    if path is not None:
+        text = text.removeprefix(f"{path}: ").replace(str(path), "the file")
     return " ".join(text.split()) or type(error).__name__
 
 

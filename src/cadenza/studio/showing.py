@@ -64,8 +64,12 @@ def shown(setup: Setup, title: str) -> Iterator[Showing]:
     module = "cadenza.studio.watching"
     command = [sys.executable, "-P", "-m", module, json.dumps(asdict(order))]
     # Ctrl-C is for whoever plays.
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert process.stdout is not None
     try:
+        print(process.stdout.readline().decode(), end="", flush=True)  # before the song is over
         yield Showing(process, setup)
     finally:
         process.terminate()

@@ -103,9 +103,14 @@ def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
         keeping = True
         keep(performance, live, order, send)
     except (CadenzaError, OSError) as error:
-        send(as_json(state="failed", error=without_path(error, Path(order.source))))
+        send(as_json(state="failed", error=what_failed(error, order)))
     except MemoryError:
         send(as_json(state="failed", error="it needs more memory than a player may use"))
+
+
+def what_failed(error: BaseException, order: Order) -> str:
+    """As the page says it."""
+    return without_path(error, Path(order.source) if order.uploaded else None)
 
 
 def warm_up() -> None:

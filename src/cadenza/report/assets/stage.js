@@ -28,6 +28,7 @@ function createStage(canvas, data, colours) {
   camera.up.set(0, 0, 1);
   const drawnBy = graphics(), overlay = canvas.cloneNode();
   for (const name of ["id", "tabindex", "role", "aria-label"]) overlay.removeAttribute(name);
+  overlay.setAttribute("aria-hidden", "true");
   overlay.style.pointerEvents = "none";
   canvas.after(overlay);
   const flatRenderer = createFlatRenderer(overlay);

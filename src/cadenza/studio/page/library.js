@@ -31,6 +31,11 @@ function showSongs() {
   $("songs").replaceChildren(...found.slice(0, MOST_SHOWN).map(listed));
   if (!found.length) $("songs").append(make("li", "Nothing of that name.", { className: "remark" }));
   if (more > 0) $("songs").append(make("li", `${more} more: search for them.`, { className: "remark" }));
+  showChosen();
+}
+/** The buttons stay: whoever has come to one by the keyboard goes on from there. */
+function showChosen() {
+  for (const button of $("songs").querySelectorAll("[data-song]")) press(button, button.dataset.song === chosen?.id);
 }
 function listed(song) {
   const about = song.uploaded ? "yours" : song.composer;
@@ -38,7 +43,7 @@ function listed(song) {
   const level = song.grade ? ` · level ${song.grade.toFixed(1)}` : "";
   button.append(make("span", song.title), make("small", about));
   button.append(make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" }));
-  press(button, song === chosen);
+  button.dataset.song = song.id;
   button.addEventListener("click", () => { choose(song.id); begin(); });
   item.append(button);
   if (song.uploaded) item.append(act("×", `Delete ${song.title}`, () => forget(song)));
@@ -62,7 +67,7 @@ function choose(id) {
     label.append(box, make("span", `${name || instrument || `Track ${number}`}, ${count} notes`));
     return label;
   }));
-  showSongs();
+  showChosen();
 }
 function request() {
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
@@ -76,7 +81,10 @@ function request() {
 function set(wanted) {
   choose(wanted.song);
   const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
-  if (button) list.scrollTop += button.getBoundingClientRect().top - list.getBoundingClientRect().top;
+  if (button) {
+    const { top, bottom } = list.getBoundingClientRect(), at = button.getBoundingClientRect();
+    if (at.top < top || at.bottom > bottom) list.scrollTop += at.top - top;
+  }
   for (const name of OPTIONS) if (wanted[name] !== undefined) $(name).value = wanted[name];
   showAgent();
   const tracks = wanted.tracks ?? [];
