@@ -345,6 +345,20 @@ def test_a_song_is_chosen_by_the_keyboard(browser: Browser, address: str) -> Non
     wait(browser, "cadenza.state === 'cancelled'")
 
 
+def test_of_songs_chosen_at_once_the_last_is_played(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    browser.evaluate("""for (const song of ["OdeToJoy", "JingleBells", "FrereJacques"])
+        document.querySelector(`[data-song=${song}]`).click()""")
+    wait(browser, "cadenza.began && document.title.startsWith('Frère Jacques')")
+    sent = [e["params"] for e in browser.events if e["method"] == "Network.requestWillBeSent"]
+    asked = [each["request"] for each in sent if "/api/jobs" in each["request"]["url"]]
+    methods = [request["method"] for request in asked]
+    assert methods.count("POST") == methods.count("DELETE") + 1
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    assert browser.problems() == []
+
+
 def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
     visit(browser, address)
     drop(browser, b"MThd" + b"\xff" * 100, "broken.mid")

@@ -112,12 +112,14 @@ async function upload(file) {
   }
   await begin();
 }
-/** Has what is chosen played, instead of what is being planned for this page. */
+/** Has what is chosen played, instead of what is being planned for this page or is about to be. */
 async function begin() {
   calm();
   instrument.wake();
-  const wanted = JSON.stringify(request());
+  const wanted = JSON.stringify(request()), turn = ++turns;
   for (const each of shown) if (!each.over && !each.complete) await ask(`api/jobs/${each.id}`, "DELETE");
+  if (turn !== turns) return;
   const { id } = await ask("api/jobs", "POST", wanted);
-  watch([id]);
+  if (turn === turns) watch([id]);
+  else await ask(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
 }

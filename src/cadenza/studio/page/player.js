@@ -16,6 +16,7 @@ const ENDS = {
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
 let shown = [], heard = null, stage = null, roll = null;
+let turns = 0; // how often something has been chosen to be shown
 let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0, asked = 0, due = 0;
 
 // The clock is that of the sound where there is one, else the wall's.
@@ -56,6 +57,7 @@ function say(text, done = null, total = null, small = false) {
 
 /** Shows performances, by their ids, from a time on [s]. */
 function watch(ids, at = 0) {
+  turns++;
   for (const each of shown) each.close();
   instrument.silence();
   clearPicture();
