@@ -65,22 +65,22 @@ def main() -> None:
             try:
                 perform_order(parsed_json(line, Order, "order"), orders, out)
                 break
-            except PutDownError:
+            except PutDown:
                 put_down += 1
                 if put_down == _MOST_PUT_DOWN or not orders.readline():
                     break
                 Message(READY, b"").write(out)
 
 
-class PutDownError(Exception):
-    """The server wants the song no more."""
+class PutDown(BaseException):
+    """The server wants the song no more. No fault of whoever plays, where it is raised."""
 
 
 def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     """Plays what is asked for, and keeps it.
 
     Raises:
-        PutDownError: it has not been played yet, and there is more to read of `orders`, or its end.
+        PutDown: it has not been played yet, and there is more to read of `orders`, or its end.
     """
 
     def send(message: Message) -> None:
@@ -95,7 +95,7 @@ def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
 
     def check() -> None:
         if more.poll(0):
-            raise PutDownError
+            raise PutDown
 
     keeping = False
     try:
