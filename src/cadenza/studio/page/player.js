@@ -93,6 +93,10 @@ function showStatus(performance) {
   if (performance !== heard) return;
   $("cancel").disabled = performance.over || performance.complete;
   cadenza.state = state;
+  if (state === "cancelled" && isReady()) {
+    pause();
+    say(ENDS.cancelled, null, null, true);
+  }
   proceed();
 }
 function showRequest({ title, request: wanted }) {
@@ -240,11 +244,13 @@ function toggle() {
   if (cadenza.finished) {
     seek(0);
     paused = false;
-  } else if (running) {
-    halt(now());
-    instrument.silence();
-    paused = true;
-  } else paused = !paused;
+  } else if (running) pause();
+  else paused = !paused;
+}
+function pause() {
+  halt(now());
+  instrument.silence();
+  paused = true;
 }
 
 /** Hands the instrument the rows that are due. */
