@@ -21,6 +21,7 @@ from cadenza.agents.planning.ahead import Ahead
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.inverse_kinematics import _Problem, rest_posture
 from cadenza.agents.planning.nominal import nominal_plans
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.sampling import UPDATES, Around
@@ -636,7 +637,7 @@ def test_links_keep_apart_by_their_radii() -> None:
     postures = rng.uniform(servos.low, servos.high, (20, len(servos.low)))
     kinematics = Kinematics(scene, servos)
     points, jacobian = kinematics.fingers(postures)
-    links = LinkCollisions(scene.hand, 1)
+    links = LinkCollisions(scene.hand).of_hand
     overlap, nearby, slopes = links.overlaps(points, jacobian)
     row, pair = np.argwhere(overlap < -0.002)[0]
     (fa, la), (fb, lb) = ((link[0][pair], link[1][pair]) for link in (links._a, links._b))
@@ -653,7 +654,35 @@ def test_links_keep_apart_by_their_radii() -> None:
     moved, *_ = links.overlaps(*kinematics.fingers(postures + step))
     change = (moved - overlap)[row, pair]
     (slope,) = slopes[(np.transpose(nearby) == (row, pair)).all(axis=1)]
-    assert change == pytest.approx(slope @ step, rel=1e-2)
+    assert change == pytest.approx((slope @ step).sum(), rel=1e-2)
+
+
+def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
+    """Of postures that interlock, against finite differences of what they cost."""
+    scene = build_scene()
+    servos, rng = servos_of(scene), np.random.default_rng(3)
+    rest = rest_posture(scene.hand, servos)
+    guess = rest + 0.05 * rng.uniform(size=(4, len(rest))) * (servos.high - servos.low)
+    right, left = servos.along_keyboard
+    guess[:, right], guess[:, left] = -0.08, 0.1  # forearms are mounted 0.3 m apart
+    targets = targets_of(scene, [Press("right", 1, 41, 1, 3)], 4, 0.05)
+    kinematics = Kinematics(scene, servos)
+    problem = _Problem(scene, kinematics, servos, targets, guess, guess[0], 0.05)
+    here = guess + 1e-3 * rng.standard_normal(guess.shape)
+    at = problem.linearise(here)
+    points, jacobian = (
+        values[1:].reshape(3, 2, -1, *values.shape[2:]) for values in kinematics.fingers(here)
+    )
+    close, *_ = problem._between_hands(points, jacobian, here[1:].reshape(3, 2, -1))
+    assert len(close) > 2 * 3  # more than the forearms
+    _, gradient = problem.normal_equations(here, at)
+    change = rng.standard_normal((3, len(rest)))
+    moved = [
+        problem.linearise(here + sign * 1e-6 * np.pad(change, ((1, 0), (0, 0)))).cost.sum()
+        for sign in (1, -1)
+    ]
+    slope = (gradient.reshape(3, -1) * change).sum()
+    assert (moved[0] - moved[1]) / 2e-6 == pytest.approx(slope, rel=1e-4)
 
 
 def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:

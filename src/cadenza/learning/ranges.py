@@ -57,10 +57,12 @@ def ranges_of(task: PianoTask) -> Ranges:
     points, jacobian = Kinematics(scene, servos).fingers(np.where(near, rest, 0.0)[None])
     tips = points[0, :, TIP, _ALONG_KEYBOARD]
     spare = _SPARE * scene.keyboard.spacing / PIANO.spacing
-    for servo in servos.along_keyboard:
-        along = jacobian[0, :, TIP, _ALONG_KEYBOARD, servo]  # (F,) 0 for the other hand's fingers
-        finger, key = np.nonzero(keys & (along != 0)[:, None])
-        wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[finger]) / along[finger]
+    slides = servos.along_keyboard
+    for side, servo in zip(scene.sides, slides, strict=bool(slides)):
+        mine = scene.fingertips_on(side)
+        along = jacobian[0, mine, TIP, _ALONG_KEYBOARD, servo - scene.servos_on(side).start]
+        finger, key = np.nonzero(keys[mine])
+        wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[mine][finger]) / along[finger]
         wanted = wanted if len(wanted) else np.zeros(1)  # it may rest
         ends = np.array([wanted.min() - spare, wanted.max() + spare])
         actions[:, servo] = np.clip(ends, *actions[:, servo])

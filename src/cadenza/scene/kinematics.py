@@ -71,7 +71,7 @@ class _Moves(NamedTuple):
     joint: Ids
     """(N,) in the order of the levels."""
     servo: Ids
-    """(N,)"""
+    """(N,) among those of its hand."""
     share: Array
     """(N, 1, 1) of the servo's coordinate."""
     point: Ids
@@ -93,7 +93,7 @@ class Kinematics:
         model = scene.model
         bodies = [int(body) for body in scene.hand_bodies]
         index = {body: i for i, body in enumerate(bodies)}
-        self._num_servos = len(servos.low)
+        self._num_servos = len(servos.low) // len(scene.sides)
         point_body, point_pos = [], []
         chains = [(prefix(side), f.links) for side in scene.sides for f in scene.hand.fingers]
         for (hand, links), site in zip(chains, scene.fingertip_sites, strict=True):
@@ -128,10 +128,14 @@ class Kinematics:
                 )
             )
             before = level
-        self._moves = _moves([joints for level in self._levels for joints in level.joints])
+        groups = [joints for level in self._levels for joints in level.joints]
+        self._moves = _moves(groups, self._num_servos)
 
     def fingers(self, postures: Array) -> tuple[Array, Array]:
-        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A)."""
+        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A').
+
+        It is that by the A' servos of a finger's own hand; those of the other do not move it.
+        """
         points, axes, centres = self._there(postures)
         count = len(postures)
         jacobian = np.zeros((self._num_servos, count, len(points), 3))
@@ -260,14 +264,14 @@ def _together(joints: list[list[_Joint]], moved: list[list[int]]) -> list[_Joint
     return result
 
 
-def _moves(groups: list[_Joints]) -> list[_Moves]:
+def _moves(groups: list[_Joints], servos_of_hand: int) -> list[_Moves]:
     """Of the joints of all levels; those of a servo that come later are apart."""
     pairs: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
     times = Counter[tuple[int, int]]()
     first = 0
     for group in groups:
         for j, moved in enumerate(group.moved):
-            servo, share = int(group.servo[j]), float(group.share[j, 0])
+            servo, share = int(group.servo[j]) % servos_of_hand, float(group.share[j, 0])
             for point in moved:
                 apart = times[servo, point], group.hinge
                 pairs.setdefault(apart, []).append((first + j, servo, share, point))

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingers import SIDES
 from cadenza.hands.hand import Hand
 
 Array = NDArray[np.float64]
@@ -17,50 +16,25 @@ Ids = NDArray[np.intp]
 _CLEARANCE = 0.0015  # [m]
 
 
-class LinkCollisions:
-    """C pairs of links, of the F fingers of one hand or two alike, that could meet.
+class _Pairs:
+    """C pairs of links, each of a finger and its number on it."""
 
-    Neighbouring fingers, the thumb and the fingers that it can meet, and thumbs and forefingers of
-    both hands; not the first links of neighbours, which are mounted far enough apart.
-    """
-
-    def __init__(self, hand: Hand, num_hands: int) -> None:
-        count, links = len(hand.fingers), range(len(hand.fingers[0].links))
-        beside = [
-            *pairwise(range(1, count)),
-            *((0, other) for other in range(1, 1 + hand.thumb_meets)),
-        ]
-        pairs = [
-            ((base + a, i), (base + b, j))
-            for base in range(0, num_hands * count, count)
-            for a, b in beside
-            for i in links
-            for j in links
-            if (i or j if a else i)
-        ]
-        if num_hands == len(SIDES):
-            inner = range(min(count, 2))
-            pairs += [
-                ((a, i), (count + b, j))
-                for a in inner
-                for b in inner
-                for i in links[1:]
-                for j in links[1:]
-            ]
+    def __init__(self, pairs: list[tuple[tuple[int, int], tuple[int, int]]], radii: Array) -> None:
+        """`radii` are (F, links) [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
-        radii = np.tile([finger.radii for finger in hand.fingers], (num_hands, 1))  # (F, links)
         self._least = radii[self._a] + radii[self._b] + _CLEARANCE
 
     def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, tuple[Ids, Ids], Array]:
         """How much nearer than allowed links are, as negative lengths, and zero where they are not.
 
         Args:
-            points: (S, F, P, 3) of the fingers [m], see `Kinematics`.
-            jacobian: (S, F, P, 3, A).
+            points: (N, F, P, 3) of the fingers [m], see `Kinematics`.
+            jacobian: (N, F, P, 3, A).
 
         Returns:
-            (S, C) [m]; where that is not zero, (N,) and (N,); and the Jacobian there, (N, A).
+            (N, C) [m]; the M places in it where that is not zero, (M,) and (M,); and how it changes
+            there as the first link of the pair moves, and the second, (M, 2, A).
         """
         a0, a1 = _ends(points, self._a)
         b0, b1 = _ends(points, self._b)
@@ -69,15 +43,59 @@ class LinkCollisions:
         distance = np.sqrt((gap**2).sum(axis=-1)) + 1e-9
         overlap = np.minimum(distance - self._least, 0.0)
         row, pair = np.nonzero(overlap)
-        s, t = s[row, pair, None, None], t[row, pair, None, None]
-        ends = [
-            jacobian[row, finger[pair], link[pair] + k]
-            for finger, link in (self._a, self._b)
-            for k in (0, 1)
-        ]
-        approach = (1 - s) * ends[0] + s * ends[1] - (1 - t) * ends[2] - t * ends[3]
         normal = gap[row, pair] / distance[row, pair, None]
-        return overlap, (row, pair), np.einsum("nk,nka->na", normal, approach)
+
+        def moves(finger: Ids, link: Ids, along: Array) -> Array:
+            """(M, 3, A) the Jacobian of points part of the way along their links."""
+            part = along[row, pair, None, None]
+            here, there = (jacobian[row, finger[pair], link[pair] + k] for k in (0, 1))
+            return (1 - part) * here + part * there
+
+        approach = np.stack([moves(*self._a, s), -moves(*self._b, t)], axis=1)
+        return overlap, (row, pair), np.einsum("mk,mika->mia", normal, approach)
+
+
+class LinkCollisions:
+    """Pairs of links that could meet, of one hand or two alike.
+
+    Neighbouring fingers, the thumb and the fingers that it can meet, and thumbs and forefingers of
+    both hands; not the first links of neighbours, which are mounted far enough apart.
+
+    Attributes:
+        of_hand: pairs of one hand; fingers are counted from its thumb.
+        of_both: pairs of the right hand and the left, whose fingers are counted on.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        count, links = len(hand.fingers), range(len(hand.fingers[0].links))
+        beside = [
+            *pairwise(range(1, count)),
+            *((0, other) for other in range(1, 1 + hand.thumb_meets)),
+        ]
+        within = [
+            ((a, i), (b, j))
+            for a, b in beside
+            for i in links
+            for j in links
+            if (i or j if a else i)
+        ]
+        inner = range(min(count, 2))
+        between = [
+            ((a, i), (count + b, j))
+            for a in inner
+            for b in inner
+            for i in links[1:]
+            for j in links[1:]
+        ]
+        radii = np.array([finger.radii for finger in hand.fingers])  # (F, links)
+        self.of_hand, self.of_both = _Pairs(within, radii), _Pairs(between, np.tile(radii, (2, 1)))
+        self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
+
+    def hands_near(self, points: Array) -> Ids:
+        """In which of N postures pairs of both hands could overlap; points are (N, 2, F, P, 3)."""
+        along = points[:, :, : self._inner, :, 1]
+        low, high = along.min(axis=(2, 3)), along.max(axis=(2, 3))
+        return np.flatnonzero((low - high[:, ::-1]).max(axis=1) < self._most)
 
 
 link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short ask again and again

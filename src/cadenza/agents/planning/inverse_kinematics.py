@@ -3,8 +3,9 @@
 The unknowns are all postures at once. Every residual belongs to one posture (fingertips in their
 boxes, fingers out of each other, forearms apart, joints near rest) or to three in a row (smooth
 motion, controls within their ranges), so that the normal equations are banded, and a Gauss-Newton
-step costs a time linear in the music's length. Levenberg-Marquardt damping is kept for each posture
-by itself: one that is hard to find does not hold up the others.
+step costs a time linear in the music's length. Where hands never come close to each other, the
+equations of each are solved by themselves, in a quarter of the time. Levenberg-Marquardt damping is
+kept for each posture by itself: one that is hard to find does not hold up the others.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
 
 
 _OVERLAP = 0.002  # [m] of links that counts as one
@@ -85,20 +87,20 @@ def solve_postures(
         begin: (S, A) where to begin, if not with the guess; with the same first row.
         effort: how long.
     """
-    problem = _Problem(scene, kinematics, servos, targets, guess, before, dt, not effort.trials)
+    problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
     postures = (guess if begin is None else begin).copy()
     damping = np.full(len(guess) - 1, effort.damping)
     now = problem.linearise(postures)
     for iteration in range(effort.iterations):
         progress("postures", iteration, effort.iterations)
-        band, gradient = problem.normal_equations(postures, now)
+        bands, gradient = problem.normal_equations(postures, now)
         if not effort.trials:
-            postures = problem.step(postures, band, gradient, damping)
+            postures = problem.step(postures, bands, gradient, damping)
             if iteration + 1 < effort.iterations:
                 now = problem.linearise(postures)
             continue
         for _ in range(effort.trials):
-            trial = problem.step(postures, band, gradient, damping)
+            trial = problem.step(postures, bands, gradient, damping)
             there = problem.linearise(trial)
             worse = there.cost > 1.02 * now.cost + 0.02
             near = worse | np.roll(worse, 1) | np.roll(worse, -1)
@@ -119,44 +121,51 @@ def solve_postures(
 
 
 class _Linearised(NamedTuple):
-    cost: Array  # (S - 1,) half the squares of all residuals, those in time at their first posture
-    pull: Array  # (S - 1, A) the gradient of the residuals that belong to one posture
-    blocks: Array  # (S - 1, A, A) the products of their derivatives
-    beyond: Array  # (S - 1, A) how far the controls that lead to them are out of their ranges
+    """Of N postures of H hands with A servos each."""
+
+    cost: Array
+    """(N,) half the squares of all residuals, those in time at their first posture."""
+    pull: Array
+    """(N, H, A) the gradient of the residuals that belong to one posture."""
+    blocks: Array
+    """(N, H, A, A) the products of their derivatives by the same hand."""
+    between: tuple[Ids, Array]
+    """Of residuals between hands, those by different ones: at which postures, (M,), and (M, A, A)
+    by the right hand, then the left."""
+    beyond: Array
+    """(N, H, A) how far the controls that lead to them are out of their ranges."""
 
 
 class _InARow(NamedTuple):
-    """A sum over three postures in a row: what they count in it, (A,) or the same for all."""
+    """A sum over three postures in a row: what they count in it, (H, A) or the same for all."""
 
     first: Array | float
     second: Array | float
     third: Array | float
 
     def of(self, postures: Array) -> Array:
-        """(N, A) of postures (N + 2, A)."""
+        """(N, H, A) of postures (N + 2, H, A)."""
         before, now, after = postures[:-2], postures[1:-1], postures[2:]
         return self.first * before + self.second * now + self.third * after
 
-    def add_squares(self, band: Array, weight: Array) -> None:
-        """Adds to normal equations, in the upper form of `solveh_banded`, those of its squares.
+    def squares(self, weight: Array) -> Array:
+        """(3, N, H, A) the normal equations of its squares, for each servo by itself.
 
-        Args:
-            band: of N postures; two before them are known.
-            weight: (N, A) of each square.
+        Of each of N postures with itself, with the one before, and with the one before that; two
+        before them are known. `weight` (N, H, A) is that of each square.
         """
-        size = weight.shape[1]
-        diagonal, next_one, next_but_one = (
-            band[row].reshape(weight.shape) for row in (2 * size, size, 0)
-        )
-        diagonal += weight * self.third**2
-        diagonal[:-1] += weight[1:] * self.second**2
-        diagonal[:-2] += weight[2:] * self.first**2
-        next_one[1:] += weight[1:] * (self.second * self.third)
-        next_one[1:-1] += weight[2:] * (self.first * self.second)
-        next_but_one[2:] += weight[2:] * (self.first * self.third)
+        diagonals = np.zeros((3, *weight.shape))
+        itself, one_before, two_before = diagonals
+        itself += weight * self.third**2
+        itself[:-1] += weight[1:] * self.second**2
+        itself[:-2] += weight[2:] * self.first**2
+        one_before[1:] += weight[1:] * (self.second * self.third)
+        one_before[1:-1] += weight[2:] * (self.first * self.second)
+        two_before[2:] += weight[2:] * (self.first * self.third)
+        return diagonals
 
     def add_gradient(self, gradient: Array, pull: Array) -> None:
-        """Adds to the gradient (N, A) that of its squares; `pull` is weight times sum."""
+        """Adds to the gradient (N, H, A) that of its squares; `pull` is weight times sum."""
         gradient += pull * self.third
         gradient[:-1] += pull[1:] * self.second
         gradient[:-2] += pull[2:] * self.first
@@ -166,7 +175,7 @@ _SECOND_DIFFERENCE = _InARow(1.0, -2.0, 1.0)
 
 
 class _Problem:
-    """The residuals of postures 1 to S - 1."""
+    """The residuals of postures 1 to S - 1 of H hands with A servos each."""
 
     def __init__(
         self,
@@ -177,117 +186,180 @@ class _Problem:
         guess: Array,
         before: Array,
         dt: float,
-        in_a_hurry: bool = False,
     ) -> None:
-        self._in_a_hurry = in_a_hurry  # then the last digits may be others
-        self._kinematics, self._servos, there = kinematics, servos, scene.fingers_there
-        self._low, self._high = targets.low[1:, there], targets.high[1:, there]
-        self._sigma = targets.sigma[1:, there]
-        self._wall = targets.wall[1:, there]
-        self._links = link_collisions(scene.hand, len(scene.sides))
-        self._rest, self._before = guess[1:], before
+        self._kinematics, there = kinematics, scene.fingers_there
+        self._hands = len(scene.sides)
+        by_hand = self._by_hand
+        self._low, self._high, self._sigma, self._wall, self._force = (
+            by_hand(values[1:, there])
+            for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
+        )
+        self._links = link_collisions(scene.hand)
+        self._rest, self._before = by_hand(guess[1:]), by_hand(before[None])
         uses = [scene.hand.servo(name) for name in servos.names]
-        self._stiffness = np.array([use.ease for use in uses]) ** -2.0
-        acceleration = np.array([use.acceleration for use in uses])
-        self._inertia = (acceleration / (1 / dt) ** 2) ** -2.0  # of second differences
-        self._stride = np.array([use.stride for use in uses])
-        self._force = targets.force[1:, there]
-        self._lead = _InARow(*servos.lead(dt))
+        ease, acceleration, stride = np.array([(u.ease, u.acceleration, u.stride) for u in uses]).T
+        of_servos = ease**-2.0, (acceleration / (1 / dt) ** 2) ** -2.0, stride
+        # The second is of second differences.
+        self._stiffness, self._inertia, self._stride = map(self._of_hands, of_servos)
+        self._lead = _InARow(*map(self._of_hands, servos.lead(dt)))
         self._limit = (_LACKING * self._stride * self._lead.third) ** -2.0
+        self._least, self._most, self._per_force = map(
+            self._of_hands, (servos.low, servos.high, 1 / servos.stiffness)
+        )
         self._mounted_apart = scene.config.hand_spacing
-        slides = servos.along_keyboard
-        self._slides = slides if len(slides) == 2 else []
-        self._base = self._constant_band(len(guess) - 1)
+        self._slides = servos.along_keyboard[:1]  # as the other hand's
+        # The first of the second differences is with the posture before the problem begins.
+        self._constant = _SECOND_DIFFERENCE.squares(self._inertia + np.zeros_like(self._rest))
+        self._constant[0] += self._stiffness
 
-    def _constant_band(self, count: int) -> Array:
-        """The constant part of the normal equations, in the upper form of `solveh_banded`.
+    def _by_hand(self, rows: Array) -> Array:
+        """(N, H, A, ...) of rows (N, H A, ...)."""
+        return rows.reshape(len(rows), self._hands, -1, *rows.shape[2:])
 
-        The first of the second differences is with the posture before the problem begins.
-        """
-        size = len(self._stiffness)
-        band = np.zeros((2 * size + 1, count * size))
-        band[-1] = np.tile(self._stiffness, count)
-        _SECOND_DIFFERENCE.add_squares(band, np.tile(self._inertia, (count, 1)))
-        return band
+    def _of_hands(self, servos: Array) -> Array:
+        """(H, A) of values (H A,)."""
+        return servos.reshape(self._hands, -1)
 
     def linearise(self, postures: Array) -> _Linearised:
-        count, size = len(postures) - 1, postures.shape[1]
-        squares, pull, blocks = (
-            np.zeros(count),
-            np.zeros((count, size)),
-            np.zeros((count, size, size)),
-        )
-        servos = self._servos
-        rows = np.concatenate([self._before[None], postures])
-        control = self._lead.of(rows)
+        now = self._by_hand(postures)
+        rows = np.concatenate([self._before, now])
+        count, hands, size = now[1:].shape
+        squares, pull = np.zeros(count), np.zeros((count, hands, size))
+        blocks = np.zeros((count, hands, size, size))
+        control, between = self._lead.of(rows), [(np.zeros(0, np.intp), np.zeros((0, size, size)))]
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            residual, slope, pressed = self._residuals(postures[1:][some], some)
-            control[some] += pressed / servos.stiffness
-            squares[some] = (residual**2).sum(axis=1)
-            pull[some] = np.einsum("sra,sr->sa", slope, residual)
-            blocks[some] = slope.transpose(0, 2, 1) @ slope
-        beyond = control - np.clip(control, servos.low, servos.high)
+            points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[1:][some]))
+            residual, slope = self._of_one_hand(points, jacobian, some)
+            squares[some] = (residual**2).sum(axis=(1, 2))
+            pull[some] = np.einsum("shra,shr->sha", slope, residual)
+            blocks[some] = slope.swapaxes(2, 3) @ slope
+            if hands > 1:
+                row, residual, slope = self._between_hands(points, jacobian, now[1:][some])
+                np.add.at(squares[some], row, residual**2)
+                np.add.at(pull[some], row, residual[:, None, None] * slope)
+                np.add.at(blocks[some], row, slope[..., None] * slope[..., None, :])
+                between.append((first + row, slope[:, 0, :, None] * slope[:, 1, None]))
+            control[some] += (
+                pressing(jacobian[:, :, :, TIP, 2], self._force[some]) * self._per_force
+            )
+        beyond = control - np.clip(control, self._least, self._most)
         smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
-        at_ease = self._stiffness * (postures[1:] - self._rest) ** 2
-        cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=1))
-        return _Linearised(cost, pull, blocks, beyond)
+        at_ease = self._stiffness * (now[1:] - self._rest) ** 2
+        cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=(1, 2)))
+        row, products = map(np.concatenate, zip(*between, strict=True))
+        return _Linearised(cost, pull, blocks, (row, products), beyond)
 
-    def _residuals(self, moving: Array, some: slice) -> tuple[Array, Array, Array]:
-        """(N, R) those of N postures by themselves, and their derivatives (N, R, A).
+    def _of_one_hand(self, points: Array, jacobian: Array, some: slice) -> tuple[Array, Array]:
+        """(N, H, R) residuals of each hand by itself in N postures, and derivatives (N, H, R, A).
 
-        And (N, A) the force along each servo's coordinate that presses keys.
+        Args:
+            points: (N, H, F, P, 3), see `Kinematics`.
+            jacobian: (N, H, F, P, 3, A).
+            some: of all postures.
         """
         low, high, sigma = self._low[some], self._high[some], self._sigma[some]
-        points, jacobian = self._kinematics.fingers(moving)
-        tips = points[:, :, TIP]
+        tips, tip = points[:, :, :, TIP], jacobian[:, :, :, TIP]
+        count, hands, fingers, size = *tips.shape[:3], jacobian.shape[-1]
         outside = (tips - np.clip(tips, low, high)) / sigma
-        overlap, (state, pair), overlap_slope = self._links.overlaps(points, jacobian)
-        if self._in_a_hurry:
-            there, pair = np.unique(pair, return_inverse=True)
-            overlap = overlap[:, there]
-        (count, size), tip = moving.shape, jacobian[:, :, TIP]
-        into_wall = np.minimum(tips[:, :, 0] - self._wall[some], 0.0) / _WALL
-        residuals = [outside.reshape(count, -1), into_wall, overlap / _OVERLAP]
-        if self._slides:
-            right, left = self._slides
-            distance = self._mounted_apart + moving[:, right] - moving[:, left]
-            near = np.minimum(distance - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
-            residuals.append(near[:, None])
-        residual = np.concatenate(residuals, axis=1)
-        slope = np.zeros((*residual.shape, size))
-        walls = outside[0].size
-        links = walls + into_wall.shape[1]
-        pulled = slope[:, :walls].reshape(tip.shape)
+        into_wall = np.minimum(tips[..., 0] - self._wall[some], 0.0) / _WALL
+        overlap, (row, pair), overlap_slope = self._links.of_hand.overlaps(
+            *(values.reshape(count * hands, *values.shape[2:]) for values in (points, jacobian))
+        )
+        overlap = overlap.reshape(count, hands, -1)
+        walls, links = 3 * fingers, 4 * fingers
+        residual = np.concatenate(
+            [outside.reshape(count, hands, walls), into_wall, overlap / _OVERLAP], axis=2
+        )
+        slope = np.zeros((count * hands, residual.shape[2], size))
+        slope[row, links + pair] = overlap_slope.sum(axis=1) / _OVERLAP
+        slope = slope.reshape(*residual.shape, size)
+        pulled = slope[:, :, :walls].reshape(tip.shape)
         np.multiply(tip, ((outside != 0) / sigma)[..., None], out=pulled)
-        np.multiply(tip[:, :, 0], ((into_wall < 0) / _WALL)[..., None], out=slope[:, walls:links])
-        slope[state, links + pair] = overlap_slope / _OVERLAP
-        if self._slides:
-            slope[:, -1, right] = (near < 0) / _FOREARMS_SIGMA
-            slope[:, -1, left] = -slope[:, -1, right]
-        return residual, slope, pressing(tip[:, :, 2], self._force[some])
+        walled = slope[:, :, walls:links]
+        np.multiply(tip[..., 0, :], ((into_wall < 0) / _WALL)[..., None], out=walled)
+        return residual, slope
+
+    def _between_hands(
+        self, points: Array, jacobian: Array, postures: Array
+    ) -> tuple[Ids, Array, Array]:
+        """Those residuals between both hands that are not zero.
+
+        Args:
+            points: (N, 2, F, P, 3), see `Kinematics`.
+            jacobian: (N, 2, F, P, 3, A).
+            postures: (N, 2, A).
+
+        Returns:
+            Of which posture they are, (M,), residuals (M,), and their derivatives (M, 2, A).
+        """
+        near = self._links.hands_near(points)
+        overlap, (row, pair), slope = self._links.of_both.overlaps(
+            *(np.concatenate(values[near].swapaxes(0, 1), axis=1) for values in (points, jacobian))
+        )
+        row, residual, slope = near[row], overlap[row, pair] / _OVERLAP, slope / _OVERLAP
+        for slide in self._slides:
+            distance = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
+            near = np.flatnonzero(distance < _FOREARMS_APART)
+            apart = np.zeros((len(near), *postures.shape[1:]))
+            apart[:, :, slide] = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
+            row = np.concatenate([row, near])
+            residual = np.append(residual, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA)
+            slope = np.concatenate([slope, apart])
+        return row, residual, slope
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
-        """The banded matrix and the gradient (S - 1, A); clamped joints are taken out."""
-        servos = self._servos
-        count, size = len(postures) - 1, len(servos.low)
-        gradient = at.pull + self._stiffness * (postures[1:] - self._rest)
-        change = _SECOND_DIFFERENCE.of(np.concatenate([self._before[None], postures]))
+        """The banded matrices and the gradient (S - 1, H, A); clamped joints are taken out.
+
+        There is a matrix for each hand, or one for both where they come close to each other.
+        """
+        rows = self._by_hand(postures)
+        now = rows[1:]
+        gradient = at.pull + self._stiffness * (now - self._rest)
+        change = _SECOND_DIFFERENCE.of(np.concatenate([self._before, rows]))
         _SECOND_DIFFERENCE.add_gradient(gradient, self._inertia * change)
         self._lead.add_gradient(gradient, self._limit * at.beyond)
-        band = self._base.copy()
-        self._lead.add_squares(band, self._limit * (at.beyond != 0))
-        for above in range(size):  # diagonals of the blocks
-            row = band[-1 - above].reshape(count, size)
-            row[:, above:] += np.diagonal(at.blocks, above, axis1=1, axis2=2)
-        outwards = np.where(gradient > 0, postures[1:] <= servos.low, postures[1:] >= servos.high)
-        band[-1] += 1e9 * outwards.ravel()
-        return band, np.where(outwards, 0.0, gradient)
+        outwards = np.where(gradient > 0, now <= self._least, now >= self._most)
+        diagonals = self._constant + self._lead.squares(self._limit * (at.beyond != 0))
+        diagonals[0] += 1e9 * outwards
+        return _banded(diagonals, at), np.where(outwards, 0.0, gradient)
 
-    def step(self, postures: Array, band: Array, gradient: Array, damping: Array) -> Array:
-        damped = band.copy()
-        damped[-1] += (damping[:, None] / self._stride**2).ravel()
-        change = solveh_banded(damped, -gradient.ravel(), overwrite_ab=True, check_finite=False)
+    def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
+        damped, shape = bands.copy(), (len(gradient), len(bands), -1)
+        diagonal = damped[:, -1].reshape(len(bands), len(gradient), -1).swapaxes(0, 1)
+        diagonal += (damping[:, None, None] / self._stride**2).reshape(shape)
+        pull = -gradient.reshape(shape)
+        found = [
+            solveh_banded(band, pull[:, i].ravel(), overwrite_ab=True, check_finite=False)
+            for i, band in enumerate(damped)
+        ]
+        change = np.reshape(found, (len(bands), len(gradient), -1)).swapaxes(0, 1)
         change = np.clip(change.reshape(gradient.shape), -self._stride, self._stride)
-        moved = np.clip(postures[1:] + change, self._servos.low, self._servos.high)
-        return np.concatenate([postures[:1], moved])
+        moved = np.clip(self._by_hand(postures[1:]) + change, self._least, self._most)
+        return np.concatenate([postures[:1], moved.reshape(len(moved), -1)])
+
+
+def _banded(diagonals: Array, at: _Linearised) -> Array:
+    """(1 or H, 2 A + 1, N A) normal equations in the upper form of `solveh_banded`.
+
+    `diagonals` (3, N, H, A) are those of sums of postures in a row.
+    """
+    blocks = _of_both(at) if len(at.between[0]) else at.blocks
+    count, parts, size = blocks.shape[:3]
+    bands = np.zeros((parts, 2 * size + 1, count, size))
+    bands[:, [2 * size, size, 0]] = diagonals.reshape(3, count, parts, size).transpose(2, 0, 1, 3)
+    for above in range(size):  # diagonals of the blocks
+        diagonal = np.diagonal(blocks, above, axis1=2, axis2=3)
+        bands[:, -1 - above, :, above:] += diagonal.swapaxes(0, 1)
+    return bands.reshape(parts, 2 * size + 1, -1)
+
+
+def _of_both(at: _Linearised) -> Array:
+    """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
+    row, products = at.between
+    count, hands, size = at.blocks.shape[:3]
+    blocks = np.zeros((count, hands, size, hands, size))
+    for hand in range(hands):
+        blocks[:, hand, :, hand] = at.blocks[:, hand]
+    np.add.at(blocks[:, 0, :, 1], row, products)
+    return blocks.reshape(count, 1, hands * size, hands * size)

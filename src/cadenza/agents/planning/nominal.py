@@ -152,7 +152,10 @@ def controls_along(
         dt: control step [s].
     """
     points, jacobian = kinematics.fingers(postures)
-    force = pressing(jacobian[1:, :, TIP, 2], targets.force[1:, scene.fingers_there])
+    hands, steps = len(scene.sides), len(postures) - 1
+    sinking = jacobian[1:, :, TIP, 2].reshape(steps, hands, len(scene.hand.fingers), -1)
+    pressed = targets.force[1:, scene.fingers_there].reshape(sinking.shape[:3])
+    force = pressing(sinking, pressed).reshape(steps, -1)
     moving = np.concatenate([earlier, postures])
     force += reaction.along(moving, dt)[len(earlier) :]
     return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)

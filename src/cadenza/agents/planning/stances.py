@@ -86,7 +86,7 @@ class Stances:
         for _ in range(_ITERATIONS):
             points, jacobian = self._kinematics.fingers(posture[None])
             error = (goal - points[0, mine]).ravel()
-            slope = jacobian[0, mine].reshape(len(error), -1)[:, arm]
+            slope = jacobian[0, mine].reshape(len(error), -1)[:, np.array(arm) - own.start]
             normal = slope.T @ slope + _NEAR * np.eye(len(arm))
             pull = slope.T @ error + _NEAR * (near - posture)[arm]
             posture[arm] += np.linalg.solve(normal, pull)

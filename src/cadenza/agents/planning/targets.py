@@ -63,13 +63,13 @@ class Targets(NamedTuple):
 
 
 def pressing(sinking: Array, force: Array) -> Array:
-    """(S, A) the force along each servo's coordinate that presses keys.
+    """(S, H, A) the force along each servo's coordinate that presses keys.
 
     Args:
-        sinking: (S, F, A) how the fingertips' heights change with the coordinates.
-        force: (S, F) of the fingertips, downwards [N].
+        sinking: (S, H, F, A) how the heights of a hand's fingertips change with its coordinates.
+        force: (S, H, F) of the fingertips, downwards [N].
     """
-    return -np.einsum("sfa,sf->sa", sinking, force)
+    return -np.einsum("shfa,shf->sha", sinking, force)
 
 
 def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
