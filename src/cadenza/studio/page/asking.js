@@ -15,7 +15,7 @@ function act(name, label, run) {
 }
 function complain(message) {
   cadenza.error = String(message);
-  $("error").textContent = message;
+  $("error").textContent = cadenza.error.charAt(0).toUpperCase() + cadenza.error.slice(1);
   $("error").hidden = false;
 }
 function calm() {
