@@ -673,8 +673,9 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
     points, jacobian = (
         values[1:].reshape(3, 2, -1, *values.shape[2:]) for values in kinematics.fingers(here)
     )
-    close, *_ = problem._between_hands(points, jacobian, here[1:].reshape(3, 2, -1))
-    assert len(close) > 2 * 3  # more than the forearms
+    links, forearms = problem._between_hands(points, jacobian, here[1:].reshape(3, 2, -1))
+    assert len(links[0]) > 3
+    assert len(forearms[0]) == 3
     _, gradient = problem.normal_equations(here, at)
     change = rng.standard_normal((3, len(rest)))
     moved = [

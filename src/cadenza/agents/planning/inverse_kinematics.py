@@ -10,6 +10,7 @@ kept for each posture by itself: one that is hard to find does not hold up the o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.linalg import solveh_banded
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import link_collisions
 from cadenza.agents.planning.targets import Targets, pressing
+from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -129,9 +131,9 @@ class _Linearised(NamedTuple):
     """(N, H, A) the gradient of the residuals that belong to one posture."""
     blocks: Array
     """(N, H, A, A) the products of their derivatives by the same hand."""
-    between: tuple[Ids, Array]
+    between: list[tuple[Ids, Array]]
     """Of residuals between hands, those by different ones: at which postures, (M,), and (M, A, A)
-    by the right hand, then the left."""
+    by the right hand, then the left. Nothing where hands are apart."""
     beyond: Array
     """(N, H, A) how far the controls that lead to them are out of their ranges."""
 
@@ -226,7 +228,7 @@ class _Problem:
         count, hands, size = now[1:].shape
         squares, pull = np.zeros(count), np.zeros((count, hands, size))
         blocks = np.zeros((count, hands, size, size))
-        control, between = self._lead.of(rows), [(np.zeros(0, np.intp), np.zeros((0, size, size)))]
+        control, between = self._lead.of(rows), list[tuple[Ids, Array]]()
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
             points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[1:][some]))
@@ -234,8 +236,7 @@ class _Problem:
             squares[some] = (residual**2).sum(axis=(1, 2))
             pull[some] = np.einsum("shra,shr->sha", slope, residual)
             blocks[some] = slope.swapaxes(2, 3) @ slope
-            if hands > 1:
-                row, residual, slope = self._between_hands(points, jacobian, now[1:][some])
+            for row, residual, slope in self._between_hands(points, jacobian, now[1:][some]):
                 np.add.at(squares[some], row, residual**2)
                 np.add.at(pull[some], row, residual[:, None, None] * slope)
                 np.add.at(blocks[some], row, slope[..., None] * slope[..., None, :])
@@ -247,8 +248,7 @@ class _Problem:
         smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
         at_ease = self._stiffness * (now[1:] - self._rest) ** 2
         cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=(1, 2)))
-        row, products = map(np.concatenate, zip(*between, strict=True))
-        return _Linearised(cost, pull, blocks, (row, products), beyond)
+        return _Linearised(cost, pull, blocks, between, beyond)
 
     def _of_one_hand(self, points: Array, jacobian: Array, some: slice) -> tuple[Array, Array]:
         """(N, H, R) residuals of each hand by itself in N postures, and derivatives (N, H, R, A).
@@ -282,31 +282,33 @@ class _Problem:
 
     def _between_hands(
         self, points: Array, jacobian: Array, postures: Array
-    ) -> tuple[Ids, Array, Array]:
-        """Those residuals between both hands that are not zero.
+    ) -> Iterator[tuple[Ids, Array, Array]]:
+        """Those residuals between both hands that are not zero, where there are any.
 
         Args:
-            points: (N, 2, F, P, 3), see `Kinematics`.
-            jacobian: (N, 2, F, P, 3, A).
-            postures: (N, 2, A).
+            points: (N, H, F, P, 3), see `Kinematics`.
+            jacobian: (N, H, F, P, 3, A).
+            postures: (N, H, A).
 
-        Returns:
+        Yields:
             Of which posture they are, (M,), residuals (M,), and their derivatives (M, 2, A).
         """
+        if self._hands < len(SIDES):
+            return
         near = self._links.hands_near(points)
-        overlap, (row, pair), slope = self._links.of_both.overlaps(
-            *(np.concatenate(values[near].swapaxes(0, 1), axis=1) for values in (points, jacobian))
-        )
-        row, residual, slope = near[row], overlap[row, pair] / _OVERLAP, slope / _OVERLAP
+        if len(near):
+            overlap, (row, pair), slope = self._links.of_both.overlaps(
+                *(np.concatenate(v[near].swapaxes(0, 1), axis=1) for v in (points, jacobian))
+            )
+            if len(row):
+                yield near[row], overlap[row, pair] / _OVERLAP, slope / _OVERLAP
         for slide in self._slides:
             distance = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
             near = np.flatnonzero(distance < _FOREARMS_APART)
-            apart = np.zeros((len(near), *postures.shape[1:]))
-            apart[:, :, slide] = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
-            row = np.concatenate([row, near])
-            residual = np.append(residual, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA)
-            slope = np.concatenate([slope, apart])
-        return row, residual, slope
+            if len(near):
+                slope = np.zeros((len(near), *postures.shape[1:]))
+                slope[:, :, slide] = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
+                yield near, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA, slope
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
         """The banded matrices and the gradient (S - 1, H, A); clamped joints are taken out.
@@ -344,7 +346,7 @@ def _banded(diagonals: Array, at: _Linearised) -> Array:
 
     `diagonals` (3, N, H, A) are those of sums of postures in a row.
     """
-    blocks = _of_both(at) if len(at.between[0]) else at.blocks
+    blocks = _of_both(at) if at.between else at.blocks
     count, parts, size = blocks.shape[:3]
     bands = np.zeros((parts, 2 * size + 1, count, size))
     bands[:, [2 * size, size, 0]] = diagonals.reshape(3, count, parts, size).transpose(2, 0, 1, 3)
@@ -356,10 +358,10 @@ def _banded(diagonals: Array, at: _Linearised) -> Array:
 
 def _of_both(at: _Linearised) -> Array:
     """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
-    row, products = at.between
     count, hands, size = at.blocks.shape[:3]
     blocks = np.zeros((count, hands, size, hands, size))
     for hand in range(hands):
         blocks[:, hand, :, hand] = at.blocks[:, hand]
-    np.add.at(blocks[:, 0, :, 1], row, products)
+    for row, products in at.between:
+        np.add.at(blocks[:, 0, :, 1], row, products)
     return blocks.reshape(count, 1, hands * size, hands * size)
