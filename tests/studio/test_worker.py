@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE, Popen
@@ -22,47 +24,58 @@ def message(stream: IO[bytes]) -> tuple[bytes, bytes]:
     return kind, stream.read(length)
 
 
-def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
-    """By the same process, which then waits for another."""
-    order = Order(PlayRequest("OdeToJoy"), "", "OdeToJoy", False, "0" * 16, str(tmp_path), False)
+Say = Callable[[bytes], None]
+Hear = Callable[[], tuple[bytes, bytes]]
+
+
+@contextmanager
+def working() -> Iterator[tuple[Say, Hear]]:
+    """A worker that ends well: tells it a line, and says what it tells."""
     command = [sys.executable, "-P", "-m", "cadenza.studio.worker"]
     with Popen(command, stdin=PIPE, stdout=PIPE) as worker:
         assert worker.stdin is not None
         assert worker.stdout is not None
-        worker.stdin.write(json.dumps(asdict(order)).encode() + b"\n")
-        worker.stdin.flush()
-        told = [message(worker.stdout)]
-        while b"postures" not in told[-1][1]:
-            told.append(message(worker.stdout))
-        worker.stdin.write(b"\n")
-        worker.stdin.flush()
-        while told[-1][0] != READY:
-            told.append(message(worker.stdout))
-        assert not any(b"failed" in content for kind, content in told if kind == JSON)
-        worker.stdin.close()
+        orders, told = worker.stdin, worker.stdout
+
+        def say(line: bytes) -> None:
+            orders.write(line + b"\n")
+            orders.flush()
+
+        yield say, lambda: message(told)
+        orders.close()
         assert worker.wait(60) == 0
+
+
+def ode_to_joy(folder: Path) -> bytes:
+    order = Order(PlayRequest("OdeToJoy"), "", "OdeToJoy", False, "0" * 16, str(folder), False)
+    return json.dumps(asdict(order)).encode()
+
+
+def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
+    """By the same process, which then waits for another."""
+    with working() as (say, hear):
+        say(ode_to_joy(tmp_path))
+        told = [hear()]
+        while b"postures" not in told[-1][1]:
+            told.append(hear())
+        say(b"")
+        while told[-1][0] != READY:
+            told.append(hear())
+        assert not any(b"failed" in content for kind, content in told if kind == JSON)
 
 
 def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) -> None:
-    order = Order(PlayRequest("OdeToJoy"), "", "OdeToJoy", False, "0" * 16, str(tmp_path), False)
-    command = [sys.executable, "-P", "-m", "cadenza.studio.worker"]
-    with Popen(command, stdin=PIPE, stdout=PIPE) as worker:
-        assert worker.stdin is not None
-        assert worker.stdout is not None
+    with working() as (say, hear):
         played: list[list[bytes]] = []
         for _ in range(2):
-            worker.stdin.write(json.dumps(asdict(order)).encode() + b"\n")
-            worker.stdin.flush()
+            say(ode_to_joy(tmp_path))
             rows: list[bytes] = []
             while len(rows) < 20:
-                kind, content = message(worker.stdout)
+                kind, content = hear()
                 rows += [content] * (kind == ROWS)
             played.append(rows)
-            worker.stdin.write(b"\n")
-            worker.stdin.flush()
-            while message(worker.stdout)[0] != READY:
+            say(b"")
+            while hear()[0] != READY:
                 pass
         assert played[0] == played[1]
-        worker.stdin.close()
-        assert worker.wait(60) == 0
     assert not list(tmp_path.iterdir())

@@ -11,6 +11,7 @@ kept for each posture by itself: one that is hard to find does not hold up the o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from scipy.linalg import solveh_banded
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import link_collisions
-from cadenza.agents.planning.targets import Targets, pressing
+from cadenza.agents.planning.targets import Targets, by_hand, pressing
 from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
@@ -191,13 +192,13 @@ class _Problem:
     ) -> None:
         self._kinematics, there = kinematics, scene.fingers_there
         self._hands = len(scene.sides)
-        by_hand = self._by_hand
+        self._by_hand = partial(by_hand, hands=self._hands)
         self._low, self._high, self._sigma, self._wall, self._force = (
-            by_hand(values[1:, there])
+            self._by_hand(values[1:, there])
             for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
         )
         self._links = link_collisions(scene.hand)
-        self._rest, self._before = by_hand(guess[1:]), by_hand(before[None])
+        self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
         uses = [scene.hand.servo(name) for name in servos.names]
         ease, acceleration, stride = np.array([(u.ease, u.acceleration, u.stride) for u in uses]).T
         of_servos = ease**-2.0, (acceleration / (1 / dt) ** 2) ** -2.0, stride
@@ -213,10 +214,6 @@ class _Problem:
         # The first of the second differences is with the posture before the problem begins.
         self._constant = _SECOND_DIFFERENCE.squares(self._inertia + np.zeros_like(self._rest))
         self._constant[0] += self._stiffness
-
-    def _by_hand(self, rows: Array) -> Array:
-        """(N, H, A, ...) of rows (N, H A, ...)."""
-        return rows.reshape(len(rows), self._hands, -1, *rows.shape[2:])
 
     def _of_hands(self, servos: Array) -> Array:
         """(H, A) of values (H A,)."""

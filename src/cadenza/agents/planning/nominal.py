@@ -30,7 +30,7 @@ from cadenza.agents.planning.inverse_kinematics import (
 )
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.stances import Stances
-from cadenza.agents.planning.targets import Targets, pressing, targets_of
+from cadenza.agents.planning.targets import Targets, by_hand, pressing, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -152,10 +152,9 @@ def controls_along(
         dt: control step [s].
     """
     points, jacobian = kinematics.fingers(postures)
-    hands, steps = len(scene.sides), len(postures) - 1
-    sinking = jacobian[1:, :, TIP, 2].reshape(steps, hands, len(scene.hand.fingers), -1)
-    pressed = targets.force[1:, scene.fingers_there].reshape(sinking.shape[:3])
-    force = pressing(sinking, pressed).reshape(steps, -1)
+    hands, pressed = len(scene.sides), targets.force[1:, scene.fingers_there]
+    force = pressing(by_hand(jacobian[1:, :, TIP, 2], hands), by_hand(pressed, hands))
+    force = force.reshape(len(pressed), -1)
     moving = np.concatenate([earlier, postures])
     force += reaction.along(moving, dt)[len(earlier) :]
     return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)

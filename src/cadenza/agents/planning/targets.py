@@ -62,6 +62,11 @@ class Targets(NamedTuple):
         return Targets._make(rows[first:last] for rows in self)
 
 
+def by_hand(rows: Array, hands: int) -> Array:
+    """(N, H, X, ...) of rows (N, H X, ...), in which what belongs to a hand stands together."""
+    return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
+
+
 def pressing(sinking: Array, force: Array) -> Array:
     """(S, H, A) the force along each servo's coordinate that presses keys.
 
