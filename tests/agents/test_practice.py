@@ -158,7 +158,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
 def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
     one = practice(config=ScorePlannerConfig())
     one.run(0.0)
-    stage, hands = one._stage, one._searching
+    stage, hands = one._version.stage, one._version.searching
 
     def lost(first: int, push: float, *, search: bool) -> float:
         """From step `first` on, after a push in the two before."""
@@ -167,7 +167,7 @@ def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
         scene = stage.beginning()
         stage.play(scene, 0, pushed, one.take.heard(0), one.num_steps)
         rngs = [np.random.default_rng(hand) for hand in range(2)]
-        parts = [part.holding(one.take.sounding) for part in one._parts]
+        parts = [part.holding(one.take.sounding) for part in one._version.parts]
         hands.follow(stage.tracking(one.take), parts, first, rngs)
         rest, heard = one.take.part(first, one.num_steps), one.take.heard(first)
         act = hands.act if search else None
@@ -195,7 +195,7 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
         off = np.array(fingertips) - hand._part.fingertips[first + 1 :]
         return float((hand._part.weight[first + 1 :] * (off**2).sum(axis=2)).sum())
 
-    scene = one._stage.beginning()
+    scene = one._version.stage.beginning()
     for ctrl in one.take.ctrl[:first]:
         scene.step(ctrl[None])
     hand._begin_trials(scene, np.zeros((1, 1, servos)), first, last)
@@ -210,9 +210,9 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
     straight = practice(score=LONG, config=ScorePlannerConfig())
-    follow, followed = straight._searching.follow, list[Any]()
+    follow, followed = straight._version.searching.follow, list[Any]()
     monkeypatch.setattr(
-        straight._searching, "follow", lambda *args: followed.append(args) or follow(*args)
+        straight._version.searching, "follow", lambda *args: followed.append(args) or follow(*args)
     )
     straight.run(0.1)
     assert followed

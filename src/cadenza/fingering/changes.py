@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
@@ -11,14 +12,29 @@ from cadenza.fingering.chords import NEVER, States, shapes
 from cadenza.fingering.presses import Press
 from cadenza.hands.reach import Array, Reach
 
-_WAY = 8.0  # [1 / m]
-_SPEED = 3.0  # [s / m^2]: 1 for 0.3 m in 0.25 s
-_SAME_FINGER, _TIME_TO_MOVE = 2.0, 0.15  # [s] to lift, move and press
-_CROSSING, _TIME_TO_CROSS = 0.5, 0.3  # [s]
-_OTHER_FINGER = 1.0
+_TIME_TO_MOVE = 0.15  # [s] to lift, move and press
+_TIME_TO_CROSS = 0.3  # [s]
 
 
-def transition(was: States, will: States, change: Array | None, seconds: float) -> Array:
+@dataclass(frozen=True)
+class Costs:
+    """Of what a hand does between two moments, about 1 for something worth avoiding once."""
+
+    way: float = 8.0
+    """Of moving along the keyboard [1 / m]."""
+    speed: float = 3.0
+    """Of moving fast [s / m^2]."""
+    same_finger: float = 2.0
+    """Of a finger that has no time to get from its key to another."""
+    crossing: float = 0.5
+    """Of a finger that passes over or under another without time for it."""
+    other_finger: float = 1.0
+    """Of another finger on a key that is struck again."""
+
+
+def transition(
+    was: States, will: States, change: Array | None, seconds: float, costs: Costs
+) -> Array:
     """(S', S) what it costs a hand to go from one of S states to one of S' in `seconds`.
 
     `change` is what `changes_of_fingers` says.
@@ -28,8 +44,8 @@ def transition(was: States, will: States, change: Array | None, seconds: float) 
     way[: will.playing, was.playing :] -= will.free
     np.maximum(way, 0.0, out=way)
     cost = way**2
-    cost *= _SPEED / seconds
-    way *= _WAY
+    cost *= costs.speed / seconds
+    way *= costs.way
     cost += way
     if change is not None:
         cost += change[will.shape[:, None], was.shape]
@@ -41,7 +57,7 @@ _UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
 
 
 def changes_of_fingers(
-    earlier: Sequence[Press], now: Sequence[Press], time: float, reach: Reach
+    earlier: Sequence[Press], now: Sequence[Press], time: float, reach: Reach, costs: Costs
 ) -> tuple[Array, Array] | tuple[None, None]:
     """(S', S) of `shapes`: what it costs the right and the left hand to come from other fingers.
 
@@ -64,7 +80,7 @@ def changes_of_fingers(
             ]
         else:
             changes += [_UNRELATED] * len(now)
-    return _costs_of_changes(tuple(changes), gaps, reach) if any(changes) else (None, None)
+    return _of_changes(tuple(changes), gaps, reach, costs) if any(changes) else (None, None)
 
 
 @cache
@@ -81,8 +97,8 @@ def _tables(num_fingers: int) -> Array:
 
 
 @lru_cache(maxsize=1024)  # figures come again
-def _costs_of_changes(
-    changes: tuple[int, ...], gaps: tuple[float, ...], reach: Reach
+def _of_changes(
+    changes: tuple[int, ...], gaps: tuple[float, ...], reach: Reach, costs: Costs
 ) -> tuple[Array, Array]:
     """As `changes_of_fingers`.
 
@@ -90,15 +106,16 @@ def _costs_of_changes(
         changes: what each of m notes is to each of m' before, (m' m,).
         gaps: between those before and now (m',) [s].
         reach: of the hands.
+        costs: what counts how much.
     """
     change = np.array(changes).reshape(len(gaps), -1)
     gap = np.array(gaps)[:, None]
-    cross = _CROSSING * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))
-    hurry = _SAME_FINGER * (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))
+    cross = costs.crossing * (1 - np.minimum(gap / _TIME_TO_CROSS, 1.0))
+    hurry = costs.same_finger * (1 - np.minimum(gap / _TIME_TO_MOVE, 1.0))
     weights = np.stack(
         [
             NEVER * (change == _HELD),
-            _OTHER_FINGER * (change == _STRUCK_AGAIN),
+            costs.other_finger * (change == _STRUCK_AGAIN),
             hurry * (change >= _HIGHER),
             cross * (change == _HIGHER),
             cross * (change == _LOWER),
@@ -106,11 +123,11 @@ def _costs_of_changes(
         axis=-1,
     )
     tables = _tables(reach.num_fingers)
-    costs = (weights @ tables.reshape(len(tables), -1)).reshape(*change.shape, *tables.shape[1:])
-    costs = costs.transpose(2, 0, 3, 1, 4)
+    cost = (weights @ tables.reshape(len(tables), -1)).reshape(*change.shape, *tables.shape[1:])
+    cost = cost.transpose(2, 0, 3, 1, 4)
     fingers_before, fingers = (shapes(m, reach).one_hot for m in change.shape)
     shape = fingers_before.shape[1], fingers.shape[1]
-    right, left = costs[0].reshape(shape), costs[1, ::-1, :, ::-1].reshape(shape)
+    right, left = cost[0].reshape(shape), cost[1, ::-1, :, ::-1].reshape(shape)
     return (
         np.ascontiguousarray((fingers_before @ right @ fingers.T).T),
         np.ascontiguousarray((fingers_before @ left @ fingers.T).T),

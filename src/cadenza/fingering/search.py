@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingering.changes import changes_of_fingers, transition
+from cadenza.fingering.changes import Costs, changes_of_fingers, transition
 from cadenza.fingering.chords import NEVER, Asked, Chord, Chords
 from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players
@@ -39,6 +39,9 @@ from cadenza.fingering.presses import Press
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import LETTING_GO, Note, Score
+
+COSTS = Costs()
+"""Of what a hand does from moment to moment, if nothing else is said."""
 
 
 class Dropped(NamedTuple):
@@ -69,6 +72,7 @@ def find_fingering(
     score: Score,
     players: Players,
     progress: Callable[[int, int], None] | None = None,
+    costs: Costs = COSTS,
 ) -> tuple[Score, tuple[Dropped, ...]]:
     """`score` with a finger on every note that the hands can play, none on those dropped.
 
@@ -80,6 +84,7 @@ def find_fingering(
         score: with fingers or without.
         players: the hands that are there, and the keyboard.
         progress: is told how many notes have been looked at, and how many there are.
+        costs: of what a hand does from moment to moment.
 
     Returns:
         The score, and what was dropped in the order of the notes.
@@ -87,10 +92,10 @@ def find_fingering(
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
         return score, ()
-    asked = score, players
+    asked = score, players, costs
     found = _last_found.get(asked)
     if found is None:
-        solution = solve(score, players, progress)
+        solution = solve(score, players, progress, costs)
         found = solution.score, solution.dropped
         _last_found.clear()
         _last_found[asked] = found
@@ -108,13 +113,14 @@ def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
 
 
 # What was found last: one song is often played in several tasks, as in training.
-_last_found: dict[tuple[Score, Players], tuple[Score, tuple[Dropped, ...]]] = {}
+_last_found: dict[tuple[Score, Players, Costs], tuple[Score, tuple[Dropped, ...]]] = {}
 
 
 def solve(
     score: Score,
     players: Players,
     progress: Callable[[int, int], None] | None = None,
+    costs: Costs = COSTS,
 ) -> Solution:
     """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
     chords = chords_of(players)
@@ -122,7 +128,7 @@ def solve(
     choices: list[Choice] = []
     chosen = playable(score, players)
     for sounding in chosen.moments:
-        ways = ways_on(ways, sounding.time, sounding.presses, chords)
+        ways = ways_on(ways, sounding.time, sounding.presses, chords, costs)
         choices.append(ways.choice)
         if progress:
             progress(sounding.begun, len(score.notes))
@@ -186,7 +192,13 @@ def beginning(chords: Chords) -> Ways:
     return Ways(-1.0, (), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
 
 
-def ways_on(before: Ways, time: float, presses: tuple[Press, ...], chords: Chords) -> Ways:
+def ways_on(
+    before: Ways,
+    time: float,
+    presses: tuple[Press, ...],
+    chords: Chords,
+    costs: Costs = COSTS,
+) -> Ways:
     """From a moment on to the next, at `time` [s], in which `presses` sound."""
     asked = tuple(
         Asked(p.key, begins, p.finger if begins else None)
@@ -200,13 +212,13 @@ def ways_on(before: Ways, time: float, presses: tuple[Press, ...], chords: Chord
     through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
     left_before = np.empty(through.shape, np.min_scalar_type(len(left_was.cost)))
     right_before = np.zeros(cost.shape, np.min_scalar_type(len(right_was.cost)))
-    to_right, to_left = changes_of_fingers(before.presses, presses, time, chords.reach)
+    to_right, to_left = changes_of_fingers(before.presses, presses, time, chords.reach, costs)
     seconds = max(time - before.time, LETTING_GO)
-    change = transition(left_was, left, to_left, seconds)
+    change = transition(left_was, left, to_left, seconds, costs)
     for was_right, was_left in before.chord.shared:
         ways = before.cost[was_right, None, was_left] + change[:, was_left]
         _least(ways, was_left.start, through[was_right], left_before[was_right])
-    change = transition(right_was, right, to_right, seconds)
+    change = transition(right_was, right, to_right, seconds, costs)
     for is_right, is_left in chord.shared:
         ways = through.T[is_left] + change[is_right, None]
         _least(ways, 0, cost[is_right, is_left], right_before[is_right, is_left])

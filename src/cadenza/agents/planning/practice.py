@@ -1,13 +1,15 @@
 """Two hands practise a song: they play it, go back to what fails, and keep what is better.
 
 What they have played is a *take*: controls, and what came of them in the whole scene, step by
-step. The first is what the planner plays. Then practice goes over the song again and again. A
-*sweep* works on two seconds after two seconds, from the beginning to the end: each hand picks a
-step that loses something and looks for something better to do (`hand_practice`), and what they
-have found is put into the take if that and the next seconds are better for it in the whole scene.
-The smallest change is felt for seconds, however feedback leads back to the take; therefore what
-follows is always played anew from where the hands have really come to, with a search where they
-would miss what they had, and a sweep that comes to a worse end is undone.
+step. The first is what the planner plays. The next ones are played at sight as well, but with other
+fingers where something is lost (`other_fingers`). From the best of them on, practice goes over the
+song again and again. A *sweep* works on two seconds after two seconds, from the beginning to the
+end: each hand picks a step that loses something and looks for something better to do
+(`hand_practice`), and what they have found is put into the take if that and the next seconds are
+better for it in the whole scene. The smallest change is felt for seconds, however feedback leads
+back to the take; therefore what follows is always played anew from where the hands have really come
+to, with a search where they would miss what they had, and a sweep that comes to a worse end is
+undone.
 
 Effort is counted in simulated control steps, so that the same effort comes to the same on every
 machine, by however many threads it is made.
@@ -28,13 +30,13 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
+from cadenza.agents.planning.other_fingers import OTHER_COSTS, Pieced, fingers_in, with_fingers
 from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.refinement import Memory
-from cadenza.agents.planning.searching import SearchingHands
-from cadenza.agents.planning.song_plan import plan_song
-from cadenza.agents.planning.takes import Moments, Stage, Take
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.takes import Moments, Take
+from cadenza.agents.planning.version import Version
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
@@ -42,6 +44,7 @@ from cadenza.music.metrics import playing_metrics, step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
 EFFORT = 100  # control steps that each hand simulates for each one of the song: effort 1
@@ -71,13 +74,12 @@ class Practice:
     """How far a song has been practised.
 
     Attributes:
-        plan: of the whole song, before practice.
-        hands: that practise.
         take: what they play; of steps that they have not played yet, what the plan expects.
-        played: how many steps the first take has so far.
+        played: how many steps of it, at sight.
         at: the steps that were worked on last.
         simulated: control steps of a hand, in all, after the first take.
-        history: effort, F1 and F1 of note onsets of the first take and after each sweep.
+        history: effort, F1 and F1 of note onsets of the first take, and of the best after each one
+            with other fingers, and after each sweep.
     """
 
     def __init__(
@@ -99,33 +101,47 @@ class Practice:
             CadenzaError: there are no hands in the scene.
         """
         (track,), self._start = view.tracks, view.state.hand_qpos[0]
-        if config.fingering == "found":
+        dt, found = track.config.control_timestep, config.fingering == "found"
+        if found:
             track = track.with_found_fingers()
-        plan = self.plan = plan_song(track, self._start, progress)
-        sides, nominal, dt = plan.scene.sides, plan.nominal.tracking, track.config.control_timestep
-        self._threads = Threads(num_threads)
-        parts = self._parts = [HandPart(plan, side) for side in sides]
-        self._searching = SearchingHands(plan, config, rng, self._threads)
+        self._config, self._threads = config, Threads(num_threads)
+        self._version = Version(track, self._start, config, rng, self._threads, progress)
         self._seed = int(rng.integers(2**63))
-        self._about = json.dumps([self._seed, identity(config)]).encode()
-        self.hands = [
-            HandPractice(plan, side, part, self._threads)
-            for side, part in zip(sides, parts, strict=True)
-        ]
-        self._stage = Stage(plan, self._start, parts)
+        self._about = _digest(self._version.plan, self._start, self._seed, config)
         self._chunk, self._around, self._apart, between = (
             steps_in(seconds, dt) for seconds in (_CHUNK, _AROUND, _APART, _BETWEEN)
         )
         self._between, self._window, self._advance = between, _WINDOW * between, _ADVANCE * between
         self._ahead = self._window + _AFTER * between
-        self.num_steps = len(nominal.ctrl)
-        self.take = Take.to_come(nominal, plan.scene.keyboard.num_keys, len(sides))
-        self._tries = np.zeros((self.num_steps, len(sides)))
+        self.num_steps = self._version.plan.goals.num_steps
+        self.take = self._version.take_to_come
+        self._tries = np.zeros_like(self.take.loss)
+        self._tried = 0 if found else len(OTHER_COSTS) + 1
+        self._kept: tuple[Version, Take] | None = None
+        self._pieced: Pieced | None = None
         self._units = self.simulated = self.played = 0
         self.at: list[int] = []
         self.history: list[tuple[float, float, float]] = []
-        self._moments: Moments = {0: self._stage.beginning()}
+        self._moments: Moments = {0: self._version.stage.beginning()}
         self._sweep: _Sweep | None = None
+
+    @property
+    def plan(self) -> SongPlan:
+        """Of the whole song, with the best fingers so far, before practice."""
+        return self._best[0].plan
+
+    @property
+    def hands(self) -> list[HandPractice]:
+        """That practise."""
+        return self._version.hands
+
+    @property
+    def _now(self) -> tuple[Version, Take]:
+        return self._version, self.take
+
+    @property
+    def _best(self) -> tuple[Version, Take]:
+        return self._kept or self._now
 
     @property
     def effort(self) -> float:
@@ -142,20 +158,20 @@ class Practice:
         return effort * EFFORT * self.num_steps * len(self.hands)
 
     def _has_work(self, effort: float) -> bool:
-        if not self.history or self._sweep:
+        if not self.history or self._kept or self._sweep:
             return True
         return self.effort < effort and bool(self.take.loss.any())
 
     def passages(self) -> list[int]:
         """The steps at which passages begin that lose something."""
-        losing = np.flatnonzero(self.take.loss.any(axis=1))
+        losing = np.flatnonzero(self._best[1].loss.any(axis=1))
         apart = np.diff(losing, prepend=-self.num_steps) > self._apart
         return list(map(int, losing[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
         """Practises until `effort` has been made, as long as `goes_on`, which is often asked.
 
-        A sweep that has begun is finished first.
+        A sweep or a take that has begun is finished first.
 
         Whether there is nothing more to do.
         """
@@ -168,8 +184,10 @@ class Practice:
     def _practise(self) -> None:
         """Does one unit, a second of a core or so."""
         self._units += 1
-        if not self.history:
+        if self.played < self.num_steps:
             self._play_on()
+        elif self._tried <= len(OTHER_COSTS):
+            self._try_fingers()
         elif self._sweep is None:
             self._begin_sweep()
         else:
@@ -178,24 +196,57 @@ class Practice:
     # At first sight
 
     def _play_on(self) -> None:
-        """Adds a chunk to the first take."""
+        """Adds a chunk to the take."""
         first, last = self.played, min(self.played + self._chunk, self.num_steps)
-        played, moments = self._stage.play(
+        searching = self._version.searching
+        before = searching.simulated
+        played, moments = self._version.stage.play(
             self._before_step(first),
             first,
             self.take.part(first, last),
             self.take.heard(first),
             self._chunk,
-            self._searching.act,
+            searching.act,
         )
         self.take.put(first, played)
         self.at, self.played = [first], last
         self._moments = {step: moment for step, moment in moments.items() if step == last}
+        if self.history:
+            self.simulated += searching.simulated - before + (last - first) * len(self.hands)
         if last == self.num_steps:
-            self._note()
+            self._choose()
+
+    def _choose(self) -> None:
+        """Of the take that is over and the best one before."""
+        track, loss = self._version.plan.track, self.take.loss
+        pieced = self._pieced
+        self._pieced = pieced.with_better(track, loss) if pieced else Pieced(track, loss.copy())
+        if self._kept:
+            before, now = self._rehearsal(*self._kept), self._rehearsal(*self._now)
+            if not now.no_worse_than(before):
+                self._version, self.take = self._kept
+            self._kept = None
+        self._note()
+
+    def _try_fingers(self) -> None:
+        """Begins to play the song at sight with other fingers, if there are any to be tried."""
+        assert self._pieced
+        others = OTHER_COSTS[self._tried : self._tried + 1]
+        track = self._pieced.others(*others) if others else self._pieced.track
+        self._tried += 1
+        if track.score != self.plan.track.score:
+            self._kept = self._now
+            self._begin(track)
+
+    def _begin(self, track: GoalTrack) -> None:
+        """To play another version."""
+        rng = np.random.default_rng((self._seed, self._tried))
+        self._version = Version(track, self._start, self._config, rng, self._threads)
+        self.take, self.played = self._version.take_to_come, 0
+        self._moments = {0: self._version.stage.beginning()}
 
     def _note(self) -> None:
-        rehearsal = self._rehearsal(self.take)
+        rehearsal = self._rehearsal(*self._now)
         self.history.append((self.effort, rehearsal.f1, rehearsal.note_onset_f1))
 
     # Sweeps
@@ -205,7 +256,7 @@ class Practice:
         share = _SWEEPS[min(len(self.history) - 1, 1)]
         until = self.simulated + self._steps_of(share) * weight / weight[-1]
         self._sweep = _Sweep(0, until, self.take.part(0, self.num_steps))
-        self._moments = {0: self._stage.beginning()}
+        self._moments = {0: self._version.stage.beginning()}
         self._extend(self._sweep, 0, self._ahead)
 
     def _go_on(self, sweep: _Sweep) -> None:
@@ -227,7 +278,7 @@ class Practice:
 
         What is played with more onsets in time, but a lower F1, is worse.
         """
-        before, now = map(self._rehearsal, (sweep.before, self.take))
+        before, now = (self._rehearsal(self._version, take) for take in (sweep.before, self.take))
         cheaper = self.take.cost.sum() < sweep.before.cost.sum()
         if not now.no_worse_than(before) or (now.worth == before.worth and not cheaper):
             self.take = sweep.before
@@ -246,10 +297,11 @@ class Practice:
             self._put(first, *self._played(self.take, first, last))
             return
         rngs = [np.random.default_rng((self._seed, self._units, i)) for i in range(len(self.hands))]
-        parts = [part.holding(before.sounding) for part in self._parts]
-        self._searching.follow(self._stage.tracking(before), parts, first, rngs)
-        self._put(first, *self._played(self.take, first, last, self._searching.act))
-        self.simulated += self._searching.simulated
+        version = self._version
+        parts = [part.holding(before.sounding) for part in version.parts]
+        version.searching.follow(version.stage.tracking(before), parts, first, rngs)
+        self._put(first, *self._played(self.take, first, last, version.searching.act))
+        self.simulated += version.searching.simulated
 
     def _mend(self, sweep: _Sweep, last: int) -> None:
         """Has each hand that loses something in the window up to `last` try to lose less."""
@@ -307,7 +359,7 @@ class Practice:
         simulation, part = self._before_step(first), take.part(first, last)
         self.simulated += len(part.ctrl) * len(self.hands)
         heard = self.take.heard(first)
-        return self._stage.play(simulation, first, part, heard, self._between, act)
+        return self._version.stage.play(simulation, first, part, heard, self._between, act)
 
     def _f1(self, sounding: NDArray[np.bool_], first: int) -> float:
         """Of the steps from `first` on, in sum; `sounding` is (L, K)."""
@@ -328,29 +380,30 @@ class Practice:
 
     # What has come of it
 
-    def _rehearsal(self, take: Take) -> Rehearsal:
-        goals, track = self.plan.goals, self.plan.track
-        pedal, lowest = goals.sustain, self.plan.scene.keyboard.lowest_pitch
+    def _rehearsal(self, version: Version, take: Take) -> Rehearsal:
+        scene, track, goals, _ = version.plan
+        pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.on_the_clock
         scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
-        return Rehearsal(self._stage.tracking(take), scores["f1"], scores["note_onset_f1"])
+        return Rehearsal(version.stage.tracking(take), scores["f1"], scores["note_onset_f1"])
 
     def best(self) -> Rehearsal:
         """The best so far; within the first take, and within a sweep, with what is left to play."""
         if not self.history:
-            return self._rehearsal(self._to_the_end(self.played))
+            return self._rehearsal(self._version, self._to_the_end(self.played))
         if not self._sweep:
-            return self._rehearsal(self.take)
+            return self._rehearsal(*self._best)
         known = min(self._sweep.first + self._ahead, self.num_steps)
         takes = self._sweep.before, self._to_the_end(known)
-        before, now = map(self._rehearsal, takes)
+        before, now = (self._rehearsal(self._version, take) for take in takes)
         return now if now.no_worse_than(before) else before
 
     def _to_the_end(self, first: int) -> Take:
         """The take, played anew from a step on, which leaves practice where it is."""
         take, simulation = self.take.part(0, self.num_steps), self._before_step(first)
         rest = take.part(first, self.num_steps)
-        played, _ = self._stage.play(simulation, first, rest, take.heard(first), self.num_steps + 1)
+        stage = self._version.stage
+        played, _ = stage.play(simulation, first, rest, take.heard(first), self.num_steps + 1)
         take.put(first, played)
         return take
 
@@ -358,21 +411,35 @@ class Practice:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that decides how it goes on, as arrays by name; see `restore`."""
-        return self._arrays(not self.history, self._sweep)
+        playing = self.played < self.num_steps
+        return self._arrays(playing, self._kept, self._pieced, self._sweep)
 
-    def _arrays(self, at_sight: bool, sweep: _Sweep | None) -> dict[str, NDArray[Any]]:
+    def _arrays(
+        self,
+        playing: bool,
+        kept: tuple[Version, Take] | None,
+        pieced: Pieced | None,
+        sweep: _Sweep | None,
+    ) -> dict[str, NDArray[Any]]:
+        version = self._version
         parts: dict[str, dict[str, Any]] = {
             "practice": {
-                "of": self._digest(),
+                "of": self._about,
                 "history": np.reshape(self.history, (-1, 3)),
-                "numbers": [self.played, self._units, self.simulated],
+                "numbers": [self.played, self._units, self.simulated, self._tried],
                 "tries": self._tries,
+                "fingers": fingers_in(version.plan.track),
             },
             "take": self.take._asdict(),
         }
-        if at_sight:
-            for side, memory in zip(self.plan.scene.sides, self._searching.memories, strict=True):
+        if playing:
+            memories = version.searching.memories
+            for side, memory in zip(version.plan.scene.sides, memories, strict=True):
                 parts[side] = memory._asdict()
+        if kept:
+            parts["kept"] = {"fingers": fingers_in(kept[0].plan.track), **kept[1]._asdict()}
+        if pieced:
+            parts["pieced"] = {"fingers": fingers_in(pieced.track), "loss": pieced.loss}
         if sweep:
             facts = {"first": sweep.first, "until": sweep.until}
             parts |= {"sweep": facts, "before": sweep.before._asdict()}
@@ -384,8 +451,10 @@ class Practice:
 
     def expected(self) -> Expected:
         """What `state` holds, for whoever reads it from a file."""
-        always = self._arrays(False, None)
-        at_times = self._arrays(True, _Sweep(0, np.zeros(self.num_steps), self.take))
+        always = self._arrays(False, None, None, None)
+        pieced = Pieced(self.plan.track, self.take.loss)
+        sweep = _Sweep(0, np.zeros(self.num_steps), self.take)
+        at_times = self._arrays(True, self._now, pieced, sweep)
         return {
             name: ArrayOf(kind := values.dtype.kind, values.shape, name in always, kind in FLOATS)
             for name, values in at_times.items()
@@ -402,39 +471,59 @@ class Practice:
             part, _, name = path.partition("/")
             parts[part][name] = values.copy()
         practice = parts["practice"]
-        if str(practice["of"]) != self._digest():
+        if str(practice["of"]) != self._about:
             raise CadenzaError(
                 f"{where}: is the practice of another song, or with other options or another "
                 "version of Cadenza; choose another folder with --output"
             )
         self.history = [tuple(row) for row in practice["history"].tolist()]
-        self.played, self._units, self.simulated = practice["numbers"].tolist()
-        self._tries, self.take, self._sweep = practice["tries"], Take(**parts["take"]), None
-        self._moments = {0: self._stage.beginning()}
-        if not self.history:
+        played, self._units, self.simulated, self._tried = practice["numbers"].tolist()
+        self._restore_versions(practice["fingers"], parts["kept"], parts["pieced"])
+        self._tries, self.take, self.played = practice["tries"], Take(**parts["take"]), played
+        if played < self.num_steps:
             self._go_back([Memory(**parts[side]) for side in self.plan.scene.sides])
         elif sweep := parts["sweep"]:
             first, before = int(sweep["first"]), Take(**parts["before"])
             self._sweep = _Sweep(first, sweep["until"], before)
             known = min(first + self._ahead, self.num_steps)
-            _, moments = self._stage.play(
+            stage = self._version.stage
+            _, moments = stage.play(
                 self._moments[0], 0, self.take.part(0, known), self.take.heard(0), self._between
             )
             self._moments = {step: m for step, m in moments.items() if step >= first}
 
+    def _restore_versions(
+        self, fingers: NDArray[np.int64], kept: dict[str, Any], pieced: dict[str, Any]
+    ) -> None:
+        """That which is played, that which was best before, and what is known of all."""
+        first, track = self._version, self.plan.track
+
+        def begin(fingers: NDArray[np.int64]) -> None:
+            self._version, of_these = first, with_fingers(track, fingers)
+            if of_these.score != track.score:
+                self._begin(of_these)
+
+        if pieced:
+            self._pieced = Pieced(with_fingers(track, pieced["fingers"]), pieced["loss"])
+        if kept:
+            begin(kept.pop("fingers"))
+            self._kept = self._version, Take(**kept)
+        begin(fingers)
+
     def _go_back(self, memories: Sequence[Memory]) -> None:
-        """To where the first take was left."""
+        """To where the take was left."""
         (simulation,) = self._moments.values()
+        searching = self._version.searching
         for ctrl in self.take.ctrl[: self.played]:
-            self._searching.again(simulation.state, ctrl)
+            searching.again(simulation.state, ctrl)
             simulation.step(ctrl[None])
-        self._searching.remember(memories)
+        searching.remember(memories)
         self._moments = {self.played: simulation}
 
-    def _digest(self) -> str:
-        """Of all that practice begins with."""
-        nominal, keys = self.plan.nominal, self.plan.goals.keys
-        digest = hashlib.sha256(self._about)
-        for values in (*nominal.tracking, keys, self._start):
-            digest.update(values.tobytes())
-        return digest.hexdigest()
+
+def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig) -> str:
+    """Of all that practice begins with."""
+    digest = hashlib.sha256(json.dumps([seed, identity(config)]).encode())
+    for values in (*plan.nominal.tracking, plan.goals.keys, start):
+        digest.update(values.tobytes())
+    return digest.hexdigest()
