@@ -204,11 +204,35 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
     assert astray(trial(corrected).fingertips) < 0.8 * astray(as_it_is.fingertips)
 
 
+def test_other_fingers_are_tried_alike_after_a_stop_and_the_best_go_on() -> None:
+    straight = practice(score=LONG)
+    at_sight = straight.plan.track.score
+    straight.run(0.01)
+    (_, f1, onsets), *_, (_, later_f1, later_onsets) = straight.history
+    assert (later_f1, later_onsets) > (f1, onsets)
+    assert straight.plan.track.score != at_sight
+    assert_plays_as_it_says(straight, LONG)
+    left, kept = practice(score=LONG, num_threads=2), 0
+    while not left.run(0.01, on_and_off(1)):  # before, within and after each take
+        state, left = as_read(left), practice(score=LONG, num_threads=2)
+        left.restore(state, "state")
+        kept += "kept/fingers" in state
+    assert kept > 2
+    assert_same(left, straight)
+
+
+def test_fingers_of_the_score_are_kept() -> None:
+    one = practice(score=CLOSE, config=replace(NO_SEARCH, fingering="score"))
+    one.run(EFFORT)
+    assert [note.finger for note in one.plan.track.score.notes] == [n.finger for n in CLOSE.notes]
+
+
 @pytest.mark.slow
 def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
+    monkeypatch.setattr(practice_of_hands, "OTHER_COSTS", ())
     straight = practice(score=LONG, config=ScorePlannerConfig())
     follow, followed = straight._version.searching.follow, list[Any]()
     monkeypatch.setattr(

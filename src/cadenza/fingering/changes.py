@@ -20,13 +20,13 @@ _TIME_TO_CROSS = 0.3  # [s]
 class Costs:
     """Of what a hand does between two moments, about 1 for something worth avoiding once."""
 
-    way: float = 32.0
+    way: float = 8.0
     """Of moving along the keyboard [1 / m]."""
     speed: float = 3.0
     """Of moving fast [s / m^2]."""
-    same_finger: float = 1.0
+    same_finger: float = 2.0
     """Of a finger that has no time to get from its key to another."""
-    crossing: float = 3.0
+    crossing: float = 0.5
     """Of a finger that passes over or under another without time for it."""
     other_finger: float = 1.0
     """Of another finger on a key that is struck again."""

@@ -20,8 +20,12 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 
 Array = NDArray[np.float64]
 
-OTHER_COSTS = (Costs(way=8.0, crossing=0.5), Costs(way=64.0, speed=24.0))
-"""What chooses other fingers, one after the other."""
+OTHER_COSTS = (
+    Costs(way=32.0, same_finger=1.0, crossing=3.0),
+    Costs(way=32.0, speed=24.0, crossing=0.5),
+    Costs(way=16.0, crossing=3.0),
+)
+"""What chooses other fingers, one after the other: to stay where the hand is rather than to move."""
 
 _BEFORE, _AFTER = 0.2, 0.5  # [s] before and after other fingers by which they are judged
 _APART = 0.7  # [s] between passages, so that no step is judged twice
