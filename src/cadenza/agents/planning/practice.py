@@ -193,7 +193,7 @@ class Practice:
         else:
             self._go_on(self._sweep)
 
-    # At first sight
+    # At sight
 
     def _play_on(self) -> None:
         """Adds a chunk to the take."""
@@ -239,7 +239,7 @@ class Practice:
             self._begin(track)
 
     def _begin(self, track: GoalTrack) -> None:
-        """To play another version."""
+        """Goes over to a version of which nothing has been played."""
         rng = np.random.default_rng((self._seed, self._tried))
         self._version = Version(track, self._start, self._config, rng, self._threads)
         self.take, self.played = self._version.take_to_come, 0
@@ -253,7 +253,7 @@ class Practice:
 
     def _begin_sweep(self) -> None:
         weight = np.cumsum((self.take.loss / (1.0 + self._tries)).sum(axis=1))
-        share = _SWEEPS[min(len(self.history) - 1, 1)]
+        share = _SWEEPS[int(self._tries.any())]
         until = self.simulated + self._steps_of(share) * weight / weight[-1]
         self._sweep = _Sweep(0, until, self.take.part(0, self.num_steps))
         self._moments = {0: self._version.stage.beginning()}
