@@ -1,8 +1,9 @@
 """Practises one song, as a process of its own: `python -m cadenza.studio.practising`.
 
 It is told what on stdin, as the process that plays is, and tells on stdout how far it has got:
-`state` practising, done or failed, `f1` at first sight and after every sweep, and what `share` of
-all practice has been made. Whenever the song is played better, its folder has the plan for it.
+`state` practising, done or failed, `f1` at first sight and of the best after every attempt at all of
+the song, and what `share` of all practice has been made. Whenever the song is played better, its
+folder has the plan for it.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class _Session:
         self._practising, self._folder, self._send = practising, folder, send
         self._told, self._saved = 0.0, time.monotonic()
         known = practising.practice.history if (folder / PRACTISED).exists() else ()
-        self._sweeps = len(known)  # that have been kept
+        self._kept = len(known)  # attempts
 
     def run(self) -> None:
         finished = False
@@ -77,10 +78,10 @@ class _Session:
 
     @property
     def _has_more(self) -> bool:
-        return len(self._practising.practice.history) > self._sweeps
+        return len(self._practising.practice.history) > self._kept
 
     def _keep(self) -> None:
-        self._sweeps = len(self._practising.practice.history)
+        self._kept = len(self._practising.practice.history)
         self._practising.save()
         self._practising.plan().save(self._folder / PRACTISED)
 
