@@ -1,8 +1,8 @@
 """Practises one song, as a process of its own: `python -m cadenza.studio.practising`.
 
 It is told what on stdin, as the process that plays is, and tells on stdout how far it has got:
-`state` practising, done or failed, `f1` at first sight and of the best after every attempt at all of
-the song, and what `share` of all practice has been made. Whenever the song is played better, its
+`state` practising, done or failed, `f1` at first sight and of the best after every attempt at all
+of the song, and what `share` of all practice has been made. Whenever the song is played better, its
 folder has the plan for it.
 """
 
