@@ -30,12 +30,16 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
+from players import find_fingering
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.5
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
 NO_SEARCH = ScorePlannerConfig(method="none")
-HARD = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
+GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
+HARD, _ = find_fingering(
+    Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
+)
 LONG = Score(
     tuple(replace(n, start=n.start + t, end=n.end + t) for t in (0.0, 1.2, 2.4) for n in HARD.notes)
 )
@@ -54,7 +58,7 @@ def practice(
     num_threads: int = 1,
     seed: int = 0,
     score: Score = HARD,
-    config: ScorePlannerConfig = NO_SEARCH,
+    config: ScorePlannerConfig = GIVEN_FINGERS,
 ) -> Practice:
     task = PianoTask([score], QUICK)
     task.reset([np.random.default_rng(0)], [0])
@@ -112,7 +116,7 @@ def test_the_first_take_is_what_the_planner_plays() -> None:
 
 
 def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
-    one = practice(score=CLOSE, config=replace(NO_SEARCH, fingering="score"))
+    one = practice(score=CLOSE)
     before = 0.0
     for effort in 0.0, 0.5, 1.0:
         one.run(effort)
@@ -205,24 +209,24 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
 
 
 def test_other_fingers_are_tried_alike_after_a_stop_and_the_best_go_on() -> None:
-    straight = practice(score=LONG)
+    straight = practice(score=LONG, config=NO_SEARCH)
     at_sight = straight.plan.track.score
-    straight.run(0.01)
+    straight.run(0.02)
     (_, f1, onsets), *_, (_, later_f1, later_onsets) = straight.history
     assert (later_f1, later_onsets) > (f1, onsets)
     assert straight.plan.track.score != at_sight
     assert_plays_as_it_says(straight, LONG)
-    left, kept = practice(score=LONG, num_threads=2), 0
-    while not left.run(0.01, on_and_off(1)):  # before, within and after each take
-        state, left = as_read(left), practice(score=LONG, num_threads=2)
+    left, kept = practice(2, score=LONG, config=NO_SEARCH), 0
+    while not left.run(0.02, on_and_off(2)):  # before, within and after takes
+        state, left = as_read(left), practice(2, score=LONG, config=NO_SEARCH)
         left.restore(state, "state")
         kept += "kept/fingers" in state
-    assert kept > 2
+    assert kept
     assert_same(left, straight)
 
 
 def test_fingers_of_the_score_are_kept() -> None:
-    one = practice(score=CLOSE, config=replace(NO_SEARCH, fingering="score"))
+    one = practice(score=CLOSE)
     one.run(EFFORT)
     assert [note.finger for note in one.plan.track.score.notes] == [n.finger for n in CLOSE.notes]
 
@@ -232,8 +236,8 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
-    monkeypatch.setattr(practice_of_hands, "OTHER_COSTS", ())
-    straight = practice(score=LONG, config=ScorePlannerConfig())
+    with_search = ScorePlannerConfig(fingering="score")
+    straight = practice(score=LONG, config=with_search)
     follow, followed = straight._version.searching.follow, list[Any]()
     monkeypatch.setattr(
         straight._version.searching, "follow", lambda *args: followed.append(args) or follow(*args)
@@ -241,10 +245,10 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     straight.run(0.1)
     assert followed
     done = False
-    left = practice(score=LONG, config=ScorePlannerConfig(), num_threads=2)
+    left = practice(2, score=LONG, config=with_search)
     while not done:
         done = left.run(0.1, on_and_off(6))
-        again = practice(score=LONG, config=ScorePlannerConfig(), num_threads=2)
+        again = practice(2, score=LONG, config=with_search)
         again.restore(as_read(left), "state")
         left = again
     assert_same(left, straight)
