@@ -31,7 +31,7 @@ from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
-from cadenza.fingers import SIDES
+from cadenza.fingers import SIDES, Side
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -176,18 +176,24 @@ def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
     np.testing.assert_allclose(here[0], there[0], atol=1e-3)
 
 
+@pytest.mark.parametrize("side", SIDES)
+def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan, side: Side) -> None:
+    hand = CorrectedHand(scene_of_both, side)
+    ctrl = hand.see(24, state_on(scene_of_both, 24, {}))[1]
+    hand.played(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
+    told = hand.see(25, state_on(scene_of_both, 25, {}))[0]
+    assert hand.answer.any()
+    np.testing.assert_allclose(told[hand.about.previous], hand.answer, rtol=1e-6)
+
+
 # How it plays
 
 
-def test_plays_better_than_its_plan() -> None:
+@pytest.mark.parametrize("config", [GeneralistConfig(), AT_ONCE], ids=["rehearsed", "at_once"])
+def test_plays_better_than_its_plan(config: GeneralistConfig) -> None:
     score = load_score("CanonInDOpening").beginning(6.0)
     alone = ScorePlannerConfig(method="none")
-    assert play(score, Generalist(AT_ONCE))["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
-
-
-def test_plays_better_for_rehearsing() -> None:
-    score = load_score("CanonInDOpening").beginning(6.0)
-    assert play(score, Generalist())["f1"] > play(score, Generalist(AT_ONCE))["f1"] + 0.01
+    assert play(score, Generalist(config))["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
 
 
 def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,6 +68,8 @@ class About(NamedTuple):
     """(D,) a finger, 0 for the thumb, or -1 for the whole hand."""
     private: NDArray[np.bool_]
     """(D,) whether it says nothing to the fingers beside that one."""
+    previous: NDArray[np.bool_]
+    """(D,) whether it is the correction of the step before."""
 
     @classmethod
     def of(cls, alone: Scene) -> About:
@@ -75,11 +77,13 @@ class About(NamedTuple):
         servos, fingers = fingers_of_servos(alone), np.arange(alone.fingers.per_hand)
         parts = [(servos, 1, True)] * (len(_POSTURES) + 3) + [(fingers, _OF_A_PRESS, False)]
         parts += [(servos, 1, True)] * 3
+        correction = len(parts) - 1
         parts += [(fingers, count, False) for count in (len(_NEIGHBOURS) + 1, 3, 3)]
         parts += [(fingers, _OF_A_CASE, True)]
         finger = [np.repeat(of, count) for of, count, _ in parts]
         private = [np.full(len(of) * count, own) for of, count, own in parts]
-        return cls(np.concatenate(finger), np.concatenate(private))
+        previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
+        return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
 
 
 def fingers_of_servos(alone: Scene) -> NDArray[np.intp]:
