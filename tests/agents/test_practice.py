@@ -220,7 +220,7 @@ def test_other_fingers_are_tried_alike_after_a_stop_and_the_best_go_on() -> None
     while not left.run(0.02, on_and_off(2)):  # before, within and after takes
         state, left = as_read(left), practice(2, score=LONG, config=NO_SEARCH)
         left.restore(state, "state")
-        kept += "kept/fingers" in state
+        kept += "other/fingers" in state
     assert kept
     assert_same(left, straight)
 

@@ -132,8 +132,9 @@ def _practise(practising: Practising, command: PracticeCommand, stop: Callable[[
 def _where(practice: Practice) -> str:
     """What is worked on, and what remains."""
     passages = len(practice.passages())
-    best = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
-    return f"{best}{_places(practice, practice.at)}, {passages} passage{'s'[: passages != 1]} left"
+    so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
+    how = "other fingers, " if practice.tries_fingers else ""
+    return f"{so_far}{how}{_places(practice, practice.at)}, {passages} passage{'s'[: passages != 1]} left"
 
 
 def _places(practice: Practice, steps: Iterable[int]) -> str:

@@ -20,8 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,21 +29,18 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.first_takes import FirstTakes, Parts
 from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
-from cadenza.agents.planning.other_fingers import OTHER_COSTS, Pieced, fingers_in, with_fingers
 from cadenza.agents.planning.practised_planner import Rehearsal
-from cadenza.agents.planning.refinement import Memory
 from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.planning.takes import Moments, Take
-from cadenza.agents.planning.version import Version
+from cadenza.agents.planning.takes import Moments, Take, scene_before
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
-from cadenza.music.metrics import playing_metrics, step_metrics
+from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
-from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
 EFFORT = 100  # control steps that each hand simulates for each one of the song: effort 1
@@ -52,10 +48,10 @@ MOST_EFFORT = 1e6
 _SWEEPS = 0.5, 1.0  # effort of the first sweep, and of each later one
 _APART = 0.5  # [s] between passages
 _BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
-_CHUNK = 2.0  # [s] of the first take in a unit
 _WINDOW = 4  # times _BETWEEN are worked on at a time
 _ADVANCE = 3  # times it later begins the next window
 _AFTER = 2  # times it after a window must not suffer
+_ALWAYS = ("practice", "take", "first")  # parts of a state that are never missing
 _AROUND = 0.15  # [s] before and after a step that share its failures
 
 
@@ -74,8 +70,7 @@ class Practice:
     """How far a song has been practised.
 
     Attributes:
-        take: what they play; of steps that they have not played yet, what the plan expects.
-        played: how many steps of it, at sight.
+        take: what they play best so far; of steps that they have not played, what the plan expects.
         at: the steps that were worked on last.
         simulated: control steps of a hand, in all, after the first take.
         history: effort, F1 and F1 of note onsets of the first take, and of the best after each one
@@ -100,35 +95,29 @@ class Practice:
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        (track,), self._start = view.tracks, view.state.hand_qpos[0]
-        dt, found = track.config.control_timestep, config.fingering == "found"
-        if found:
-            track = track.with_found_fingers()
-        self._config, self._threads = config, Threads(num_threads)
-        self._version = Version(track, self._start, config, rng, self._threads, progress)
-        self._seed = int(rng.integers(2**63))
-        self._about = _digest(self._version.plan, self._start, self._seed, config)
-        self._chunk, self._around, self._apart, between = (
-            steps_in(seconds, dt) for seconds in (_CHUNK, _AROUND, _APART, _BETWEEN)
+        (track,), start = view.tracks, view.state.hand_qpos[0]
+        self._threads = Threads(num_threads)
+        self._first = FirstTakes(track, start, config, rng, self._threads, progress)
+        self._version, self.take = self._first.best
+        self._about = _digest(self.plan, start, self._first.seed, config)
+        dt = track.config.control_timestep
+        self._around, self._apart, between = (
+            steps_in(seconds, dt) for seconds in (_AROUND, _APART, _BETWEEN)
         )
         self._between, self._window, self._advance = between, _WINDOW * between, _ADVANCE * between
         self._ahead = self._window + _AFTER * between
-        self.num_steps = self._version.plan.goals.num_steps
-        self.take = self._version.take_to_come
+        self.num_steps = self.plan.goals.num_steps
         self._tries = np.zeros_like(self.take.loss)
-        self._tried = 0 if found else len(OTHER_COSTS) + 1
-        self._kept: tuple[Version, Take] | None = None
-        self._pieced: Pieced | None = None
-        self._units = self.simulated = self.played = 0
+        self._units = self.simulated = 0
         self.at: list[int] = []
         self.history: list[tuple[float, float, float]] = []
-        self._moments: Moments = {0: self._version.stage.beginning()}
+        self._moments: Moments = {}
         self._sweep: _Sweep | None = None
 
     @property
     def plan(self) -> SongPlan:
         """Of the whole song, with the best fingers so far, before practice."""
-        return self._best[0].plan
+        return self._version.plan
 
     @property
     def hands(self) -> list[HandPractice]:
@@ -136,12 +125,9 @@ class Practice:
         return self._version.hands
 
     @property
-    def _now(self) -> tuple[Version, Take]:
-        return self._version, self.take
-
-    @property
-    def _best(self) -> tuple[Version, Take]:
-        return self._kept or self._now
+    def tries_fingers(self) -> bool:
+        """Whether the song is being played at sight with other fingers."""
+        return self._first.tries_fingers
 
     @property
     def effort(self) -> float:
@@ -158,13 +144,13 @@ class Practice:
         return effort * EFFORT * self.num_steps * len(self.hands)
 
     def _has_work(self, effort: float) -> bool:
-        if not self.history or self._kept or self._sweep:
+        if self._first.is_playing or self._sweep:
             return True
         return self.effort < effort and bool(self.take.loss.any())
 
     def passages(self) -> list[int]:
         """The steps at which passages begin that lose something."""
-        losing = np.flatnonzero(self._best[1].loss.any(axis=1))
+        losing = np.flatnonzero(self.take.loss.any(axis=1))
         apart = np.diff(losing, prepend=-self.num_steps) > self._apart
         return list(map(int, losing[apart]))
 
@@ -184,69 +170,25 @@ class Practice:
     def _practise(self) -> None:
         """Does one unit, a second of a core or so."""
         self._units += 1
-        if self.played < self.num_steps:
-            self._play_on()
-        elif self._tried <= len(OTHER_COSTS):
-            self._try_fingers()
+        if not self._first.over:
+            self._play_at_sight()
         elif self._sweep is None:
             self._begin_sweep()
         else:
             self._go_on(self._sweep)
 
-    # At sight
-
-    def _play_on(self) -> None:
-        """Adds a chunk to the take."""
-        first, last = self.played, min(self.played + self._chunk, self.num_steps)
-        searching = self._version.searching
-        before = searching.simulated
-        played, moments = self._version.stage.play(
-            self._before_step(first),
-            first,
-            self.take.part(first, last),
-            self.take.heard(first),
-            self._chunk,
-            searching.act,
-        )
-        self.take.put(first, played)
-        self.at, self.played = [first], last
-        self._moments = {step: moment for step, moment in moments.items() if step == last}
+    def _play_at_sight(self) -> None:
+        if was_playing := self._first.is_playing:
+            self.at = [self._first.played]
+        simulated = self._first.go_on()
+        self._version, self.take = self._first.best
         if self.history:
-            self.simulated += searching.simulated - before + (last - first) * len(self.hands)
-        if last == self.num_steps:
-            self._choose()
-
-    def _choose(self) -> None:
-        """Of the take that is over and the best one before."""
-        track, loss = self._version.plan.track, self.take.loss
-        pieced = self._pieced
-        self._pieced = pieced.with_better(track, loss) if pieced else Pieced(track, loss.copy())
-        if self._kept:
-            before, now = self._rehearsal(*self._kept), self._rehearsal(*self._now)
-            if not now.no_worse_than(before):
-                self._version, self.take = self._kept
-            self._kept = None
-        self._note()
-
-    def _try_fingers(self) -> None:
-        """Begins to play the song at sight with other fingers, if there are any to be tried."""
-        assert self._pieced
-        others = OTHER_COSTS[self._tried : self._tried + 1]
-        track = self._pieced.others(*others) if others else self._pieced.track
-        self._tried += 1
-        if track.score != self.plan.track.score:
-            self._kept = self._now
-            self._begin(track)
-
-    def _begin(self, track: GoalTrack) -> None:
-        """Goes over to a version of which nothing has been played."""
-        rng = np.random.default_rng((self._seed, self._tried))
-        self._version = Version(track, self._start, self._config, rng, self._threads)
-        self.take, self.played = self._version.take_to_come, 0
-        self._moments = {0: self._version.stage.beginning()}
+            self.simulated += simulated
+        if was_playing and not self._first.is_playing:
+            self._note()
 
     def _note(self) -> None:
-        rehearsal = self._rehearsal(*self._now)
+        rehearsal = self._version.rehearsal(self.take)
         self.history.append((self.effort, rehearsal.f1, rehearsal.note_onset_f1))
 
     # Sweeps
@@ -278,7 +220,7 @@ class Practice:
 
         What is played with more onsets in time, but a lower F1, is worse.
         """
-        before, now = (self._rehearsal(self._version, take) for take in (sweep.before, self.take))
+        before, now = map(self._version.rehearsal, (sweep.before, self.take))
         cheaper = self.take.cost.sum() < sweep.before.cost.sum()
         if not now.no_worse_than(before) or (now.worth == before.worth and not cheaper):
             self.take = sweep.before
@@ -296,7 +238,7 @@ class Practice:
         if (self.take.ctrl[:first] == before.ctrl[:first]).all():
             self._put(first, *self._played(self.take, first, last))
             return
-        rngs = [np.random.default_rng((self._seed, self._units, i)) for i in range(len(self.hands))]
+        rngs = [self._rng(i) for i in range(len(self.hands))]
         version = self._version
         parts = [part.holding(before.sounding) for part in version.parts]
         version.searching.follow(version.stage.tracking(before), parts, first, rngs)
@@ -312,9 +254,8 @@ class Practice:
         attempts: dict[int, Attempt] = {}
 
         def attempt(i: int) -> None:
-            rng = np.random.default_rng((self._seed, self._units, i))
             attempts[i] = self.hands[i].attempt(
-                self.take, first, weight[:, i], ahead, self._before_step, rng
+                self.take, first, weight[:, i], ahead, self._before_step, self._rng(i)
             )
 
         self._threads.for_each(losing, attempt)
@@ -371,92 +312,57 @@ class Practice:
         self._moments |= moments
 
     def _before_step(self, step: int) -> PlanningSimulation:
-        """The scene before a step of the take."""
-        begin = max(moment for moment in self._moments if moment <= step)
-        simulation = copy(self._moments[begin])
-        for ctrl in self.take.ctrl[begin:step]:
-            simulation.step(ctrl[None])
-        return simulation
+        return scene_before(step, self.take, self._moments)
+
+    def _rng(self, hand: int) -> np.random.Generator:
+        """Of one hand in this unit."""
+        return np.random.default_rng((self._first.seed, self._units, hand))
 
     # What has come of it
-
-    def _rehearsal(self, version: Version, take: Take) -> Rehearsal:
-        scene, track, goals, _ = version.plan
-        pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
-        dt, score = track.config.control_timestep, track.on_the_clock
-        scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
-        return Rehearsal(version.stage.tracking(take), scores["f1"], scores["note_onset_f1"])
 
     def best(self) -> Rehearsal:
         """The best so far; within the first take, and within a sweep, with what is left to play."""
         if not self.history:
-            return self._rehearsal(self._version, self._to_the_end(self.played))
+            return self._first.rehearsal()
         if not self._sweep:
-            return self._rehearsal(*self._best)
-        known = min(self._sweep.first + self._ahead, self.num_steps)
-        takes = self._sweep.before, self._to_the_end(known)
-        before, now = (self._rehearsal(self._version, take) for take in takes)
+            return self._version.rehearsal(self.take)
+        version, known = self._version, min(self._sweep.first + self._ahead, self.num_steps)
+        now = version.rehearsal(version.to_the_end(self.take, known, self._moments))
+        before = version.rehearsal(self._sweep.before)
         return now if now.no_worse_than(before) else before
-
-    def _to_the_end(self, first: int) -> Take:
-        """The take, played anew from a step on, which leaves practice where it is."""
-        take, simulation = self.take.part(0, self.num_steps), self._before_step(first)
-        rest = take.part(first, self.num_steps)
-        stage = self._version.stage
-        played, _ = stage.play(simulation, first, rest, take.heard(first), self.num_steps + 1)
-        take.put(first, played)
-        return take
 
     # To go on later
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that decides how it goes on, as arrays by name; see `restore`."""
-        playing = self.played < self.num_steps
-        return self._arrays(playing, self._kept, self._pieced, self._sweep)
+        return _named(self._parts(self._sweep) | self._first.parts())
 
-    def _arrays(
-        self,
-        playing: bool,
-        kept: tuple[Version, Take] | None,
-        pieced: Pieced | None,
-        sweep: _Sweep | None,
-    ) -> dict[str, NDArray[Any]]:
-        version = self._version
-        parts: dict[str, dict[str, Any]] = {
+    def _parts(self, sweep: _Sweep | None) -> Parts:
+        parts: Parts = {
             "practice": {
                 "of": self._about,
                 "history": np.reshape(self.history, (-1, 3)),
-                "numbers": [self.played, self._units, self.simulated, self._tried],
+                "numbers": [self._units, self.simulated],
                 "tries": self._tries,
-                "fingers": fingers_in(version.plan.track),
             },
             "take": self.take._asdict(),
         }
-        if playing:
-            memories = version.searching.memories
-            for side, memory in zip(version.plan.scene.sides, memories, strict=True):
-                parts[side] = memory._asdict()
-        if kept:
-            parts["kept"] = {"fingers": fingers_in(kept[0].plan.track), **kept[1]._asdict()}
-        if pieced:
-            parts["pieced"] = {"fingers": fingers_in(pieced.track), "loss": pieced.loss}
         if sweep:
             facts = {"first": sweep.first, "until": sweep.until}
             parts |= {"sweep": facts, "before": sweep.before._asdict()}
-        return {
-            f"{part}/{name}": np.array(value)
-            for part, values in parts.items()
-            for name, value in values.items()
-        }
+        return parts
 
     def expected(self) -> Expected:
         """What `state` holds, for whoever reads it from a file."""
-        always = self._arrays(False, None, None, None)
-        pieced = Pieced(self.plan.track, self.take.loss)
         sweep = _Sweep(0, np.zeros(self.num_steps), self.take)
-        at_times = self._arrays(True, self._now, pieced, sweep)
+        at_times = _named(self._parts(sweep) | self._first.parts(everything=True))
         return {
-            name: ArrayOf(kind := values.dtype.kind, values.shape, name in always, kind in FLOATS)
+            name: ArrayOf(
+                kind := values.dtype.kind,
+                values.shape,
+                needed=name.partition("/")[0] in _ALWAYS,
+                finite=kind in FLOATS,
+            )
             for name, values in at_times.items()
         } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
@@ -466,7 +372,7 @@ class Practice:
         Raises:
             CadenzaError: it is of another song, or was planned in another way; `where` is named.
         """
-        parts: dict[str, dict[str, Any]] = defaultdict(dict)
+        parts: Parts = defaultdict(dict)
         for path, values in arrays.items():
             part, _, name = path.partition("/")
             parts[part][name] = values.copy()
@@ -477,48 +383,27 @@ class Practice:
                 "version of Cadenza; choose another folder with --output"
             )
         self.history = [tuple(row) for row in practice["history"].tolist()]
-        played, self._units, self.simulated, self._tried = practice["numbers"].tolist()
-        self._restore_versions(practice["fingers"], parts["kept"], parts["pieced"])
-        self._tries, self.take, self.played = practice["tries"], Take(**parts["take"]), played
-        if played < self.num_steps:
-            self._go_back([Memory(**parts[side]) for side in self.plan.scene.sides])
-        elif sweep := parts["sweep"]:
-            first, before = int(sweep["first"]), Take(**parts["before"])
-            self._sweep = _Sweep(first, sweep["until"], before)
-            known = min(first + self._ahead, self.num_steps)
-            stage = self._version.stage
-            _, moments = stage.play(
-                self._moments[0], 0, self.take.part(0, known), self.take.heard(0), self._between
-            )
-            self._moments = {step: m for step, m in moments.items() if step >= first}
+        self._units, self.simulated = practice["numbers"].tolist()
+        self._tries = practice["tries"]
+        self._first.restore(parts, Take(**parts["take"]))
+        self._version, self.take = self._first.best
+        if sweep := parts["sweep"]:
+            self._restore_sweep(int(sweep["first"]), sweep["until"], Take(**parts["before"]))
 
-    def _restore_versions(
-        self, fingers: NDArray[np.int64], kept: dict[str, Any], pieced: dict[str, Any]
-    ) -> None:
-        """That which is played, that which was best before, and what is known of all."""
-        first, track = self._version, self.plan.track
+    def _restore_sweep(self, first: int, until: Array, before: Take) -> None:
+        self._sweep, stage = _Sweep(first, until, before), self._version.stage
+        known = self.take.part(0, min(first + self._ahead, self.num_steps))
+        _, moments = stage.play(stage.beginning(), 0, known, self.take.heard(0), self._between)
+        self._moments = {step: m for step, m in moments.items() if step >= first}
 
-        def begin(fingers: NDArray[np.int64]) -> None:
-            self._version, of_these = first, with_fingers(track, fingers)
-            if of_these.score != track.score:
-                self._begin(of_these)
 
-        if pieced:
-            self._pieced = Pieced(with_fingers(track, pieced["fingers"]), pieced["loss"])
-        if kept:
-            begin(kept.pop("fingers"))
-            self._kept = self._version, Take(**kept)
-        begin(fingers)
-
-    def _go_back(self, memories: Sequence[Memory]) -> None:
-        """To where the take was left."""
-        (simulation,) = self._moments.values()
-        searching = self._version.searching
-        for ctrl in self.take.ctrl[: self.played]:
-            searching.again(simulation.state, ctrl)
-            simulation.step(ctrl[None])
-        searching.remember(memories)
-        self._moments = {self.played: simulation}
+def _named(parts: Parts) -> dict[str, NDArray[Any]]:
+    """As "part/name"."""
+    return {
+        f"{part}/{name}": np.array(value)
+        for part, values in parts.items()
+        for name, value in values.items()
+    }
 
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig) -> str:

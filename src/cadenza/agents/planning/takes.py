@@ -71,6 +71,15 @@ Moments = dict[int, PlanningSimulation]
 """The whole scene before some steps of a take, to the bit."""
 
 
+def scene_before(step: int, take: Take, moments: Moments) -> PlanningSimulation:
+    """The whole scene before a step of a take, from the last of the moments up to there."""
+    begin = max(moment for moment in moments if moment <= step)
+    simulation = copy(moments[begin])
+    for ctrl in take.ctrl[begin:step]:
+        simulation.step(ctrl[None])
+    return simulation
+
+
 class Stage:
     """The whole scene, in which takes are played and judged.
 

@@ -8,9 +8,11 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import HandPractice
+from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
-from cadenza.agents.planning.takes import Stage, Take
+from cadenza.agents.planning.takes import Moments, Stage, Take, scene_before
+from cadenza.music.metrics import playing_metrics
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
@@ -62,3 +64,20 @@ class Version:
         return Take.to_come(
             plan.nominal.tracking, plan.scene.keyboard.num_keys, len(plan.scene.sides)
         )
+
+    def rehearsal(self, take: Take) -> Rehearsal:
+        """What a take of the whole song is worth, and what leads back to it."""
+        scene, track, goals, _ = self.plan
+        pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
+        dt, score = track.config.control_timestep, track.on_the_clock
+        scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
+        return Rehearsal(self.stage.tracking(take), scores["f1"], scores["note_onset_f1"])
+
+    def to_the_end(self, take: Take, first: int, moments: Moments) -> Take:
+        """A take, played anew from the step `first` on, with feedback; `moments` are of before."""
+        steps = len(take.ctrl)
+        rest, simulation = take.part(first, steps), scene_before(first, take, moments)
+        played, _ = self.stage.play(simulation, first, rest, take.heard(first), steps + 1)
+        whole = take.part(0, steps)
+        whole.put(first, played)
+        return whole
