@@ -134,7 +134,8 @@ def _where(practice: Practice) -> str:
     passages = len(practice.passages())
     so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
     how = "other fingers, " if practice.tries_fingers else ""
-    return f"{so_far}{how}{_places(practice, practice.at)}, {passages} passage{'s'[: passages != 1]} left"
+    left = f"{passages} passage{'s'[: passages != 1]} left"
+    return f"{so_far}{how}{_places(practice, practice.at)}, {left}"
 
 
 def _places(practice: Practice, steps: Iterable[int]) -> str:
