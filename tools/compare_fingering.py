@@ -23,15 +23,14 @@ from pathlib import Path
 
 import mido
 
-from cadenza.fingering.players import seated
 from cadenza.fingering.search import solve
-from cadenza.fingers import SIDES, Finger
-from cadenza.hands.shadow.hand import SHADOW
-from cadenza.keyboards.piano import PIANO
+from cadenza.fingers import Finger
 from cadenza.music.libraries.library import load_score, songs
 from cadenza.music.score import Note, Score
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.goal_track import players_of
 
-HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
+HANDS = players_of(build_scene())
 
 
 def main() -> None:

@@ -30,19 +30,17 @@ from cadenza.agents.rollout import play_episode
 from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
-from cadenza.fingering.players import seated
 from cadenza.fingering.search import find_fingering
-from cadenza.fingers import SIDES
-from cadenza.hands.shadow.hand import SHADOW
-from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score, open_library
 from cadenza.music.score import Score
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask
 
 Array = NDArray[np.float64]
 
-HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
+HANDS = players_of(build_scene())
 EASIEST_F1 = 0.97  # expected of what is of grade 1
 LEAST_ERROR = 1e-3  # of 1 - F1: a song without an error is not infinitely easy
 RIDGE = 0.3  # features that go together share their weight

@@ -23,17 +23,15 @@ from cadenza.agents.planning.losses import ONSETS
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.fingering.changes import Costs
-from cadenza.fingering.players import seated
 from cadenza.fingering.search import COSTS, find_fingering
-from cadenza.fingers import SIDES
-from cadenza.hands.shadow.hand import SHADOW
-from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Score
+from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask
 
-HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
+HANDS = players_of(build_scene())
 WITH_THESE_FINGERS = ScorePlannerConfig(fingering="score")
 
 

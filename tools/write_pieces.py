@@ -30,15 +30,14 @@ from pathlib import Path
 
 from cadenza.files import write_atomically
 from cadenza.fingering.difficulty import grade as grade_of
-from cadenza.fingering.players import seated
-from cadenza.fingers import SIDES, Finger
-from cadenza.hands.shadow.hand import SHADOW
-from cadenza.keyboards.piano import PIANO
+from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import write_fingering
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.scene.scene import build_scene
+from cadenza.tasks.goal_track import players_of
 
-HANDS = seated(SHADOW.reach, PIANO, SIDES, hand_spacing=0.3, slides=True)
+HANDS = players_of(build_scene())
 PIECES_FOLDER = Path(__file__).parents[1] / "src/cadenza/music/libraries/pieces"
 
 VELOCITIES = {"p": 50, "mp": 65, "mf": 80, "f": 95, "ff": 115}

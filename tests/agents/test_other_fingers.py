@@ -37,7 +37,7 @@ ALL_THUMBS = track_of(SONG)
 
 @given(st.sets(st.integers(0, len(SONG.notes) - 1)))
 def test_each_note_with_another_finger_is_in_one_passage(those: set[int]) -> None:
-    passages = passages_of(ALL_THUMBS, with_index(*those))
+    passages = passages_of(ALL_THUMBS, with_index(*those).score)
     assert [i for passage in passages for i in passage.notes] == sorted(those)
     judged = [step for passage in passages for step in range(10_000)[passage.steps]]
     assert len(judged) == len(set(judged))
@@ -49,11 +49,11 @@ def test_each_note_with_another_finger_is_in_one_passage(those: set[int]) -> Non
 
 def test_of_each_passage_the_fingers_are_kept_that_lose_less() -> None:
     other = with_index(1, 2, 12)
-    early, late = passages_of(ALL_THUMBS, other)
+    early, late = passages_of(ALL_THUMBS, other.score)
     steps = ALL_THUMBS.goals.num_steps
     loss, other_loss = np.full((steps, 2), 0.1), np.full((steps, 2), 0.1)
     other_loss[early.steps], other_loss[late.steps] = 0.2, 0.0
-    pieced = Pieced(ALL_THUMBS, loss).with_better(other, other_loss)
+    pieced = Pieced(ALL_THUMBS, loss).with_better(other.score, other_loss)
     assert pieced.track.score == with_index(12).score
     assert pieced.loss.sum() == pytest.approx(loss.sum() - loss[late.steps].sum())
     assert loss.all()  # is as it was
@@ -68,7 +68,7 @@ def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
     lost = np.zeros((steps, 2))
     lost[-3:] = 1.0
     changed = Pieced(ALL_THUMBS, lost).others(other_costs)
-    assert all(lost[passage.steps].any() for passage in passages_of(ALL_THUMBS, changed))
+    assert all(lost[passage.steps].any() for passage in passages_of(ALL_THUMBS, changed.score))
 
 
 def test_fingers_are_kept_as_numbers() -> None:

@@ -121,8 +121,12 @@ class Score:
 
     def without_fingers(self) -> Score:
         """The same notes, for which fingers are to be found."""
-        notes = tuple(replace(note, finger=None) for note in self.notes)
-        return replace(self, notes=notes)
+        return self.with_fingers([None] * len(self.notes))
+
+    def with_fingers(self, fingers: Iterable[Finger | None]) -> Score:
+        """The same notes, each played by one of `fingers`, in their order."""
+        notes = zip(self.notes, fingers, strict=True)
+        return replace(self, notes=tuple(replace(note, finger=finger) for note, finger in notes))
 
     def stretched(self, factor: float) -> Score:
         """All times multiplied by `factor` (2 is half as fast).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +117,5 @@ def plan_of(setup: Setup, performance: Performance) -> Plan:
     planned = performance.track
     assert planned is not None
     # The notes are the same in the same order; times and pitches are again those of the song.
-    notes = zip(setup.score.notes, planned.score.notes, strict=True)
-    fingered = tuple(replace(note, finger=with_finger.finger) for note, with_finger in notes)
-    score = replace(setup.score, notes=fingered)
+    score = setup.score.with_fingers(note.finger for note in planned.score.notes)
     return Plan(score, performance, setup.options, performance.scene.fingers)

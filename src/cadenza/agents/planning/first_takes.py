@@ -117,12 +117,14 @@ class FirstTakes:
         self._moments = {step: moment for step, moment in moments.items() if step == last}
         if not self.is_playing:
             self._compare()
-        return version.searching.simulated - before + (last - first) * len(version.hands)
+        return version.searching.simulated - before + (last - first) * len(version.parts)
 
     def _compare(self) -> None:
         """Of the take that is over and the best before it, goes on with the better one."""
         track, loss, pieced = self._version.plan.track, self._take.loss, self._pieced
-        self._pieced = pieced.with_better(track, loss) if pieced else Pieced(track, loss.copy())
+        self._pieced = (
+            pieced.with_better(track.score, loss) if pieced else Pieced(track, loss.copy())
+        )
         if self._kept:
             version, take = self._kept
             if not self._version.rehearsal(self._take).no_worse_than(version.rehearsal(take)):

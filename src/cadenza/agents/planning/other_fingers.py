@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import find_fingering
+from cadenza.music.score import Score
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
 Array = NDArray[np.float64]
@@ -48,11 +49,10 @@ class Pieced(NamedTuple):
     def others(self, costs: Costs) -> GoalTrack:
         """With the fingers that these `costs` choose where those of before lose something."""
         bare = self.track.score.without_fingers()
-        score, _ = find_fingering(bare, players_of(self.track.scene), costs=costs)
-        other = replace(self.track, score=score)
+        other, _ = find_fingering(bare, players_of(self.track.scene), costs=costs)
         return self._with(other, lambda steps: bool(self.loss[steps].any()))[0]
 
-    def with_better(self, other: GoalTrack, loss: Array) -> Pieced:
+    def with_better(self, other: Score, loss: Array) -> Pieced:
         """With the passages of `other` that lose less; its `loss` is (T, H)."""
         track, passages = self._with(
             other, lambda steps: bool(loss[steps].sum() < self.loss[steps].sum())
@@ -63,24 +63,25 @@ class Pieced(NamedTuple):
         return Pieced(track, pieced)
 
     def _with(
-        self, other: GoalTrack, taken: Callable[[slice], bool]
+        self, other: Score, taken: Callable[[slice], bool]
     ) -> tuple[GoalTrack, list[Passage]]:
         """With the fingers of `other` in the passages that are taken, and these passages."""
         passages = [each for each in passages_of(self.track, other) if taken(each.steps)]
-        notes = list(self.track.score.notes)
+        score = self.track.score
+        fingers = [note.finger for note in score.notes]
         for passage in passages:
             for i in passage.notes:
-                notes[i] = other.score.notes[i]
-        return replace(self.track, score=replace(self.track.score, notes=tuple(notes))), passages
+                fingers[i] = other.notes[i].finger
+        return replace(self.track, score=score.with_fingers(fingers)), passages
 
 
-def passages_of(track: GoalTrack, other: GoalTrack) -> list[Passage]:
-    """In which the fingers of two tracks of a song differ, by time."""
+def passages_of(track: GoalTrack, other: Score) -> list[Passage]:
+    """In which others play the same notes than in a track, by time."""
     dt = track.config.control_timestep
     before, after, apart = (steps_in(seconds, dt) for seconds in (_BEFORE, _AFTER, _APART))
     passages: list[Passage] = []
     last = -apart
-    for i, (note, theirs) in enumerate(zip(track.score.notes, other.score.notes, strict=True)):
+    for i, (note, theirs) in enumerate(zip(track.score.notes, other.notes, strict=True)):
         if note.finger == theirs.finger:
             continue
         first = track.first_step(note)
@@ -102,6 +103,4 @@ def fingers_in(track: GoalTrack) -> NDArray[np.int64]:
 def with_fingers(track: GoalTrack, fingers: NDArray[np.int64]) -> GoalTrack:
     """The track with those that `fingers_in` gave (N,)."""
     finger = track.scene.fingers.finger
-    notes = zip(track.score.notes, fingers.tolist(), strict=True)
-    found = tuple(replace(note, finger=finger(number)) for note, number in notes)
-    return replace(track, score=replace(track.score, notes=found))
+    return replace(track, score=track.score.with_fingers(map(finger, fingers.tolist())))

@@ -141,7 +141,7 @@ class Practice:
         return min(self.simulated / max(self._steps_of(effort), 1.0), 1.0)
 
     def _steps_of(self, effort: float) -> float:
-        return effort * EFFORT * self.num_steps * len(self.hands)
+        return effort * EFFORT * self.take.loss.size
 
     def _has_work(self, effort: float) -> bool:
         if self._first.is_playing or self._sweep:
@@ -238,8 +238,8 @@ class Practice:
         if (self.take.ctrl[:first] == before.ctrl[:first]).all():
             self._put(first, *self._played(self.take, first, last))
             return
-        rngs = [self._rng(i) for i in range(len(self.hands))]
         version = self._version
+        rngs = [self._rng(i) for i in range(len(version.parts))]
         parts = [part.holding(before.sounding) for part in version.parts]
         version.searching.follow(version.stage.tracking(before), parts, first, rngs)
         self._put(first, *self._played(self.take, first, last, version.searching.act))
@@ -252,9 +252,10 @@ class Practice:
         ahead = min(first + self._ahead, self.num_steps)
         losing = np.flatnonzero(weight.any(axis=0)).tolist()
         attempts: dict[int, Attempt] = {}
+        hands = self.hands
 
         def attempt(i: int) -> None:
-            attempts[i] = self.hands[i].attempt(
+            attempts[i] = hands[i].attempt(
                 self.take, first, weight[:, i], ahead, self._before_step, self._rng(i)
             )
 
@@ -298,7 +299,7 @@ class Practice:
     ) -> tuple[Take, Moments]:
         """What comes of some steps of a take, from the moment before the first on."""
         simulation, part = self._before_step(first), take.part(first, last)
-        self.simulated += len(part.ctrl) * len(self.hands)
+        self.simulated += part.loss.size
         heard = self.take.heard(first)
         return self._version.stage.play(simulation, first, part, heard, self._between, act)
 

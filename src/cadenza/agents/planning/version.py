@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from cadenza.agents.agent import Array, Progress, silent
@@ -24,7 +26,6 @@ class Version:
         plan: of the whole song, before practice.
         parts: of the hands.
         searching: what plays at sight.
-        hands: that practise.
         stage: where takes are played.
     """
 
@@ -51,11 +52,16 @@ class Version:
         plan = self.plan = plan_song(track, start, progress)
         self.parts = [HandPart(plan, side) for side in plan.scene.sides]
         self.searching = SearchingHands(plan, config, rng, threads)
-        self.hands = [
-            HandPractice(plan, side, part, threads)
-            for side, part in zip(plan.scene.sides, self.parts, strict=True)
-        ]
+        self._threads = threads
         self.stage = Stage(plan, start, self.parts)
+
+    @cached_property
+    def hands(self) -> list[HandPractice]:
+        """That practise; most versions are only played at sight."""
+        return [
+            HandPractice(self.plan, side, part, self._threads)
+            for side, part in zip(self.plan.scene.sides, self.parts, strict=True)
+        ]
 
     @property
     def take_to_come(self) -> Take:
