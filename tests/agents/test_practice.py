@@ -19,6 +19,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.playback import Playback, load_plan, tracking_of
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
@@ -42,6 +43,10 @@ HARD, _ = find_fingering(
 )
 LONG = Score(
     tuple(replace(n, start=n.start + t, end=n.end + t) for t in (0.0, 1.2, 2.4) for n in HARD.notes)
+)
+
+JUMPS = Score(
+    tuple(Note(0.4 * i, 0.4 * i + 0.4, (48, 60)[i % 2], 80, finger=Finger(0, 2)) for i in range(10))
 )
 
 # Both thumbs on neighbouring keys, closely enough for hands to meet.
@@ -208,19 +213,24 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
     assert astray(trial(corrected).fingertips) < 0.8 * astray(as_it_is.fingertips)
 
 
-def test_other_fingers_are_tried_alike_after_a_stop_and_the_best_go_on() -> None:
-    straight = practice(score=LONG, config=NO_SEARCH)
-    at_sight = straight.plan.track.score
-    straight.run(0.02)
+@pytest.mark.parametrize(
+    ("score", "config", "effort"), [(LONG, NO_SEARCH, 0.02), (JUMPS, GIVEN_FINGERS, 0.04)]
+)
+def test_other_ways_are_tried_alike_after_a_stop_and_the_best_goes_on(
+    score: Score, config: ScorePlannerConfig, effort: float
+) -> None:
+    straight = practice(score=score, config=config)
+    at_sight = straight.plan
+    straight.run(effort)
     (_, f1, onsets), *_, (_, later_f1, later_onsets) = straight.history
     assert (later_f1, later_onsets) > (f1, onsets)
-    assert straight.plan.track.score != at_sight
-    assert_plays_as_it_says(straight, LONG)
-    left, kept = practice(2, score=LONG, config=NO_SEARCH), 0
-    while not left.run(0.02, on_and_off(2)):  # before, within and after takes
-        state, left = as_read(left), practice(2, score=LONG, config=NO_SEARCH)
+    assert straight.plan.nominal.presses != at_sight.nominal.presses
+    assert_plays_as_it_says(straight, score)
+    left, kept = practice(2, score=score, config=config), 0
+    while not left.run(effort, on_and_off(2)):  # before, within and after takes
+        state, left = as_read(left), practice(2, score=score, config=config)
         left.restore(state, "state")
-        kept += "other/fingers" in state
+        kept += "other/later" in state
     assert kept
     assert_same(left, straight)
 
@@ -237,18 +247,18 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
     with_search = ScorePlannerConfig(fingering="score")
-    straight = practice(score=LONG, config=with_search)
-    follow, followed = straight._version.searching.follow, list[Any]()
+    straight = practice(score=LONG, config=with_search, seed=1)
+    follow, followed = SearchingHands.follow, list[Any]()
     monkeypatch.setattr(
-        straight._version.searching, "follow", lambda *args: followed.append(args) or follow(*args)
+        SearchingHands, "follow", lambda *args: followed.append(args) or follow(*args)
     )
-    straight.run(0.1)
+    straight.run(0.3)
     assert followed
     done = False
-    left = practice(2, score=LONG, config=with_search)
+    left = practice(2, score=LONG, config=with_search, seed=1)
     while not done:
-        done = left.run(0.1, on_and_off(6))
-        again = practice(2, score=LONG, config=with_search)
+        done = left.run(0.3, on_and_off(6))
+        again = practice(2, score=LONG, config=with_search, seed=1)
         again.restore(as_read(left), "state")
         left = again
     assert_same(left, straight)
@@ -284,7 +294,7 @@ def test_hands_that_are_pushed_find_back(practised: Practice) -> None:
         task.step((action + (0.1 if step == 8 else 0.0))[None])
     assert not any(off[:9])  # nothing had happened yet
     assert off[9] > 0.05
-    assert off[-1] < off[9] / 2
+    assert off[13] < off[9] / 3  # before a finger can slip off another key
 
 
 def folder_of(tmp_path: Path, *options: str) -> Path:

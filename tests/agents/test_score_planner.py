@@ -381,10 +381,11 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nominal, "_OVERLAP", 1.5)
 
 
-def whole_plan(score: Score) -> SongPlan:
+def whole_plan(score: Score, later: int | np.ndarray = 0) -> SongPlan:
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
-    return plan_song(task.sheets.tracks[0], task.state.hand_qpos[0])
+    start = task.state.hand_qpos[0]
+    return plan_song(task.sheets.tracks[0], start, later=later)
 
 
 def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:
@@ -433,6 +434,22 @@ def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(nominal, "solve_postures", lambda *given: given[4])
     monkeypatch.setattr(nominal, "track", still)
+
+
+@pytest.mark.usefixtures("first_guess")
+def test_windows_let_go_later_where_the_whole_song_does(request: pytest.FixtureRequest) -> None:
+    score = melody(*[48, 79] * 8, length=0.3)
+    usual = whole_plan(score).nominal
+    later = np.zeros((usual.num_steps, 1), np.int8)
+    later[usual.num_steps // 2 :] = 1
+    at_once = whole_plan(score, later).nominal
+    request.getfixturevalue("short_windows")
+    windows = whole_plan(score, later).nominal
+    assert windows.presses == at_once.presses
+    held = [
+        press.last - plain.last for press, plain in zip(at_once.presses, usual.presses, strict=True)
+    ]
+    assert held[:-1] == [later[press.first - 1, 0] for press in at_once.presses[1:]]
 
 
 @pytest.mark.usefixtures("first_guess")
@@ -501,6 +518,21 @@ def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     cut = let_go_in_time(far, places(np.zeros(10)), 0.05, SHADOW)
     assert 11 <= cut[0].last < 19
     assert cut[1] == far[1]
+
+
+@pytest.mark.parametrize("finger", [0, 1])
+def test_a_hand_can_let_go_later_before_a_jump(finger: int) -> None:
+    far = [Press("right", 0, 39, 10, 20), Press("right", finger, 60, 20, 30)]
+    near = [Press("right", 0, 39, 10, 20), Press("right", finger, 41, 20, 30)]
+
+    def last(presses: list[Press], later: int) -> int:
+        asked = [press._replace(later=later) for press in presses]
+        return let_go_in_time(asked, places(np.zeros(10)), 0.05, SHADOW)[0].last
+
+    usual = last(far, 0)
+    assert usual < 18
+    assert [last(far, later) for later in (1, 9)] == [usual + 1, 19]
+    assert last(near, 1) == last(near, 0)
 
 
 def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes() -> None:

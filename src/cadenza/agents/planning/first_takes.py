@@ -1,28 +1,30 @@
-"""How a song is played at sight: with the planner's fingers, then with others where it loses.
+"""How a song is played at sight: as the planner does, then in other ways where it loses.
 
 The best of these takes is where practice begins.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.other_fingers import OTHER_COSTS, Pieced, fingers_in, with_fingers
+from cadenza.agents.planning.other_ways import OTHER_COSTS, Pieced, Way
 from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.refinement import Memory
 from cadenza.agents.planning.takes import Take, scene_before
 from cadenza.agents.planning.version import Version
+from cadenza.fingering.changes import Costs
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
 _CHUNK = 2.0  # [s] that are played at a time
+_LATER = (1, 2)  # steps later than usual that hands let go before a jump
 
 Parts = dict[str, dict[str, Any]]
 """Arrays by part and name."""
@@ -63,9 +65,16 @@ class FirstTakes:
         self._enter(Version(track, start, config, rng, threads, progress))
         self.seed = int(rng.integers(2**63))
         self._chunk = steps_in(_CHUNK, track.config.control_timestep)
-        self._tried = 0 if found else len(OTHER_COSTS) + 1
+        fingers = [partial(self._with_fingers_by, costs) for costs in OTHER_COSTS if found]
+        jumps = [partial(self._letting_go, steps) for steps in _LATER]
+        self._trials: list[Callable[[], Way]] = [
+            *fingers,
+            self._best_of_each,
+            *(trial for jump in jumps for trial in (jump, self._best_of_each)),
+        ]
+        self._tried = 0
         self._kept: tuple[Version, Take] | None = None
-        self._pieced: Pieced | None = None
+        self._pieced = self._as_played()
 
     def _enter(self, version: Version) -> None:
         """Goes over to a version of which nothing has been played."""
@@ -83,23 +92,23 @@ class FirstTakes:
         return self.played < len(self._take.ctrl)
 
     @property
-    def tries_fingers(self) -> bool:
-        """Whether the take is one with other fingers."""
+    def tries_other_ways(self) -> bool:
+        """Whether the take is one in another way."""
         return self._kept is not None
 
     @property
     def over(self) -> bool:
         """Whether there is nothing left to try."""
-        return not self.is_playing and self._tried > len(OTHER_COSTS)
+        return not self.is_playing and self._tried == len(self._trials)
 
     def go_on(self) -> int:
-        """Plays two seconds, or chooses other fingers.
+        """Plays two seconds, or chooses another way.
 
         Returns:
             How many control steps of a hand were simulated.
         """
         if not self.is_playing:
-            self._choose_fingers()
+            self._choose()
             return 0
         version, take, first = self._version, self._take, self.played
         last = min(first + self._chunk, len(take.ctrl))
@@ -121,32 +130,41 @@ class FirstTakes:
 
     def _compare(self) -> None:
         """Of the take that is over and the best before it, goes on with the better one."""
-        track, loss, pieced = self._version.plan.track, self._take.loss, self._pieced
-        self._pieced = (
-            pieced.with_better(track.score, loss) if pieced else Pieced(track, loss.copy())
-        )
-        if self._kept:
-            version, take = self._kept
-            if not self._version.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
-                self._version, self._take = version, take
-            self._kept = None
+        if not self._kept:
+            self._pieced = self._as_played()
+            return
+        self._pieced = self._pieced.with_better(self._version.way, self._take.loss)
+        version, take = self._kept
+        if not self._version.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
+            self._version, self._take = version, take
+        self._kept = None
 
-    def _choose_fingers(self) -> None:
-        """Goes over to other fingers where something is lost, if these costs choose any.
+    def _as_played(self) -> Pieced:
+        """The way of the take that is the best so far."""
+        return Pieced(self._version.plan.track, self._version.way, self._take.loss.copy())
 
-        In the end to the best of each passage.
-        """
-        assert self._pieced
-        costs = OTHER_COSTS[self._tried : self._tried + 1]
-        track = self._pieced.others(*costs) if costs else self._pieced.track
+    def _choose(self) -> None:
+        """Goes over to the next way to be tried, if it is another one."""
+        way = self._trials[self._tried]()
         self._tried += 1
-        if track.score != self._version.plan.track.score:
+        if not way.is_like(self._version.way):
             self._kept = self._version, self._take
-            self._enter(self._other(track))
+            self._enter(self._other(way))
 
-    def _other(self, track: GoalTrack) -> Version:
-        rng = np.random.default_rng((self.seed, self._tried))
-        return Version(track, self._start, self._config, rng, self._threads)
+    def _with_fingers_by(self, costs: Costs) -> Way:
+        return self._pieced.with_fingers_by(costs)
+
+    def _letting_go(self, later: int) -> Way:
+        """As in the best take, but so many steps later before jumps."""
+        self._pieced = self._as_played()
+        return self._pieced.letting_go(later)
+
+    def _best_of_each(self) -> Way:
+        return self._pieced.way
+
+    def _other(self, way: Way) -> Version:
+        rng, track = np.random.default_rng((self.seed, self._tried)), self._version.plan.track
+        return Version(track, self._start, self._config, rng, self._threads, way=way)
 
     def rehearsal(self) -> Rehearsal:
         """The first take, with what is left to play."""
@@ -157,42 +175,38 @@ class FirstTakes:
 
     def parts(self, *, everything: bool = False) -> Parts:
         """All that decides how they go on, beside the best take; or all that there may be."""
-        version, take = self.best
-        fingers = fingers_in(version.plan.track)
-        parts: Parts = {"first": {"numbers": [self.played, self._tried], "fingers": fingers}}
+        version, _ = self.best
+        numbers = {"numbers": [self.played, self._tried]}
+        parts: Parts = {"first": numbers | version.way._asdict()}
         if self.is_playing or everything:
             memories = self._version.searching.memories
             for side, memory in zip(version.plan.scene.sides, memories, strict=True):
                 parts[side] = memory._asdict()
         if self._kept or everything:
-            fingers = fingers_in(self._version.plan.track)
-            parts["other"] = {"fingers": fingers, **self._take._asdict()}
-        if self._pieced or everything:
-            pieced = self._pieced or Pieced(version.plan.track, take.loss)
-            parts["pieced"] = {"fingers": fingers_in(pieced.track), "loss": pieced.loss}
+            parts["other"] = self._version.way._asdict() | self._take._asdict()
+        _, way, loss = self._pieced
+        parts["pieced"] = way._asdict() | {"loss": loss}
         return parts
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Take) -> None:
         """Goes on from the `parts` of the same takes, of which `best` was the best."""
-        track, first = self._version.plan.track, parts["first"]
+        first = parts["first"]
         played, self._tried = first["numbers"].tolist()
-        if pieced := parts.get("pieced"):
-            self._pieced = Pieced(with_fingers(track, pieced["fingers"]), pieced["loss"])
-        version = self._version_with(first["fingers"])
+        pieced = parts["pieced"]
+        self._pieced = self._pieced._replace(way=_way_in(pieced), loss=pieced["loss"])
+        version = self._version_of(_way_in(first))
         if other := parts.get("other"):
             self._kept = version, best
-            version = self._version_with(other.pop("fingers"))
-            best = Take(**other)
+            version = self._version_of(_way_in(other))
+            best = Take(**{name: other[name] for name in Take._fields})
         self._enter(version)
         self._take, self.played = best, played
         if self.is_playing:
             self._go_back([Memory(**parts[side]) for side in version.plan.scene.sides])
 
-    def _version_with(self, fingers: NDArray[np.int64]) -> Version:
-        """The first one, if it has those."""
-        track = self._version.plan.track
-        other = with_fingers(track, fingers)
-        return self._version if other.score == track.score else self._other(other)
+    def _version_of(self, way: Way) -> Version:
+        """The first one, if that is its way."""
+        return self._version if way.is_like(self._version.way) else self._other(way)
 
     def _go_back(self, memories: list[Memory]) -> None:
         """To where the take was left."""
@@ -203,3 +217,7 @@ class FirstTakes:
             simulation.step(ctrl[None])
         searching.remember(memories)
         self._moments = {self.played: simulation}
+
+
+def _way_in(part: Mapping[str, Any]) -> Way:
+    return Way(**{name: part[name] for name in Way._fields})

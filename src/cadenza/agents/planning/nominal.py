@@ -87,6 +87,7 @@ def nominal_plans(
     hand_qpos: Array,
     dt: float,
     progress: Progress = silent,
+    later: NDArray[np.integer] | int = 0,
 ) -> Iterator[Nominal]:
     """Plans how to play `keys` (T, K) with `fingers` (T, K), a window more each time.
 
@@ -97,18 +98,21 @@ def nominal_plans(
         hand_qpos: (J,) where the joints of the hands are.
         dt: control step [s].
         progress: is told of "postures".
+        later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
+            presses in each step, or before all.
 
     Yields:
         The plan so far; the last one is the whole.
     """
     hands = Motion(scene, dt)
     asked = np.where(keys & scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
+    later = np.broadcast_to(later, (len(asked), len(scene.sides)))
     whole = hands.at_rest(hand_qpos, len(asked))
     plan = whole.part(0, 0)
     while plan.num_steps < len(asked):
         # BLAS shares small products among threads, which takes longer, and other bits come out.
         with threadpool_limits(1):
-            window, kept = hands.window(plan, asked, progress)
+            window, kept = hands.window(plan, asked, later, progress)
         last = plan.num_steps + kept
         there, here = whole.part(plan.num_steps, last), window.part(0, kept)
         for values, new in zip(there.arrays, here.arrays, strict=True):
@@ -205,13 +209,14 @@ class Motion:
         return Nominal([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
 
     def window(
-        self, plan: Nominal, asked: NDArray[np.int8], progress: Progress
+        self, plan: Nominal, asked: NDArray[np.int8], later: NDArray[np.integer], progress: Progress
     ) -> tuple[Nominal, int]:
         """A plan for the steps after `plan`, and how many of them to keep.
 
         Args:
             plan: of the first steps.
             asked: (T, K) fingers that should press the keys, -1 for none.
+            later: (T, H), as in `nominal_plans`.
             progress: is told of "postures".
         """
         first, dt = plan.num_steps, self._dt
@@ -220,18 +225,26 @@ class Motion:
         if last == len(asked):
             kept = last - first
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
-        presses = self.presses(asked[since:last])
+        presses = self.presses(asked[since:last], later[since:last])
         found = self.found(plan, presses, first - since, last - since, progress)
         window = self.led_along(plan, presses, found)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
         return window._replace(presses=presses), kept
 
-    def presses(self, asked: NDArray[np.int8]) -> list[Press]:
+    def presses(self, asked: NDArray[np.int8], later: NDArray[np.integer] | int = 0) -> list[Press]:
         """By time, as far as the hands can be there.
 
-        `asked` (T, K) are fingers that should press the keys, -1 for none.
+        Args:
+            asked: (T, K) fingers that should press the keys, -1 for none.
+            later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
+            presses in each step, or before all.
         """
-        wanted = presses_of(asked >= 0, asked, self._scene.fingers)
+        sides = self._scene.sides
+        later = np.broadcast_to(later, (len(asked), len(sides)))
+        wanted = [
+            press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
+            for press in presses_of(asked >= 0, asked, self._scene.fingers)
+        ]
         return let_go_in_time(wanted, self._places, self._dt, self._scene.hand)
 
     def found(

@@ -1,8 +1,8 @@
 """Two hands practise a song: they play it, go back to what fails, and keep what is better.
 
 What they have played is a *take*: controls, and what came of them in the whole scene, step by
-step. The first is what the planner plays. The next ones are played at sight as well, but with other
-fingers where something is lost (`other_fingers`). From the best of them on, practice goes over the
+step. The first is what the planner plays. The next ones are played at sight as well, but in other
+ways where something is lost (`other_ways`). From the best of them on, practice goes over the
 song again and again. A *sweep* works on two seconds after two seconds, from the beginning to the
 end: each hand picks a step that loses something and looks for something better to do
 (`hand_practice`), and what they have found is put into the take if that and the next seconds are
@@ -51,7 +51,7 @@ _BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
 _WINDOW = 4  # times _BETWEEN are worked on at a time
 _ADVANCE = 3  # times it later begins the next window
 _AFTER = 2  # times it after a window must not suffer
-_ALWAYS = ("practice", "take", "first")  # parts of a state that are never missing
+_ALWAYS = ("practice", "take", "first", "pieced")  # parts of a state that are never missing
 _AROUND = 0.15  # [s] before and after a step that share its failures
 
 
@@ -74,7 +74,7 @@ class Practice:
         at: the steps that were worked on last.
         simulated: control steps of a hand, in all, after the first take.
         history: effort, F1 and F1 of note onsets of the first take, and of the best after each one
-            with other fingers, and after each sweep.
+            in another way, and after each sweep.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Practice:
 
     @property
     def plan(self) -> SongPlan:
-        """Of the whole song, with the best fingers so far, before practice."""
+        """Of the whole song, in the best way so far, before practice."""
         return self._version.plan
 
     @property
@@ -125,9 +125,9 @@ class Practice:
         return self._version.hands
 
     @property
-    def tries_fingers(self) -> bool:
-        """Whether the song is being played at sight with other fingers."""
-        return self._first.tries_fingers
+    def tries_other_ways(self) -> bool:
+        """Whether the song is being played at sight in another way."""
+        return self._first.tries_other_ways
 
     @property
     def effort(self) -> float:

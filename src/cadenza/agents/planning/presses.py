@@ -40,6 +40,8 @@ class Press(NamedTuple):
     """The hand comes to it in a jump, and to no other key."""
     from_above: bool = False
     """The finger comes to it from above all keys."""
+    later: int = 0
+    """So many states later than usual the hand lets go of what is before it, if it jumps."""
 
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
@@ -122,6 +124,7 @@ def _let_hand_go(
     chords = [list(chord) for _, chord in groupby(mine, key=lambda press: press.first)]
     firsts = np.array([chord[0].first for chord in chords])
     sizes = np.array([len(chord) for chord in chords])
+    later = np.array([chord[0].later for chord in chords])
     begins = np.cumsum([0, *sizes])
     key, number = np.array([(press.key, press.finger) for press in mine]).T
     finger = number % len(hand.fingers)
@@ -145,6 +148,7 @@ def _let_hand_go(
             continue
         seconds = times.seconds(way, len(chord), sizes[i + 1 : end], holding)
         jump = np.ceil(np.round(seconds / dt, 9)).astype(np.intp)
+        jump = np.where(jump > 0, np.maximum(jump - later[i + 1 : end], 1), 0)
         spans = hand.reach.spans(
             finger[here, None], finger[there], outwards[there] - outwards[here, None]
         )

@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.nominal import Nominal, nominal_plans
 from cadenza.errors import CadenzaError
@@ -32,19 +35,31 @@ class SongPlan(NamedTuple):
         return self.nominal.num_steps == self.goals.num_steps
 
 
-def plan_song(track: GoalTrack, start: Array, progress: Progress = silent) -> SongPlan:
+def plan_song(
+    track: GoalTrack,
+    start: Array,
+    progress: Progress = silent,
+    later: NDArray[np.integer] | int = 0,
+) -> SongPlan:
     """The last of `song_plans`: all of the song."""
-    *_, whole = song_plans(track, start, progress)
+    *_, whole = song_plans(track, start, progress, later)
     return whole
 
 
-def song_plans(track: GoalTrack, start: Array, progress: Progress = silent) -> Iterator[SongPlan]:
+def song_plans(
+    track: GoalTrack,
+    start: Array,
+    progress: Progress = silent,
+    later: NDArray[np.integer] | int = 0,
+) -> Iterator[SongPlan]:
     """Plans what the hands of a task are to play.
 
     Args:
         track: what is to be played.
         start: (J,) joint positions of the hands where the song begins [m, rad].
         progress: is told of "fingers" and "postures".
+        later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
+            presses in each step, or before all.
 
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is the
@@ -56,7 +71,8 @@ def song_plans(track: GoalTrack, start: Array, progress: Progress = silent) -> I
     scene = scene_planned_with(track)
     track = track.fingered(partial(progress, "fingers"))
     goals, dt = track.goals, track.config.control_timestep
-    for nominal in nominal_plans(scene, goals.keys, goals.fingers, start, dt, progress):
+    asked = goals.keys, goals.fingers
+    for nominal in nominal_plans(scene, *asked, start, dt, progress, later):
         yield SongPlan(scene, track, goals, nominal)
 
 

@@ -1,4 +1,4 @@
-"""A song with its fingers, and the hands that play and practise it so."""
+"""A song as it is played in one way, and the hands that play and practise it so."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import HandPractice
+from cadenza.agents.planning.other_ways import Way, fingers_in
 from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
@@ -20,9 +21,10 @@ from cadenza.tasks.goal_track import GoalTrack
 
 
 class Version:
-    """A song as it is played with certain fingers.
+    """A song as it is played in one way.
 
     Attributes:
+        way: it is played in.
         plan: of the whole song, before practice.
         parts: of the hands.
         searching: what plays at sight.
@@ -37,6 +39,7 @@ class Version:
         rng: np.random.Generator,
         threads: Threads,
         progress: Progress = silent,
+        way: Way | None = None,
     ) -> None:
         """Args:
             track: the song.
@@ -45,11 +48,15 @@ class Version:
             rng: what is random in it.
             threads: that share the work.
             progress: is told of "fingers" and "postures".
+            way: to play it in; if not given, with the fingers that it has or that are found.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        plan = self.plan = plan_song(track, start, progress)
+        track, later = (way.of(track), way.later) if way else (track, 0)
+        plan = self.plan = plan_song(track, start, progress, later)
+        never = np.zeros((plan.goals.num_steps, len(plan.scene.sides)), np.int8)
+        self.way = way or Way(fingers_in(plan.track), never)
         self.parts = [HandPart(plan, side) for side in plan.scene.sides]
         self.searching = SearchingHands(plan, config, rng, threads)
         self._threads = threads

@@ -1,0 +1,154 @@
+"""Other ways to play the passages of a song that lose something.
+
+Other fingers: the search for fingers finds others if something else costs more or less. And faster
+jumps: a hand that lets go later loses less of what it leaves, if it still lands in time. Other ways
+are only tried where something is lost, and kept where they lose less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.control_steps import steps_in
+from cadenza.fingering.changes import Costs
+from cadenza.fingering.search import find_fingering
+from cadenza.fingers import SIDES
+from cadenza.tasks.goal_track import GoalTrack, players_of
+
+Array = NDArray[np.float64]
+
+OTHER_COSTS = (
+    Costs(way=32.0, same_finger=1.0, crossing=3.0),
+    Costs(way=32.0, speed=24.0, crossing=0.5),
+    Costs(way=16.0, crossing=3.0),
+)
+"""What chooses other fingers, one after the other: with all of them, hands move less."""
+
+_BEFORE, _AFTER = 0.2, 0.5  # [s] before and after other fingers by which they are judged
+_APART = _BEFORE + _AFTER  # [s] between passages, so that no step is judged twice
+_JUMP = 0.15  # [s] before a hand strikes in which a jump there begins
+
+Passage = tuple[slice, slice]
+"""Steps, and the hands that are judged by them."""
+
+
+class Way(NamedTuple):
+    """How H hands play N notes over T steps."""
+
+    fingers: NDArray[np.int64]
+    """(N,) who plays each note, as hands number their fingers."""
+    later: NDArray[np.int8]
+    """(T, H) by how many steps later than usual a hand lets go before it jumps to what begins."""
+
+    def is_like(self, other: Way) -> bool:
+        """Whether it comes to the same."""
+        return np.array_equal(self.fingers, other.fingers) and np.array_equal(
+            self.later, other.later
+        )
+
+    def of(self, track: GoalTrack) -> GoalTrack:
+        """The track with these fingers."""
+        fingers = map(track.scene.fingers.finger, self.fingers.tolist())
+        return replace(track, score=track.score.with_fingers(fingers))
+
+
+class Pieced(NamedTuple):
+    """The way to play a song that is, of each passage, the best that was tried."""
+
+    track: GoalTrack
+    """The song, with any fingers."""
+    way: Way
+    loss: Array
+    """(T, H) of each step and hand."""
+
+    def with_fingers_by(self, costs: Costs) -> Way:
+        """With the fingers that these `costs` choose where something is lost."""
+        bare = self.track.score.without_fingers()
+        found, _ = find_fingering(bare, players_of(self.track.scene), costs=costs)
+        other = self.way._replace(fingers=fingers_in(replace(self.track, score=found)))
+        way, _ = self._with(other, lambda passage: bool(self.loss[passage].any()))
+        return way
+
+    def letting_go(self, later: int) -> Way:
+        """So many steps later than usual before jumps, where a step less loses something."""
+        changed = self.way.later.copy()
+        for passage in _strikes(self.track, self.way):
+            if self.loss[passage].any() and (changed[passage] == later - 1).all():
+                changed[passage] = later
+        return self.way._replace(later=changed)
+
+    def with_better(self, other: Way, loss: Array) -> Pieced:
+        """With the passages of another way that lose less; its `loss` is (T, H)."""
+        way, passages = self._with(
+            other, lambda passage: bool(loss[passage].sum() < self.loss[passage].sum())
+        )
+        pieced = self.loss.copy()
+        for passage in passages:
+            pieced[passage] = loss[passage]
+        return self._replace(way=way, loss=pieced)
+
+    def _with(self, other: Way, taken: Callable[[Passage], bool]) -> tuple[Way, list[Passage]]:
+        """With those passages of another way that are taken, and which they are."""
+        passages = [each for each in passages_of(self.track, self.way, other) if taken(each)]
+        first = np.array([self.track.first_step(note) for note in self.track.score.notes])
+        way = Way(self.way.fingers.copy(), self.way.later.copy())
+        for passage in passages:
+            steps, _ = passage
+            notes = (first >= steps.start) & (first < steps.stop)
+            way.fingers[notes] = other.fingers[notes]
+            way.later[passage] = other.later[passage]
+        return way, passages
+
+
+def passages_of(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
+    """In which a track is played in different ways.
+
+    Other fingers are judged by both hands, as notes may go over to the other one. Otherwise each
+    jump is judged by its hand.
+    """
+    if (way.fingers != other.fingers).any():
+        return _refingered(track, way, other)
+    differs = way.later != other.later
+    return [passage for passage in _strikes(track, way) if differs[passage].any()]
+
+
+def _refingered(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
+    """The passages with other fingers, by time."""
+    dt = track.config.control_timestep
+    before, after, apart = (steps_in(seconds, dt) for seconds in (_BEFORE, _AFTER, _APART))
+    passages: list[Passage] = []
+    last = -apart - 1
+    for i in np.flatnonzero(way.fingers != other.fingers):
+        note = track.score.notes[i]
+        first = track.first_step(note)
+        begin = max(first - before, 0) if first > last + apart else passages.pop()[0].start
+        last = max(last, first + steps_in(note.end - note.start, dt))
+        passages.append((slice(begin, last + after), slice(None)))
+    return passages
+
+
+def _strikes(track: GoalTrack, way: Way) -> list[Passage]:
+    """Of each hand, one for each time it strikes: from before that to before the next time."""
+    first = np.array([track.first_step(note) for note in track.score.notes])
+    hand = np.array([track.scene.fingers.hand_of(finger) for finger in way.fingers.tolist()])
+    jump = steps_in(_JUMP, track.config.control_timestep)
+    passages: list[Passage] = []
+    for column, side in enumerate(track.scene.sides):
+        strikes = np.unique(first[hand == SIDES.index(side)])
+        begins = [*np.maximum(strikes - jump, 0).tolist(), len(way.later)]
+        passages += [
+            (slice(begin, end), slice(column, column + 1)) for begin, end in pairwise(begins)
+        ]
+    return passages
+
+
+def fingers_in(track: GoalTrack) -> NDArray[np.int64]:
+    """(N,) who plays each note, as hands number their fingers."""
+    number = track.scene.fingers.number
+    return np.array([number(note.finger) for note in track.score.notes], np.int64)
