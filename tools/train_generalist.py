@@ -7,7 +7,7 @@ The answers are by how much the planner's search corrected the plan of a song in
 were recorded. There is a network for the wrist and the forearm, one for the thumb, and one that the
 other fingers share: it is told of its own finger, of those beside it, and of the wrist and the
 forearm. Each is three networks that learn from other songs; what is left out says when to stop.
-docs/generalist.md has the rounds in which it plays itself.
+docs/generalist.md has the rounds in which it plays itself; `reinforce_generalist.py` goes on.
 
 In the folder `trained`, `weights.npz` is what has been learnt, and `lessons` what was made of the
 episodes, each once: 1 MB for 10 s. Making one takes 3 s of a core.

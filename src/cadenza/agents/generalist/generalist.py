@@ -3,7 +3,7 @@
 The plan is inverse kinematics of the song, with feedback, rehearsed in simulation. What goes wrong
 with such plans is much the same in all music: a finger is caught, a thumb comes late. Where there
 is no time to rehearse, what corrects them, the same for both hands, has been learnt from the
-planner's search over many songs.
+planner's search over many songs, and by reinforcement.
 """
 
 from __future__ import annotations
