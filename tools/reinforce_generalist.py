@@ -9,8 +9,8 @@ finger does (proximal policy optimisation with an advantage for each part of a h
 al., Proximal Policy Optimization Algorithms, 2017), and the one for the wrist and the forearm from
 all fingers of the hand.
 
-In the folder `reinforced`, `weights.npz` is the running mean of the networks of all rounds, written
-from time to time.
+In the folder `reinforced`, `weights.npz` is the running mean of the networks of all rounds. If it
+is stopped, the same command goes on from `checkpoint.npz`, with other noise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from copy import copy
 from itertools import pairwise
 from pathlib import Path
-from time import process_time
 from typing import Any, NamedTuple
 
 import jax
@@ -300,11 +299,12 @@ class Learner:
     Attributes:
         layers: of the networks.
         mean: their running mean.
+        rounds: from how many it has learnt.
     """
 
     def __init__(self, networks: Networks, rounds: int, rng: np.random.Generator) -> None:
         """`rounds` is from how many it is to learn."""
-        self._networks, self._rng, self._rounds = networks, rng, 0
+        self._networks, self._rng, self.rounds = networks, rng, 0
         self.layers = self.mean = networks.layers
         self._values = networks.initial_values(rng)
         updates = rounds * SWEEPS * STEPS * AT_ONCE * len(SIDES) // BATCH
@@ -336,16 +336,36 @@ class Learner:
         likely = np.asarray(self._likely(self.layers, told, answers))
         for _ in range(SWEEPS):
             for some in np.split(self._rng.permutation(len(told)), len(told) // BATCH):
-                if self._rounds >= FIRST:
+                if self.rounds >= FIRST:
                     batch = told[some], answers[some], likely[some], better[some]
                     self.layers, self._moments = self._improve(self.layers, self._moments, *batch)
                 batch = told[some], returns[some]
                 self._values, self._value_moments = self._value(
                     self._values, self._value_moments, *batch
                 )
-        self._rounds += 1
-        mix = lambda mean, now: mean + OF_MEAN * (now - mean)  # noqa: E731
-        self.mean = jax.tree.map(mix, self.mean, self.layers)
+        self.rounds += 1
+        self.mean = jax.tree.map(
+            lambda mean, now: mean + OF_MEAN * (now - mean), self.mean, self.layers
+        )
+
+    def save(self, path: Path) -> None:
+        """All that it has come to."""
+        leaves = map(np.asarray, jax.tree.leaves(self._state))
+        with write_atomically(path) as file:
+            np.savez(file, *leaves, allow_pickle=False, rounds=self.rounds)
+
+    def load(self, path: Path) -> None:
+        """Goes on from what was saved."""
+        structure = jax.tree.structure(self._state)
+        with np.load(path) as saved:
+            leaves = [saved[f"arr_{i}"] for i in range(structure.num_leaves)]
+            self.rounds = int(saved["rounds"])
+        state = jax.tree.unflatten(structure, leaves)
+        self.layers, self.mean, self._values, self._moments, self._value_moments = state
+
+    @property
+    def _state(self) -> tuple[Any, ...]:
+        return self.layers, self.mean, self._values, self._moments, self._value_moments
 
     def _likely(self, layers: list[Layers], told: Any, answers: Any) -> Any:
         """(N, 1 + F) logarithms of how likely answers of each part are, up to a constant."""
@@ -381,22 +401,27 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder")
     parser.add_argument("--weights", type=Path, help="to improve; by default, those of Cadenza")
     parser.add_argument("--most", type=int, default=160, help="songs, drawn")
-    parser.add_argument("--rounds", type=int, default=800, help="of 4,096 steps of a hand")
+    parser.add_argument("--rounds", type=int, default=850, help="of 4,096 steps of a hand")
     given = parser.parse_args()
     rng, scene = np.random.default_rng(0), build_scene()
     weights = Weights.load(given.weights) if given.weights else weights_of(scene)
     networks = Networks(weights, scene)
     songs = planned(given.songs, given.most, rng)
-    stage, learner = Stage(songs, scene, rng), Learner(networks, given.rounds, rng)
+    learner, checkpoint = Learner(networks, given.rounds, rng), given.output / "checkpoint.npz"
+    if checkpoint.exists():
+        learner.load(checkpoint)
+        rng = np.random.default_rng((0, learner.rounds))
+    stage = Stage(songs, scene, rng)
     given.output.mkdir(parents=True, exist_ok=True)
-    for number in range(1, given.rounds + 1):
+    for number in tqdm(range(learner.rounds + 1, given.rounds + 1), desc="rounds"):
         played = stage.play(networks, learner.layers, STEPS)
         learner.learn(played)
         if number % KEPT_EVERY == 0 or number == given.rounds:
+            learner.save(checkpoint)
             with write_atomically(given.output / "weights.npz") as file:
                 np.savez(file, allow_pickle=False, **networks.with_layers(learner.mean).arrays)
             lost = -played.rewards.sum(axis=2).mean()
-            print(f"{number}: a hand loses {lost:.3f} a step; {process_time():.0f} s", flush=True)
+            tqdm.write(f"round {number}: a hand loses {lost:.3f} a step")
 
 
 if __name__ == "__main__":
