@@ -402,15 +402,16 @@ def main() -> None:
     parser.add_argument("--weights", type=Path, help="to improve; by default, those of Cadenza")
     parser.add_argument("--most", type=int, default=160, help="songs, drawn")
     parser.add_argument("--rounds", type=int, default=850, help="of 4,096 steps of a hand")
+    parser.add_argument("--seed", type=int, default=0, help="of which songs, and noise")
     given = parser.parse_args()
-    rng, scene = np.random.default_rng(0), build_scene()
+    rng, scene = np.random.default_rng(given.seed), build_scene()
     weights = Weights.load(given.weights) if given.weights else weights_of(scene)
     networks = Networks(weights, scene)
     songs = planned(given.songs, given.most, rng)
     learner, checkpoint = Learner(networks, given.rounds, rng), given.output / "checkpoint.npz"
     if checkpoint.exists():
         learner.load(checkpoint)
-        rng = np.random.default_rng((0, learner.rounds))
+        rng = np.random.default_rng((given.seed, learner.rounds))
     stage = Stage(songs, scene, rng)
     given.output.mkdir(parents=True, exist_ok=True)
     for number in tqdm(range(learner.rounds + 1, given.rounds + 1), desc="rounds"):
