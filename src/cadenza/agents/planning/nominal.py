@@ -236,8 +236,7 @@ class Motion:
 
         Args:
             asked: (T, K) fingers that should press the keys, -1 for none.
-            later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
-            presses in each step, or before all.
+            later: (T, H), or for all, as in `nominal_plans`.
         """
         sides = self._scene.sides
         later = np.broadcast_to(later, (len(asked), len(sides)))
