@@ -32,6 +32,7 @@ from tqdm import tqdm
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.inputs import fingers_of_servos
 from cadenza.agents.generalist.weights import CONSTANTS, FURTHEST, Network, Weights, weights_of
+from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
@@ -60,8 +61,7 @@ HIDDEN = (128, 64)  # units of what says values
 KEPT_EVERY = 20  # rounds
 
 # What a step costs, as in the planner's search, but that a key counts the less the more are wanted.
-WRONG, EARLY, ALMOST, ASTRAY = 3.0, 1.5, 3.0, 0.3
-HARMLESS = 0.3  # of its travel that a key may be down
+WRONG, EARLY, ASTRAY = 3.0, 1.5, 0.3
 COUNTS = np.array([1.0, 0.55, 1.0])  # distances along the keyboard count less
 MOST = 15.0  # that a finger loses in a step
 
@@ -95,7 +95,7 @@ class Demands:
         sounding, depth = key_qpos >= keyboard.sounds_from, key_qpos / keyboard.travel
         lacks = ~sounding + np.clip(1 - depth, 0, 1) ** 2
         missed = WRONG * share * held * lacks + WRONG * (self._due[step] & ~sounding)
-        too_far = sounding + np.maximum(depth - HARMLESS, 0) ** 2
+        too_far = sounding + np.maximum(depth - NO_HARM, 0) ** 2
         wrong = WRONG * share * self._wrong[step] * too_far
         wrong += EARLY * (self._early[step] & sounding & ~before)
         off = (tips - self._tips[step + 1]) * COUNTS
@@ -419,8 +419,7 @@ def main() -> None:
         learner.learn(played)
         if number % KEPT_EVERY == 0 or number == given.rounds:
             learner.save(checkpoint)
-            with write_atomically(given.output / "weights.npz") as file:
-                np.savez(file, allow_pickle=False, **networks.with_layers(learner.mean).arrays)
+            networks.with_layers(learner.mean).save(given.output / "weights.npz")
             lost = -played.rewards.sum(axis=2).mean()
             tqdm.write(f"round {number}: a hand loses {lost:.3f} a step")
 

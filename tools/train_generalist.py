@@ -261,8 +261,7 @@ def main() -> None:
         print(f"{name}: explains {shares} on songs left out", flush=True)
         networks.append(network)
     weights = Weights((len(about.finger), len(servos)), tuple(networks))
-    with write_atomically(given.output / "weights.npz") as file:
-        np.savez(file, allow_pickle=False, **weights.arrays)
+    weights.save(given.output / "weights.npz")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays
+from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays, write_atomically
 from cadenza.scene.scene import Scene
 
 Floats = NDArray[np.float32]
@@ -105,6 +105,11 @@ class Weights(NamedTuple):
                 "fit them again with tools/train_generalist.py"
             )
         return cls((told, servos), networks)
+
+    def save(self, path: Path) -> None:
+        """Writes them to a file, for `load`."""
+        with write_atomically(path) as file:
+            np.savez(file, allow_pickle=False, **self.arrays)
 
     @property
     def arrays(self) -> dict[str, NDArray[np.generic]]:

@@ -96,7 +96,7 @@ class Pieced(NamedTuple):
     def _with(self, other: Way, taken: Callable[[Passage], bool]) -> tuple[Way, list[Passage]]:
         """With those passages of another way that are taken, and which they are."""
         passages = [each for each in passages_of(self.track, self.way, other) if taken(each)]
-        first = np.array([self.track.first_step(note) for note in self.track.score.notes])
+        first = _first_steps(self.track)
         way = Way(self.way.fingers.copy(), self.way.later.copy())
         for passage in passages:
             steps, _ = passage
@@ -135,8 +135,7 @@ def _refingered(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
 
 def _strikes(track: GoalTrack, way: Way) -> list[Passage]:
     """Of each hand, one for each time it strikes: from before that to before the next time."""
-    first = np.array([track.first_step(note) for note in track.score.notes])
-    hand = np.array([track.scene.fingers.hand_of(finger) for finger in way.fingers.tolist()])
+    first, hand = _first_steps(track), track.scene.fingers.hand_of(way.fingers)
     jump = steps_in(_JUMP, track.config.control_timestep)
     passages: list[Passage] = []
     for column, side in enumerate(track.scene.sides):
@@ -146,6 +145,11 @@ def _strikes(track: GoalTrack, way: Way) -> list[Passage]:
             (slice(begin, end), slice(column, column + 1)) for begin, end in pairwise(begins)
         ]
     return passages
+
+
+def _first_steps(track: GoalTrack) -> NDArray[np.intp]:
+    """(N,) on which each note begins."""
+    return np.array([track.first_step(note) for note in track.score.notes], np.intp)
 
 
 def fingers_in(track: GoalTrack) -> NDArray[np.int64]:
