@@ -32,7 +32,7 @@ ALLOWED = {
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
-    ("agents/generalist/inputs.py", 5): "steps ahead; a column of the inputs",
+    ("agents/planning/learnt/inputs.py", 5): "steps ahead; a column of the inputs",
     ("agents/planning/config.py", 10): "candidates and step sizes",
     ("agents/planning/variations.py", 10): "the base of the sizes of variations",
     ("cli/dataset.py", 10): "the most noise",

@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.generalist.inputs import fingers_of_servos
-from cadenza.agents.generalist.weights import CONSTANTS, FURTHEST, Network, Weights, weights_of
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.learnt.inputs import fingers_of_servos
+from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.files import write_atomically
 from cadenza.fingers import SIDES

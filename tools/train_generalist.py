@@ -27,8 +27,8 @@ import optax
 from numpy.typing import NDArray
 
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.generalist.inputs import About, fingers_of_servos
-from cadenza.agents.generalist.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
+from cadenza.agents.planning.learnt.inputs import About, fingers_of_servos
+from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.demonstrations.dataset import kept
 from cadenza.demonstrations.recorded import Recorded

@@ -14,18 +14,18 @@ import pytest
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
-from cadenza.agents.generalist import weights as weights_module
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.generalist import Generalist
-from cadenza.agents.generalist.inputs import Corrections
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.generalist.weights import Weights
 from cadenza.agents.planning import hand_rehearsal
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.learning_control import changes
+from cadenza.agents.planning.learnt import weights as weights_module
+from cadenza.agents.planning.learnt.inputs import Corrections
+from cadenza.agents.planning.learnt.weights import Weights
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Tracking

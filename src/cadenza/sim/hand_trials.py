@@ -87,6 +87,11 @@ class HandTrials:
         data, first = self._hand.data[place], self._hand.keys.stop
         return data.qpos[first:], data.qvel[first:]
 
+    def key_qpos(self, place: int = 0) -> Array:
+        """(K,) angles of `keys` in the trial there [rad]."""
+        hand = self._hand
+        return hand.data[place].qpos[hand.keys]
+
     def key_qvel(self, place: int = 0) -> Array:
         """(K,) velocities of `keys` in the trial there [rad/s]."""
         hand = self._hand
@@ -153,3 +158,4 @@ class _HandOnKeys:
         start.qacc_warmstart = whole.qacc_warmstart[self._dofs]
         asleep = whole.tree_asleep[whole.model.dof_treeid[self._dofs]]
         start.tree_asleep[self.model.dof_treeid] = np.where(asleep >= 0, _SOON_ASLEEP, asleep)
+        mujoco.mj_kinematics(self.model, start)  # where fingertips are

@@ -14,7 +14,7 @@ from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.threads import Threads
 
 # The hand looks for longer than while it plays, and not as far ahead.
-_SEARCH = ScorePlannerConfig(num_candidates=16, iterations=8, horizon=0.3)
+_SEARCH = ScorePlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposals="none")
 
 
 def rehearsed(
@@ -38,7 +38,7 @@ def rehearsed(
     threads, steps = Threads(num_threads), len(ctrl)
     try:
         for i, side in enumerate(sides):
-            hand = HandOfTwo.of(plan, side, tracking, _SEARCH, rng, threads)
+            hand = HandOfTwo.of(plan, side, _SEARCH, rng, threads)
             scene, mine, joints = hand_alone(plan.scene, side)
             follower = Follower(scene, tracking.of(mine))
             simulation = MujocoSimulation(scene, 1, dt)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.generalist.inputs import FAR, About, Corrections, HandInputs
-from cadenza.agents.generalist.weights import Floats, Weights
+from cadenza.agents.planning.learnt.inputs import FAR, About, Corrections, HandInputs
+from cadenza.agents.planning.learnt.weights import Floats, Weights
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower
-from cadenza.fingers import Side
+from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
 
@@ -31,6 +31,7 @@ class CorrectedHand:
         """`weights` are what corrects it, when it plays."""
         self._side, self._weights = side, weights
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
+        self._fingers = plan.scene.fingers.of_hand(SIDES.index(side))
         self.corrections = Corrections.of(side, self._alone)
         self.about = About.of(self._alone)
         self.answer = np.zeros(len(self.corrections.scale))
@@ -56,7 +57,9 @@ class CorrectedHand:
         qpos, qvel = self._alone_in(state)
         alone = state._replace(hand_qpos=qpos, hand_qvel=qvel)
         planned = self._follower.ctrl(np.array([step]), alone)
-        return self._inputs.at(step, self.posture(state), self.answer, state), planned[0]
+        posture, tips = self.posture(state), state.fingertip_xpos[0, self._fingers]
+        told = self._inputs.at(step, posture, self.answer, tips, state.key_qpos[0])
+        return told, planned[0]
 
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""

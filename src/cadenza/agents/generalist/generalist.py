@@ -19,9 +19,9 @@ from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.generalist.weights import Weights, weights_of
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
+from cadenza.agents.planning.learnt.weights import Weights, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from cadenza.configs import added
 
 ENOUGH = 8.0
 """Effort of practice, in less than 20 times the time of the music, on two cores."""
@@ -65,6 +67,9 @@ class ScorePlannerConfig:
     """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35
     """Planning horizon [s]."""
+    proposals: Literal["learnt", "none"] = field(default="learnt", metadata=added(before="none"))
+    """learnt: a search begins with what networks would do, where they have learnt to play with such
+    hands."""
     effort: float = 0.0
     """Effort of practice before playing: 1 is 100 simulated control steps for each control step of
     the song and each hand. With 0, it plays at first sight."""

@@ -8,7 +8,9 @@ Sampling is only done where it still fails.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from functools import partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.proposal import Proposal, proposal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
@@ -74,24 +77,20 @@ class HandRefinement:
     def __init__(
         self,
         scene: Scene,
-        part: HandPart,
-        tracking: Tracking,
         config: ScorePlannerConfig,
         dt: float,
         rng: np.random.Generator,
         threads: Threads,
     ) -> None:
-        """Args:
-        scene: with this hand only.
-        part: what it has to do.
-        tracking: the controls of the plan, of this hand's servos. Where it goes less far than a
-            step looks, it is taken for the end of the song; see `follow`.
-        config: how to sample.
-        dt: control step [s].
-        rng: what is random.
-        threads: that share the search.
+        """It has to `follow` something before it acts.
+
+        Args:
+            scene: with this hand only.
+            config: how to sample.
+            dt: control step [s].
+            rng: what is random.
+            threads: that share the search.
         """
-        self.follow(part, tracking)
         self._rng, self._dt, self._threads = rng, dt, threads
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
         self._to_posture = np.linalg.pinv(self._servos.joints)
@@ -108,6 +107,7 @@ class HandRefinement:
         self._trials, self._toward = HandTrials(scene, dt), Correction(scene)
         self._rehearsal = HandRehearsal(scene, self._trials, dt)
         self._correction = np.zeros((self._horizon, len(self._sigma)))
+        self._changed = np.zeros(len(self._sigma))  # of the controls of the step before
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
         self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
@@ -146,9 +146,16 @@ class HandRefinement:
         rehearsed = self._rehearsal.steps_seen if self._rehearses else 0
         return max(self._further, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
 
-    def follow(self, part: HandPart, tracking: Tracking) -> None:
-        """From now on, by a plan that goes further than the one before."""
-        self._part, self._tracking = part, tracking
+    def follow(self, part: HandPart, tracking: Tracking, proposal: Proposal | None = None) -> None:
+        """From now on, by another plan.
+
+        Args:
+            part: what it has to do.
+            tracking: the controls of the plan, of this hand's servos. Where it goes less far than a
+                step looks, it is taken for the end of the song.
+            proposal: what a search begins with.
+        """
+        self._part, self._tracking, self._proposal = part, tracking, proposal
 
     def act(self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array) -> Array:
         """(A,) the controls of this hand from the state that it is in now.
@@ -177,6 +184,8 @@ class HandRefinement:
             self._lost = False
 
     def _go_on(self, ctrl: Array) -> None:
+        _, nominal = self._nominal(1)
+        self._changed = ctrl - self._clip(nominal[0])
         self._twin.step(ctrl[None])
         self._step += 1
 
@@ -207,12 +216,17 @@ class HandRefinement:
 
     def _nominal(self, horizon: int) -> tuple[NDArray[np.intp], Array]:
         """(H,) the steps from here on, and (H, A) the plan's controls, with feedback."""
-        steps = len(self._tracking.ctrl)
-        rows = np.minimum(np.arange(self._step, self._step + horizon), steps - 1)
-        nominal, rehearsed = self._tracking.ctrl[rows], self._rehearsal.ctrl(self._step)[:horizon]
-        nominal[: len(rehearsed)] = rehearsed
+        rows, nominal = self._planned(horizon)
         nominal[0] -= self._feedback()
         return rows, nominal
+
+    def _planned(self, horizon: int) -> tuple[NDArray[np.intp], Array]:
+        """(H,) the steps from here on, and (H, A) the plan's controls, as they were rehearsed."""
+        steps = len(self._tracking.ctrl)
+        rows = np.minimum(np.arange(self._step, self._step + horizon), steps - 1)
+        planned, rehearsed = self._tracking.ctrl[rows], self._rehearsal.ctrl(self._step)[:horizon]
+        planned[: len(rehearsed)] = rehearsed
+        return rows, planned
 
     def _rehearse(self) -> None:
         """Rehearses what comes next, unless that has been done."""
@@ -285,6 +299,12 @@ class HandRefinement:
         of later steps, which gain the most.
         """
         assert self._update is not None
+        if self._proposal:
+            proposed, trial = self._proposed(self._proposal, known)
+            if trial.cost < known.cost:
+                best, known = proposed, trial
+                if not known.mistakes:
+                    return best
         around = Around(best, np.broadcast_to(self._sigma_at(rows), best.shape))
         for iteration in range(self._iterations):
             if self._savings <= iteration * self._candidates * self._horizon:
@@ -308,6 +328,22 @@ class HandRefinement:
             if trial.cost < known.cost:
                 return mean
         return best
+
+    def _proposed(self, proposal: Proposal, known: Trial) -> tuple[Array, Trial]:
+        """(H, A) what networks would do, and what comes of it."""
+        _, planned = self._planned(self._horizon)
+        controls = self._clip(planned)
+
+        def noted() -> Iterator[Array]:
+            now = self._twin.state.key_qpos[0]
+            proposed = proposal.controls(self._trials, self._step, planned, self._changed, now)
+            for k, ctrl in enumerate(proposed):
+                controls[k] = ctrl
+                yield ctrl
+
+        trial = self._try(noted(), self._most(known.cost))
+        self._note(trial)
+        return controls, trial
 
     def _fresh(self, nominal: Array, best: Array, caught: Mask) -> Array:
         """(N, H, A) the plan without a correction, and ways to free fingers that are `caught`.
@@ -381,7 +417,7 @@ class HandRefinement:
                 most = min(most, self._most(trial.cost))
         return trials
 
-    def _try(self, ctrl: Array, most: float = np.inf, place: int = 0) -> Trial:
+    def _try(self, ctrl: Iterable[Array], most: float = np.inf, place: int = 0) -> Trial:
         """Tries a plan (H, A) from here on.
 
         One that will hardly cost less than `most` is given up before its end, at infinite cost: its
@@ -390,9 +426,8 @@ class HandRefinement:
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
         cost, mistakes, steps, tips, qpos = 0.0, 0, list[float](), list[Array](), list[Array]()
         given_up, sounding = False, self._ahead.sounding
-        for k, (key_qpos, fingertips) in enumerate(
-            self._trials.run(ctrl[: len(self._least)], place)
-        ):
+        inside = islice(ctrl, len(self._least))
+        for k, (key_qpos, fingertips) in enumerate(self._trials.run(inside, place)):
             more, wrong, sounding = self._ahead.cost(k, key_qpos, fingertips, sounding)
             cost, mistakes = cost + more, mistakes + wrong
             steps.append(more)
@@ -416,24 +451,39 @@ class HandOfTwo(NamedTuple):
     """A hand that refines its part of a plan, and where it stands among both."""
 
     refinement: HandRefinement
+    side: Side
     servos: slice
     joints: slice
+    proposes: bool
+    """Whether networks do."""
 
     @classmethod
     def of(
         cls,
         plan: SongPlan,
         side: Side,
-        tracking: Tracking,
         config: ScorePlannerConfig,
         rng: np.random.Generator,
         threads: Threads,
     ) -> HandOfTwo:
-        """The hand of that side; `tracking` is of the servos of both."""
+        """The hand of that side."""
         alone, servos, joints = hand_alone(plan.scene, side)
-        part, dt = HandPart(plan, side), plan.track.config.control_timestep
-        hand = HandRefinement(alone, part, tracking.of(servos), config, dt, rng, threads)
-        return cls(hand, servos, joints)
+        dt = plan.track.config.control_timestep
+        hand = cls(
+            HandRefinement(alone, config, dt, rng, threads),
+            side,
+            servos,
+            joints,
+            config.proposals == "learnt",
+        )
+        hand.follow(plan, 0)
+        return hand
+
+    def follow(self, plan: SongPlan, step: int) -> None:
+        """From that step on, by a plan that goes further than the one before."""
+        proposed = proposal(plan, self.side, step) if self.proposes else None
+        tracking = plan.nominal.tracking.of(self.servos)
+        self.refinement.follow(HandPart(plan, self.side), tracking, proposed)
 
     def act(self, state: State) -> Array:
         """(A,) its controls, from the first of the states of both hands."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.practice import MOST_EFFORT, Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
 from cadenza.agents.planning.refinement import HandOfTwo
@@ -92,8 +91,7 @@ class SongPlanner:
         self._threads = Threads(num_threads)
         self._hands = []
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
-            tracking = self.plan.nominal.tracking
-            hand = HandOfTwo.of(self.plan, side, tracking, config, hand_rng, self._threads)
+            hand = HandOfTwo.of(self.plan, side, config, hand_rng, self._threads)
             self._hands.append(hand)
 
     def act(self, view: View) -> Array:
@@ -113,9 +111,8 @@ class SongPlanner:
         seen = step + max(hand.refinement.steps_seen for hand in self._hands)
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
-            for hand, side in zip(self._hands, self._sides, strict=True):
-                part = HandPart(self.plan, side)
-                hand.refinement.follow(part, self.plan.nominal.tracking.of(hand.servos))
+            for hand in self._hands:
+                hand.follow(self.plan, step)
 
 
 def _check(config: ScorePlannerConfig) -> None:

@@ -34,10 +34,10 @@ class SearchingHands:
         rng: what is random.
         threads: that share the search.
         """
-        sides, nominal = plan.scene.sides, plan.nominal.tracking
-        self._threads, self._size = threads, nominal.ctrl.shape[1]
+        sides = plan.scene.sides
+        self._threads, self._size = threads, plan.nominal.tracking.ctrl.shape[1]
         self._hands = [
-            HandOfTwo.of(plan, side, nominal, config, hand_rng, threads)
+            HandOfTwo.of(plan, side, config, hand_rng, threads)
             for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
         ]
 

@@ -1,4 +1,4 @@
-"""What the generalist is told of a hand: its plan for half a second, and how far off it is.
+"""What networks are told of a hand: its plan for half a second, and how far off it is.
 
 All of it is relative to the hand and its plan, and a left hand is shown as its mirror image, so
 that what is learnt serves both hands and every place on the keyboard.
@@ -16,7 +16,6 @@ from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -167,20 +166,22 @@ class HandInputs:
         shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
         return np.where(over, -1, key), shown
 
-    def at(self, step: int, posture: Array, correction: Array, state: State) -> Floats:
+    def at(
+        self, step: int, posture: Array, correction: Array, tips: Array, key_qpos: Array
+    ) -> Floats:
         """(D,) what is told before a step.
 
         Args:
             step: of the song.
             posture: (A, 2) position and speed of the hand's servos.
             correction: (A,) what was answered before the step before.
-            state: of all that is there, of one simulation.
+            tips: (F, 3) where its fingertips are [m].
+            key_qpos: (K,) [rad]
         """
         row, (turned, place) = step - self._first, (self._mirror.servos, self._mirror.place)
         off = (posture - self._tracking.expected[step]) * turned[:, None]
-        tips = state.fingertip_xpos[0, self._fingers]
         following = self._tips[min(step + 1, len(self._tips) - 1)]
-        depths = self._depths(row, step, state.key_qpos[0])
+        depths = self._depths(row, step, key_qpos)
         from_now = np.clip((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
         from_next = np.clip((tips - following) * place / _TIP_OFF, -4, 4)
         parts = (

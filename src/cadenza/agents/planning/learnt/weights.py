@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -134,17 +135,27 @@ class Weights(NamedTuple):
         return answers.reshape(shape)
 
 
+def shipped_for(scene: Scene) -> Weights | None:
+    """Those that come with the package for the hands of `scene`, if there are any."""
+    return _shipped().get(scene.hand.name)
+
+
 def weights_of(scene: Scene) -> Weights:
     """Those that come with the package for the hands of `scene`.
 
     Raises:
         CadenzaError: there are none.
     """
-    here, name = Path(__file__).parent, scene.hand.name
-    names = sorted(path.stem for path in here.glob("*.npz"))
-    if name not in names:
+    weights = shipped_for(scene)
+    if weights is None:
         raise CadenzaError(
-            f"generalist: has not learnt to play with hand {name}; choose from {', '.join(names)}, "
-            "or another agent"
+            f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
+            f"{', '.join(sorted(_shipped()))}, or another agent"
         )
-    return Weights.load(here / f"{name}.npz")
+    return weights
+
+
+@lru_cache
+def _shipped() -> dict[str, Weights]:
+    """All that come with the package, by hand."""
+    return {path.stem: Weights.load(path) for path in Path(__file__).parent.glob("*.npz")}

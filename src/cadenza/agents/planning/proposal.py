@@ -1,0 +1,79 @@
+"""What networks would have a hand do: the first candidate of a search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planning.learnt.inputs import About, Corrections, HandInputs
+from cadenza.agents.planning.learnt.weights import Weights, shipped_for
+from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.fingers import Side
+from cadenza.scene.scene import hand_alone
+from cadenza.scene.servos import servos_of
+from cadenza.sim.hand_trials import HandTrials
+
+Array = NDArray[np.float64]
+
+
+class Proposal:
+    """Corrects one hand's plan by networks that have learnt from other songs how to.
+
+    They answer step by step to where a trial of their answers has come to.
+    """
+
+    def __init__(self, plan: SongPlan, side: Side, weights: Weights, first: int) -> None:
+        """Args:
+        plan: of the song, as far as it goes.
+        side: of the hand.
+        weights: of the networks.
+        first: the first step that is proposed.
+        """
+        alone, servos, _ = hand_alone(plan.scene, side)
+        self._inputs = HandInputs(plan, side, alone, servos, first)
+        self._weights, self._corrections = weights, Corrections.of(side, alone)
+        self._tracking, self._servos = plan.nominal.tracking.of(servos), servos_of(alone)
+
+    def controls(
+        self, trials: HandTrials, step: int, planned: Array, before: Array, key_qpos: Array
+    ) -> Iterator[Array]:
+        """(A,) the controls of H steps, of a trial that is made with them.
+
+        Args:
+            trials: of this hand, in whose first place that is.
+            step: the first of the steps.
+            planned: (H, A) their controls by the plan, without feedback.
+            before: (A,) by how much the controls of the step before them were corrected.
+            key_qpos: (K,) of the whole keyboard before them [rad].
+        """
+        key_qpos, answer = key_qpos.copy(), self._corrections.answer(before)
+        for row, ctrl in enumerate(planned, step):
+            posture = self._servos.of_joints.T @ np.stack(trials.hand_joints(), axis=1)
+            ctrl = self._clip(ctrl - self._tracking.feedback(row, posture))
+            key_qpos[trials.keys] = trials.key_qpos()
+            told = self._inputs.at(row, posture, answer, trials.fingertips(), key_qpos)
+            corrected = self._clip(ctrl + self._corrections.ctrl(self._weights(told)))
+            answer = self._corrections.answer(corrected - ctrl)
+            yield corrected
+
+    def _clip(self, ctrl: Array) -> Array:
+        return np.clip(ctrl, self._servos.low, self._servos.high)
+
+
+def proposal(plan: SongPlan, side: Side, first: int) -> Proposal | None:
+    """By the networks that come with Cadenza; None if there are none for such hands.
+
+    Args:
+        plan: of the song, as far as it goes.
+        side: of the hand.
+        first: the first step that is proposed.
+    """
+    alone = hand_alone(plan.scene, side).scene
+    weights, sizes = (
+        shipped_for(plan.scene),
+        (len(About.of(alone).finger), len(servos_of(alone).low)),
+    )
+    fit = weights is not None and weights.sizes == sizes
+    return Proposal(plan, side, weights, first) if weights is not None and fit else None

@@ -1,0 +1,88 @@
+"""What networks propose to the planner's search."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cadenza.agents.agent import Array
+from cadenza.agents.generalist.config import GeneralistConfig
+from cadenza.agents.generalist.generalist import Generalist
+from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.proposal import Proposal, proposal
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.rollout import play_episode
+from cadenza.music.libraries.library import load_score
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.hand_trials import HandTrials
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+TASK = TaskConfig(initial_buffer_time=0.5)
+STEPS = 7
+
+
+def test_proposes_what_the_generalist_plays() -> None:
+    score = load_score("FurEliseOpening").beginning(3.0)
+    task = PianoTask([score], TASK, SceneConfig(hands="right"))
+    agent = Generalist(GeneralistConfig(rehearsals=0))
+    task.reset([np.random.default_rng(0)], [0])
+    agent.reset([0], [np.random.default_rng(0)])
+    trials = HandTrials(task.scene, TASK.control_timestep)
+    played, proposed = list[Array](), list[Array]()
+    before = np.zeros(task.action_size - 1)
+    for step in range(6 * STEPS):
+        state = task.view().state
+        action = agent.act(task.view())[0]
+        played.append(action[:-1])
+        plan, hand = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
+        if step % STEPS == 0:
+            ahead, ctrl = proposal(plan, "right", step), plan.nominal.tracking.ctrl
+            assert ahead
+            trials.begin_from(
+                task.simulation, *np.quantile(plan.nominal.fingertips[..., 1], (0, 1))
+            )
+            planned, keys = ctrl[step : step + STEPS], state.key_qpos[0]
+            coming = ahead.controls(trials, step, planned, before, keys)
+            for _ in trials.run(proposed.append(row) or row for row in coming):  # type: ignore[func-returns-value]
+                pass
+        before = hand.corrections.ctrl(hand.answer)
+        task.step(action[None])
+    np.testing.assert_allclose(proposed, played, atol=1e-5)
+    assert np.ptp(played, axis=0).max() > 0.1  # it moves
+
+
+def test_search_begins_with_what_is_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    proposed = list[int]()
+    controls = Proposal.controls
+
+    def noted(self: Proposal, trials: HandTrials, step: int, *given: Any) -> Any:
+        proposed.append(step)
+        return controls(self, trials, step, *given)
+
+    monkeypatch.setattr(Proposal, "controls", noted)
+    score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
+    with_it = play_episode(PianoTask([score], TASK), ScorePlanner(), 0)
+    assert proposed
+    proposed.clear()
+    without = play_episode(
+        PianoTask([score], TASK), ScorePlanner(ScorePlannerConfig(proposals="none")), 0
+    )
+    assert not proposed
+    assert (with_it.episode["action"] != without.episode["action"]).any()
+
+
+def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with() -> None:
+    score = load_score("OdeToJoy").beginning(2.0)
+    for scene in (SceneConfig(hand="allegro"), SceneConfig(reduced_action_space=False)):
+        actions = [
+            play_episode(
+                PianoTask([score], TASK, scene),
+                ScorePlanner(ScorePlannerConfig(proposals=proposals)),  # type: ignore[arg-type]
+                0,
+            ).episode["action"]
+            for proposals in ("learnt", "none")
+        ]
+        np.testing.assert_array_equal(*actions)
