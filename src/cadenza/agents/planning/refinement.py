@@ -299,7 +299,7 @@ class HandRefinement:
         of later steps, which gain the most.
         """
         assert self._update is not None
-        if self._proposal:
+        if self._proposal and not caught.any():
             proposed, trial = self._proposed(self._proposal, known)
             if trial.cost < known.cost:
                 best, known = proposed, trial
