@@ -40,6 +40,8 @@ class Trial(NamedTuple):
     """(F, 3) after each of them [m]."""
     hand_qpos: list[Array]
     """(J,) likewise [m, rad]."""
+    key_qpos: list[Array]
+    """(K,) likewise, of the keys that count [rad]."""
 
 
 class Ahead:
@@ -67,6 +69,7 @@ class Ahead:
         self._part, self._rows, self._keyboard, self._keys = part, rows, keyboard, keys
         mine, wrong = part.mine[rows, keys], part.wrong[rows, keys]
         self._mine, self._counts = mine, mine | wrong
+        self._asked = part.asked[rows, keys]
         self._mistaken = (mine & part.planned[rows, keys]) | wrong
         self._due, self._unwelcome = part.due[rows, keys], part.unwelcome[rows, keys]
         self._sounds_from = keyboard.sounds_from[keys]
@@ -103,6 +106,30 @@ class Ahead:
         mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
         cost = _WRONG * wrong + _ONSET * onsets + _ALMOST * (lacking @ lacking) + astray
         return float(cost), mistakes, sounding
+
+    def by_finger(self, trial: Trial) -> Array:
+        """(L, F) what each of the L steps of a trial cost, by the finger whose fault it is.
+
+        A key of the hand's own is that of the finger that is asked for it, another that of the
+        finger that is nearest.
+        """
+        steps = len(trial.steps)
+        key_qpos, tips = np.array(trial.key_qpos), np.array(trial.fingertips)
+        sounding = key_qpos >= self._sounds_from
+        before = np.concatenate([self.sounding[None], sounding[:-1]])
+        mine, unwelcome = self._mine[:steps], self._unwelcome[:steps] & ~before
+        wrong = (sounding ^ mine) & self._counts[:steps]
+        onsets = np.where(sounding, unwelcome, self._due[:steps])
+        lacking = np.maximum(self._slope[:steps] * key_qpos + self._offset[:steps], 0.0)
+        cost = _WRONG * wrong + _ONSET * onsets + _ALMOST * lacking**2
+        offset = (tips - self._fingertips[:steps]) * _COUNTS
+        costs = np.minimum((offset * offset) @ _ONES, FURTHEST**2) * self._weight[:steps]
+        step, key = np.nonzero(cost)
+        away = tips[step] - self._keyboard.centre[self._keys][key, None]
+        nearest = np.hypot(away[..., 1], away[..., 2]).argmin(axis=1)
+        finger = np.where(mine[step, key], self._asked[step, key], nearest)
+        np.add.at(costs, (step, finger), cost[step, key])
+        return costs
 
     def astray(self, fingertips: Array) -> tuple[Array, Array]:
         """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].

@@ -8,7 +8,7 @@ Sampling is only done where it still fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.ahead import Trial, look_ahead
+from cadenza.agents.planning.combination import combined
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
@@ -314,6 +315,10 @@ class HandRefinement:
                 guided = np.concatenate([guided, self._fresh(nominal, best, caught)])
             candidates = np.concatenate([guided, self._draw(around)])
             trials = self._try_all(candidates, self._most(known.cost))
+            more = self._combined(np.array([best, *candidates]), [known, *trials])
+            candidates = np.concatenate([candidates, more])
+            least = min(trial.cost for trial in (known, *trials))
+            trials += self._try_all(more, self._most(least))
             costs = np.array([trial.cost for trial in trials])
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
@@ -344,6 +349,14 @@ class HandRefinement:
         trial = self._try(noted(), self._most(known.cost))
         self._note(trial)
         return controls, trial
+
+    def _combined(self, plans: Array, trials: Sequence[Trial]) -> Array:
+        """(C, H, A) what can be made of plans (N, H, A) that were tried, see `combined`."""
+        best = min(range(len(trials)), key=lambda i: trials[i].cost)
+        if not trials[best].mistakes:
+            return plans[:0]
+        costs = [self._ahead.by_finger(trial) for trial in trials]
+        return combined(plans, costs, best, self._finger)
 
     def _fresh(self, nominal: Array, best: Array, caught: Mask) -> Array:
         """(N, H, A) the plan without a correction, and ways to free fingers that are `caught`.
@@ -424,7 +437,8 @@ class HandRefinement:
         remaining steps are expected to cost most of the least that they cost any plan so far.
         """
         rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
-        cost, mistakes, steps, tips, qpos = 0.0, 0, list[float](), list[Array](), list[Array]()
+        cost, mistakes, steps = 0.0, 0, list[float]()
+        tips, qpos, keys = list[Array](), list[Array](), list[Array]()
         given_up, sounding = False, self._ahead.sounding
         inside = islice(ctrl, len(self._least))
         for k, (key_qpos, fingertips) in enumerate(self._trials.run(inside, place)):
@@ -433,11 +447,12 @@ class HandRefinement:
             steps.append(more)
             tips.append(fingertips)
             qpos.append(self._trials.hand_joints(place)[0].copy())
+            keys.append(key_qpos.copy())
             given_up = rest is not None and cost + EXPECTED * rest[k] >= most
             if given_up:
                 break
         no_use = given_up or self._trials.unstable(place)
-        return Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos)
+        return Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos, keys)
 
     def _note(self, trial: Trial) -> None:
         """Reckons with a trial."""
