@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_WORTH = 0.5  # that a finger has to do better by
+_WORTH = 0.15  # that a finger has to cost less
 _SEEN = 3  # steps that must have been tried for that
 
 

@@ -60,7 +60,7 @@ class ScorePlannerConfig:
     any."""
     method: SamplingMethod | Literal["none"] = "predictive-sampling"
     """Sampling method that refines the plan. With none, the plan is executed with feedback only."""
-    num_candidates: int = 4
+    num_candidates: int = 6
     """Candidate plans that are drawn per hand and iteration, where the plan makes mistakes. Some
     that are not drawn are tried as well."""
     iterations: int = 3
