@@ -206,8 +206,8 @@ def searching(score: Score, hands: str) -> refinement.HandRefinement:
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
-    ((hand, *_),) = agent.planners[0]._hands
-    return hand
+    (hand,) = agent.planners[0]._hands
+    return hand.refinement
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     agent.reset([0], [np.random.default_rng(0)])
     while task.sheets.steps_done[0] < 8:
         task.step(agent.act(task.view()))
-    ((hand, *_),) = agent.planners[0]._hands
+    hand = agent.planners[0]._hands[0].refinement
     rows = np.arange(8, 15)
     middle = hand._clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from cadenza.agents.agent import Array, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.refinement import HandOfTwo
+from cadenza.agents.planning.hand_of_two import HandOfTwo
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.scene.scene import hand_alone
@@ -38,7 +38,7 @@ def rehearsed(
     threads, steps = Threads(num_threads), len(ctrl)
     try:
         for i, side in enumerate(sides):
-            hand = HandOfTwo.of(plan, side, _SEARCH, rng, threads)
+            hand = HandOfTwo(plan, side, _SEARCH, rng, threads)
             scene, mine, joints = hand_alone(plan.scene, side)
             follower = Follower(scene, tracking.of(mine))
             simulation = MujocoSimulation(scene, 1, dt)

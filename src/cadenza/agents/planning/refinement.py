@@ -23,16 +23,13 @@ from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
-from cadenza.agents.planning.proposal import Proposal, proposal
+from cadenza.agents.planning.proposal import Proposal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
-from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
-from cadenza.fingers import Side
-from cadenza.scene.scene import Scene, hand_alone
+from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_trials import PLACES, HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
@@ -460,57 +457,6 @@ class HandRefinement:
         self._savings -= taken
         self.simulated += taken
         self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
-
-
-class HandOfTwo(NamedTuple):
-    """A hand that refines its part of a plan, and where it stands among both."""
-
-    refinement: HandRefinement
-    side: Side
-    servos: slice
-    joints: slice
-    proposes: bool
-    """Whether networks do."""
-
-    @classmethod
-    def of(
-        cls,
-        plan: SongPlan,
-        side: Side,
-        config: ScorePlannerConfig,
-        rng: np.random.Generator,
-        threads: Threads,
-    ) -> HandOfTwo:
-        """The hand of that side."""
-        alone, servos, joints = hand_alone(plan.scene, side)
-        dt = plan.track.config.control_timestep
-        hand = cls(
-            HandRefinement(alone, config, dt, rng, threads),
-            side,
-            servos,
-            joints,
-            config.proposals == "learnt",
-        )
-        hand.follow(plan, 0)
-        return hand
-
-    def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
-        proposed = proposal(plan, self.side, step) if self.proposes else None
-        tracking = plan.nominal.tracking.of(self.servos)
-        self.refinement.follow(HandPart(plan, self.side), tracking, proposed)
-
-    def act(self, state: State) -> Array:
-        """(A,) its controls, from the first of the states of both hands."""
-        return self.refinement.act(*self._here(state))
-
-    def again(self, state: State, ctrl: Array) -> None:
-        """Takes a step with its controls (A,) that `act` returned in that state before."""
-        self.refinement.again(*self._here(state), ctrl)
-
-    def _here(self, state: State) -> tuple[Array, Array, Array]:
-        qpos, qvel = state.hand_qpos[0, self.joints], state.hand_qvel[0, self.joints]
-        return qpos, qvel, state.key_qpos[0]
 
 
 def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:

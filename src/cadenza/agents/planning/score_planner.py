@@ -8,9 +8,9 @@ import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.hand_of_two import HandOfTwo
 from cadenza.agents.planning.practice import MOST_EFFORT, Practice
 from cadenza.agents.planning.practised_planner import PractisedPlanner
-from cadenza.agents.planning.refinement import HandOfTwo
 from cadenza.agents.planning.song_plan import SongPlan, song_plans
 from cadenza.configs import check_ranges
 from cadenza.sim.threads import Threads
@@ -91,7 +91,7 @@ class SongPlanner:
         self._threads = Threads(num_threads)
         self._hands = []
         for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
-            hand = HandOfTwo.of(self.plan, side, config, hand_rng, self._threads)
+            hand = HandOfTwo(self.plan, side, config, hand_rng, self._threads)
             self._hands.append(hand)
 
     def act(self, view: View) -> Array:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.hand_of_two import HandOfTwo
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.refinement import HandOfTwo, Memory
+from cadenza.agents.planning.refinement import Memory
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.sim.protocol import State
@@ -37,7 +38,7 @@ class SearchingHands:
         sides = plan.scene.sides
         self._threads, self._size = threads, plan.nominal.tracking.ctrl.shape[1]
         self._hands = [
-            HandOfTwo.of(plan, side, config, hand_rng, threads)
+            HandOfTwo(plan, side, config, hand_rng, threads)
             for side, hand_rng in zip(sides, rng.spawn(len(sides)), strict=True)
         ]
 

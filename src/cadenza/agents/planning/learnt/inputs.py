@@ -114,7 +114,8 @@ class HandInputs:
         mine = [press for press in plan.nominal.presses if press.side == side]
         self._key, self._presses = self._coming(mine, steps)  # (S, F), (S, F, 15)
         presses = self._presses.reshape(len(steps), -1)
-        self._planned = np.concatenate([self._postures(alone, steps), presses], axis=1)
+        planned = [self._postures(alone, steps), presses]
+        self._planned = np.concatenate(planned, axis=1, dtype=np.float32)  # as they are told
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
         """(S, 7 A) what the plan does with the servos."""
