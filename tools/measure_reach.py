@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
+from cadenza.agents.planning.inverse_kinematics import rest_posture
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import TIP, Kinematics
@@ -47,9 +48,8 @@ class Hand:
         self.slide = self._servos.names.index(ALONG_KEYBOARD)
         self._mount = scene.config.hand_spacing / 2
         self.low, self.high = self._servos.low, self._servos.high
-        uses = [scene.hand.servo(name) for name in self._servos.names]
-        self.rest = np.clip([use.rest for use in uses], self.low, self.high)
-        self.ease = np.array([use.ease for use in uses])
+        self.rest = rest_posture(self._servos)
+        self.ease = np.array([use.ease for use in self._servos.uses])
         fingers, white = scene.hand.fingers, scene.keyboard.white
         self.fingers = range(len(fingers))
         self.names = [finger.name for finger in fingers]

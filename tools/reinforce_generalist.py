@@ -33,7 +33,6 @@ from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.learnt.inputs import fingers_of_servos
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.files import write_atomically
@@ -41,6 +40,7 @@ from cadenza.fingers import SIDES
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.library import open_library
 from cadenza.scene.scene import Scene, build_scene, hand_alone
+from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
@@ -232,7 +232,7 @@ class Networks:
     """
 
     def __init__(self, weights: Weights, scene: Scene) -> None:
-        fingers = fingers_of_servos(hand_alone(scene, scene.sides[0]).scene)
+        fingers = servos_of(hand_alone(scene, scene.sides[0]).scene).finger
         self._weights, self._networks = weights, weights.networks
         self._fingers = [fingers[network.servos[:, 0]] for network in self._networks]
         self.parts = np.eye(int(fingers.max()) + 2, dtype=np.float32)[fingers + 1]

@@ -27,7 +27,7 @@ import optax
 from numpy.typing import NDArray
 
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
-from cadenza.agents.planning.learnt.inputs import About, fingers_of_servos
+from cadenza.agents.planning.learnt.inputs import About
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.demonstrations.dataset import kept
@@ -35,6 +35,7 @@ from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.scene.scene import build_scene, hand_alone
+from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack
 
@@ -253,7 +254,7 @@ def main() -> None:
     print(f"\n{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
     scene = build_scene(episodes[0].about.scene)
     alone = hand_alone(scene, scene.sides[0]).scene
-    about, servos = About.of(alone), fingers_of_servos(alone)
+    about, servos = About.of(alone), servos_of(alone).finger
     networks = []
     for name, part in zip(NETWORKS, parts_of(about, servos), strict=True):
         network, explains = network_of(lessons, about, *part)

@@ -693,7 +693,7 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
     """Of postures that interlock, against finite differences of what they cost."""
     scene = build_scene()
     servos, rng = servos_of(scene), np.random.default_rng(3)
-    rest = rest_posture(scene.hand, servos)
+    rest = rest_posture(servos)
     guess = rest + 0.05 * rng.uniform(size=(4, len(rest))) * (servos.high - servos.low)
     right, left = servos.along_keyboard
     guess[:, right], guess[:, left] = -0.08, 0.1  # forearms are mounted 0.3 m apart

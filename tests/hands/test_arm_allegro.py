@@ -196,7 +196,7 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     """Links and tips of all fingers, against the posture at home moved along the keyboard."""
     scene = build_scene(SceneConfig(hand="arm-allegro", hands=side))
     servos = servos_of(scene)
-    kinematics, rest = Kinematics(scene, servos), rest_posture(scene.hand, servos)
+    kinematics, rest = Kinematics(scene, servos), rest_posture(servos)
     mount = ARM_ALLEGRO.body.mount
     assert mount is not None
     places = np.linspace(mount.low - mount.home, mount.high - mount.home, 9)

@@ -43,8 +43,8 @@ def reference_of(task: PianoTask) -> Reference:
     check_one_score(task.config)
     (track,) = task.tracks
     plan = plan_song(track, task.state.hand_qpos[0])
-    reach = [task.scene.hand.servo(name).correction for name in servos_of(task.scene).names]
-    arrays = (*plan.nominal.tracking, plan.goals.sustain, np.array(reach))
+    reach = servos_of(task.scene).correction
+    arrays = (*plan.nominal.tracking, plan.goals.sustain, reach)
     return Reference._make(array.astype(np.float32) for array in arrays)
 
 
@@ -53,7 +53,7 @@ class ReferenceTracker:
 
     def __init__(self, task: TaskSpec, reference: Reference) -> None:
         self._reference = reference
-        self._to_posture = np.linalg.pinv(servos_of(task.scene).joints)
+        self._to_posture = servos_of(task.scene).of_joints
         self._low, self._high = task.action_low, task.action_high
 
     @property

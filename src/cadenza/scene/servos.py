@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
+from cadenza.hands.servo import Servo
 from cadenza.scene.scene import Scene, hand_on_keys
 
 Array = NDArray[np.float64]
@@ -42,6 +43,8 @@ class Servos:
     """(A,) the range of the coordinate, and of its control [m, rad]."""
     high: Array
     """(A,)"""
+    uses: tuple[Servo, ...]
+    """What else is known of each."""
 
     @property
     def along_keyboard(self) -> list[int]:
@@ -52,6 +55,30 @@ class Servos:
     def of_joints(self) -> Array:
         """(J, A) what makes coordinates of the joints' positions; the inverse of `joints`."""
         return np.asarray(np.linalg.pinv(self.joints), np.float64)
+
+    @cached_property
+    def noise(self) -> Array:
+        """(A,) standard deviation of what planners try around their plans [m, rad]."""
+        return np.array([use.noise for use in self.uses])
+
+    @cached_property
+    def correction(self) -> Array:
+        """(A,) the most that a residual policy corrects each [m, rad]."""
+        return np.array([use.correction for use in self.uses])
+
+    @cached_property
+    def lift(self) -> Array:
+        """(A,) what frees a hand that is caught between keys [m, rad]."""
+        return np.array([use.lift for use in self.uses])
+
+    @cached_property
+    def finger(self) -> NDArray[np.intp]:
+        """(A,) of its hand that each moves, 0 for the thumb, -1 for the whole hand."""
+        return np.array([-1 if use.finger is None else use.finger for use in self.uses], np.intp)
+
+    def clip(self, coordinates: Array) -> Array:
+        """Positions or controls (..., A) within their ranges."""
+        return np.clip(coordinates, self.low, self.high)
 
     def lead(self, dt: float) -> Array:
         """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.
@@ -77,15 +104,17 @@ def servos_of(scene: Scene) -> Servos:
         else:
             pulled = np.array([target])
         joints[a, model.jnt_dofadr[pulled] - dofs.start] = 1.0 / len(pulled)
+    names = tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names)
     # Kinetic energy and dissipation of a unit of speed add up over the joints of a coordinate.
     return Servos(
-        names=tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names),
+        names=names,
         joints=joints,
         stiffness=model.actuator_gainprm[:, 0].copy(),
         damping=joints**2 @ model.dof_damping[dofs] - model.actuator_biasprm[:, 2],
         inertia=joints**2 @ _inertia(scene)[dofs],
         low=model.actuator_ctrlrange[:, 0].copy(),
         high=model.actuator_ctrlrange[:, 1].copy(),
+        uses=tuple(map(scene.hand.servo, names)),
     )
 
 

@@ -211,7 +211,7 @@ class PressOptimisation:
         cost, mistakes = np.zeros(simulation.num_envs), np.zeros(simulation.num_envs, np.intp)
         for step in range(first, last):
             before.append(_coordinates(simulation.state))
-            control = np.clip(law(step, simulation.state), self._servos.low, self._servos.high)
+            control = self._servos.clip(law(step, simulation.state))
             simulation.step(control)
             ctrl.append(control)
             mistakes += self._mistakes(simulation.state, step)

@@ -48,6 +48,7 @@ class Ahead:
     """What the steps ahead ask of a hand, and what it costs not to do it.
 
     Attributes:
+        num_steps: H.
         sounding: (K,) the keys that sound before them.
     """
 
@@ -73,7 +74,7 @@ class Ahead:
         self._mistaken = (mine & part.planned[rows, keys]) | wrong
         self._due, self._unwelcome = part.due[rows, keys], part.unwelcome[rows, keys]
         self._sounds_from = keyboard.sounds_from[keys]
-        self.sounding = key_qpos >= self._sounds_from
+        self.num_steps, self.sounding = len(rows), key_qpos >= self._sounds_from
         # How far a key is from where it would do no harm, of its travel, is slope * angle + offset.
         sign = wrong.astype(np.float64) - mine
         self._slope = sign / keyboard.travel[keys]

@@ -26,7 +26,7 @@ class Correction:
         """`scene` is with this hand only."""
         servos = servos_of(scene)
         self._joints = servos.joints
-        self._sigma = np.array([scene.hand.servo(name).noise for name in servos.names])
+        self._sigma = servos.noise
 
     def of(self, trials: HandTrials, hand_qpos: Array, off: Array, weight: Array) -> Array:
         """(H, A) how much further servos should be after H steps.

@@ -14,9 +14,9 @@ import numpy as np
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.memory import Memory
 from cadenza.agents.planning.other_ways import OTHER_COSTS, Pieced, Way
 from cadenza.agents.planning.practised_planner import Rehearsal
-from cadenza.agents.planning.refinement import Memory
 from cadenza.agents.planning.takes import Take, scene_before
 from cadenza.agents.planning.version import Version
 from cadenza.fingering.changes import Costs

@@ -18,10 +18,10 @@ from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import Losses
-from cadenza.agents.planning.refinement import EXPECTED
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.takes import Take
 from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.planning.tries import EXPECTED
 from cadenza.agents.planning.variations import Variations
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone

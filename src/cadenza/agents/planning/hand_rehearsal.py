@@ -85,14 +85,13 @@ class HandRehearsal:
         """
         self._takes, self._left = manner.takes, manner.left
         self._servos, self._trials, self._dt = servos_of(scene), trials, dt
-        self._sigma = np.array([scene.hand.servo(name).noise for name in self._servos.names])
         self._window, self._judged = steps_in(manner.window, dt), steps_in(manner.judged, dt)
         self.steps_seen = self._window + steps_in(manner.seen, dt)
         self.forget()
 
     def forget(self) -> None:
         """As if nothing had been rehearsed."""
-        self._first, self._ctrl = 0, np.zeros((0, len(self._sigma)))
+        self._first, self._ctrl = 0, np.zeros((0, len(self._servos.noise)))
         self._foreseen = np.zeros((0, 0))  # (N, J)
         self.beyond = self._ctrl
         self.keys, self.keys_then = slice(0), np.zeros((2, 0))
@@ -126,7 +125,9 @@ class HandRehearsal:
         for _ in range(self._takes - 1):
             if not take.mistakes:
                 break
-            ctrl = self._clip(ctrl + _SHARE * self._changes(take, tracking.gain[rows], ahead))
+            ctrl = self._servos.clip(
+                ctrl + _SHARE * self._changes(take, tracking.gain[rows], ahead)
+            )
             take = self._play(ctrl, tracking, rows, ahead)
             simulated += len(rows)
             if take.cost < best.cost and take.mistakes <= most:
@@ -143,7 +144,7 @@ class HandRehearsal:
         def with_feedback() -> Iterator[Array]:
             for row, planned in zip(rows, ctrl, strict=True):
                 posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
-                yield self._clip(planned - tracking.feedback(row, posture))
+                yield self._servos.clip(planned - tracking.feedback(row, posture))
 
         cost, mistakes, tips, qpos, keys = 0.0, 0, *(list[Array]() for _ in range(3))
         sounding, judged = [ahead.sounding], self._window + self._judged
@@ -163,7 +164,4 @@ class HandRehearsal:
         """(S, A) to the controls of a take that would have been better."""
         off, weight = ahead.mending(take.fingertips, take.sounding)
         motion = self._trials.fingertip_motion(take.hand_qpos) @ self._servos.joints.T
-        return changes(off, weight, motion, gain, self._servos, self._sigma, self._dt)
-
-    def _clip(self, ctrl: Array) -> Array:
-        return np.clip(ctrl, self._servos.low, self._servos.high)
+        return changes(off, weight, motion, gain, self._servos, self._servos.noise, self._dt)

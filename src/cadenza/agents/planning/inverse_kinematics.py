@@ -23,7 +23,6 @@ from cadenza.agents.planning.collisions import link_collisions
 from cadenza.agents.planning.targets import Targets, by_hand, pressing
 from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
-from cadenza.hands.hand import Hand
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
@@ -58,10 +57,10 @@ class Effort(NamedTuple):
 THOROUGH = Effort(iterations=25, trials=8, converged=1e-3, damping=1.0)
 
 
-def rest_posture(hand: Hand, servos: Servos) -> Array:
+def rest_posture(servos: Servos) -> Array:
     """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
-    rest = np.array([hand.servo(name).rest for name in servos.names])
-    return np.clip(rest, servos.low, servos.high)
+    rest = np.array([use.rest for use in servos.uses])
+    return servos.clip(rest)
 
 
 def solve_postures(
@@ -199,8 +198,8 @@ class _Problem:
         )
         self._links = link_collisions(scene.hand)
         self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
-        uses = [scene.hand.servo(name) for name in servos.names]
-        ease, acceleration, stride = np.array([(u.ease, u.acceleration, u.stride) for u in uses]).T
+        figures = [(use.ease, use.acceleration, use.stride) for use in servos.uses]
+        ease, acceleration, stride = np.array(figures).T
         of_servos = ease**-2.0, (acceleration / (1 / dt) ** 2) ** -2.0, stride
         # The second is of second differences.
         self._stiffness, self._inertia, self._stride = map(self._of_hands, of_servos)

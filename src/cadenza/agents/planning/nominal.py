@@ -191,7 +191,7 @@ class Motion:
         self._servos = servos_of(scene)
         self._kinematics = kinematics(scene, self._servos)
         self._reaction = Reaction(scene, self._servos)
-        self._rest = rest_posture(scene.hand, self._servos)
+        self._rest = rest_posture(self._servos)
         self._stances = Stances(scene, self._kinematics, self._servos, self._rest)
         self._places = forearm_places(scene, self._kinematics, self._rest)
 

@@ -51,15 +51,12 @@ class Proposal:
         key_qpos, answer = key_qpos.copy(), self._corrections.answer(before)
         for row, ctrl in enumerate(planned, step):
             posture = self._servos.of_joints.T @ np.stack(trials.hand_joints(), axis=1)
-            ctrl = self._clip(ctrl - self._tracking.feedback(row, posture))
+            ctrl = self._servos.clip(ctrl - self._tracking.feedback(row, posture))
             key_qpos[trials.keys] = trials.key_qpos()
             told = self._inputs.at(row, posture, answer, trials.fingertips(), key_qpos)
-            corrected = self._clip(ctrl + self._corrections.ctrl(self._weights(told)))
+            corrected = self._servos.clip(ctrl + self._corrections.ctrl(self._weights(told)))
             answer = self._corrections.answer(corrected - ctrl)
             yield corrected
-
-    def _clip(self, ctrl: Array) -> Array:
-        return np.clip(ctrl, self._servos.low, self._servos.high)
 
 
 def proposal(plan: SongPlan, side: Side, first: int) -> Proposal | None:

@@ -8,10 +8,7 @@ Sampling is only done where it still fails.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
-from itertools import islice
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +18,17 @@ from cadenza.agents.planning.combination import combined
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.correction import Correction
+from cadenza.agents.planning.detours import Detours
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
+from cadenza.agents.planning.memory import Memory, generator_of, words_of
 from cadenza.agents.planning.proposal import Proposal
 from cadenza.agents.planning.sampling import UPDATES, Around, cheapest
 from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.planning.tries import Tries
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.sim.hand_trials import PLACES, HandTrials
+from cadenza.sim.hand_trials import HandTrials
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
@@ -37,12 +37,9 @@ Mask = NDArray[np.bool_]
 
 _IDLE_FINGER = 0.3  # of a servo's noise, for fingers that do not play within the horizon
 _SPARSE = 0.3  # half of the candidates change this share of the servos
-_LIFTED = (0.05, 0.1)  # [s] for which a hand lifts itself where it is caught between keys
 _CAUGHT = 0.012  # [m] that a finger is astray if the next steps will not free it
 _STUCK = 0.005  # [m] that it moves in them if it is there to stay
-_DETOURS = (0.1, 0.2, 0.3)  # [s] for which it or the hand is lifted
-_UP = 0.1  # [s] of them, straight up: what pushes against a key is kept from rising by friction
-_FREED = 0.6  # [s] in which that pays, though in the air a hand gives up keys that it holds
+_FREED = 0.6  # [s] in which a detour pays, though in the air a hand gives up keys that it holds
 _CORRECTED = np.array([1.0, 2.0])  # times the way that fingertips are off, a plan is corrected by
 _HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 
@@ -50,27 +47,11 @@ _HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 # planning within the time of the music on two cores where every step fails. Rehearsals come on top.
 _SUSTAINED = 0.5
 _SAVED = 1.0  # [s] for which it has been saved where a hand starts over
-EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
 
 
-class Memory(NamedTuple):
-    """What a hand remembers of the steps that it has played, beside where they led."""
-
-    correction: Array
-    """(H, A) to the plan, of the steps that are looked ahead."""
-    savings: Array
-    """() control steps that it may simulate."""
-    rng: NDArray[np.uint64]
-    """(6,) where its generator of random numbers is."""
-
-
 class HandRefinement:
-    """Controls of one hand, step by step.
-
-    Attributes:
-        simulated: control steps, in trials.
-    """
+    """Controls of one hand, step by step."""
 
     def __init__(
         self,
@@ -89,27 +70,24 @@ class HandRefinement:
             rng: what is random.
             threads: that share the search.
         """
-        self._rng, self._dt, self._threads = rng, dt, threads
+        self._rng, self._dt = rng, dt
         self._servos, self._keyboard = servos_of(scene), scene.keyboard
-        self._to_posture = np.linalg.pinv(self._servos.joints)
         self._update = UPDATES[config.method] if config.method != "none" else None
         self._candidates, self._iterations = config.num_candidates, config.iterations
         self._horizon = max(1, round(config.horizon / dt))
-        uses = [scene.hand.servo(name) for name in self._servos.names]
-        self._sigma = np.array([use.noise for use in uses])
-        self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
-        self._lift = np.array([use.lift for use in uses])
-        self._lifts = _lifts(self._lift, _LIFTED, self._horizon, dt)
         self._further = max(self._horizon, steps_in(_FREED, dt))
         self._twin = PlanningSimulation(scene, 1, dt)
         self._trials, self._toward = HandTrials(scene, dt), Correction(scene)
+        weighs_all = self._update not in (None, cheapest)
+        self._tries = Tries(self._trials, threads, to_their_end=weighs_all)
+        self._detours = Detours(self._servos, dt)
         self._rehearsal = HandRehearsal(scene, self._trials, dt)
-        self._correction = np.zeros((self._horizon, len(self._sigma)))
-        self._changed = np.zeros(len(self._sigma))  # of the controls of the step before
+        self._correction = np.zeros((self._horizon, len(self._servos.noise)))
+        self._changed = np.zeros(len(self._servos.noise))  # of the controls of the step before
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
-        self._earned, self._savings = _SUSTAINED * full, 0.0  # control steps to simulate
-        self.simulated = 0
+        self._earned, self._granted = _SUSTAINED * full, 0.0  # control steps to simulate in tries
+        self._rehearsed = 0
         self._step, self._lost, self._rehearses = 0, False, self._update is not None
 
     def skip_to(self, step: int) -> None:
@@ -125,8 +103,18 @@ class HandRefinement:
         self.skip_to(step)
         self._rehearses = False
         self._correction[:] = 0.0
-        self._savings = self._earned * steps_in(_SAVED, self._dt)
-        self._rng, self.simulated = rng, 0
+        self._granted = self._earned * steps_in(_SAVED, self._dt)
+        self._rng, self._rehearsed, self._tries.simulated = rng, 0, 0
+
+    @property
+    def simulated(self) -> int:
+        """Control steps, in tries and rehearsals, since it began or started over."""
+        return self._tries.simulated + self._rehearsed
+
+    @property
+    def _savings(self) -> float:
+        """Control steps that it may simulate."""
+        return self._granted - self._tries.simulated
 
     @property
     def memory(self) -> Memory:
@@ -135,7 +123,8 @@ class HandRefinement:
 
     def remember(self, memory: Memory) -> None:
         """Goes on as what had that memory would have."""
-        self._correction, self._savings = memory.correction.copy(), float(memory.savings)
+        self._correction = memory.correction.copy()
+        self._granted = self._tries.simulated + float(memory.savings)
         self._rng = generator_of(memory.rng)
 
     @property
@@ -164,7 +153,7 @@ class HandRefinement:
             key_qpos: (K,) [rad]
         """
         self._be_at(hand_qpos, hand_qvel, key_qpos)
-        self._savings += self._earned
+        self._granted += self._earned
         self._rehearse()
         ctrl = self._plan()
         self._go_on(ctrl)
@@ -183,21 +172,20 @@ class HandRefinement:
 
     def _go_on(self, ctrl: Array) -> None:
         _, nominal = self._nominal(1)
-        self._changed = ctrl - self._clip(nominal[0])
+        self._changed = ctrl - self._servos.clip(nominal[0])
         self._twin.step(ctrl[None])
         self._step += 1
 
     def _plan(self) -> Array:
         rows, nominal = self._nominal(self._horizon)
         if self._update is None:
-            return self._clip(nominal[0])
+            return self._servos.clip(nominal[0])
         if self._rehearsal.foresaw(self._step, self._twin.state.hand_qpos[0]):
             self._correction[:] = 0.0
-            return self._clip(nominal[0])
-        best = self._clip(nominal + self._correction)
-        self._begin_trials(rows)
-        trial = self._try(best)
-        self._note(trial)
+            return self._servos.clip(nominal[0])
+        best = self._servos.clip(nominal + self._correction)
+        self._begin_tries(rows)
+        trial = self._tries.one(best)
         here = self._twin.state.fingertip_xpos[0, self._part.fingers]
         affordable = self._savings > 0
         if trial.mistakes and affordable:
@@ -232,8 +220,8 @@ class HandRefinement:
             return
         last = min(self._step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
         if (rows := np.arange(self._step, last)).size:
-            self._begin_trials(rows)
-            self.simulated += self._rehearsal.rehearse(self._tracking, rows, self._ahead)
+            self._begin_tries(rows)
+            self._rehearsed += self._rehearsal.rehearse(self._tracking, rows, self._tries.ahead)
 
     def _astray(self, fingertips: Array, state: int) -> Mask:
         """(F,) which of `fingertips` (F, 3) [m] should play in a state, but not there."""
@@ -250,43 +238,29 @@ class HandRefinement:
 
         `here` (F, 3) is where they are [m].
         """
-        trial = self._try(best)
-        self._note(trial)
+        trial = self._tries.one(best)
         stays = np.linalg.norm(self._trials.fingertips() - here, axis=1) < _STUCK
         caught = self._caught()
         if not (trial.mistakes and (caught & stays).any()):
             return best
         rows, nominal = self._nominal(self._further)
-        unchanged = self._clip(nominal)
+        unchanged = self._servos.clip(nominal)
         unchanged[: len(best)] = best
-        detours = [self._detours(nominal, caught, up) for up in (0.0, _UP)]
-        candidates = np.concatenate([unchanged[None], *detours])
-        self._begin_trials(rows)
-        costs = [trial.cost for trial in self._try_all(candidates, np.inf)]
+        detours = self._detours.all(nominal, caught, self._here()[:, 0])
+        candidates = np.concatenate([unchanged[None], detours])
+        self._begin_tries(rows)
+        costs = [trial.cost for trial in self._tries.all(candidates)]
         return candidates[int(np.argmin(costs)), : len(best)]
-
-    def _detours(self, nominal: Array, caught: Mask, up: float = 0.0) -> Array:
-        """(D, H, A) ways around what fingers are caught by: they, or the hand, are lifted.
-
-        Args:
-            nominal: (H, A) controls of the plan.
-            caught: (F,) which fingers.
-            up: how long what is lifted goes nowhere else [s].
-        """
-        here = self._to_posture.T @ self._twin.state.hand_qpos[0]
-        fingers, hand = np.append(caught, False)[self._finger], self._finger < 0
-        detours = []
-        for lifted in (fingers, fingers | hand, np.ones_like(hand)):
-            way = nominal.copy()
-            way[: round(up / self._dt), lifted] = here[lifted]
-            detours.append(way + _lifts(self._lift * lifted, _DETOURS, len(way), self._dt))
-        return self._clip(np.concatenate(detours))
 
     def _feedback(self) -> Array:
         """(A,) what deviations from the expected positions and speeds take from the controls."""
+        return self._tracking.feedback(self._step, self._here())
+
+    def _here(self) -> Array:
+        """(A, 2) positions and speeds of the servos now."""
         state = self._twin.state
-        here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
-        return self._tracking.feedback(self._step, self._to_posture.T @ here)
+        joints = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)  # (J, 2)
+        return self._servos.of_joints.T @ joints
 
     def _search(
         self, nominal: Array, best: Array, known: Trial, rows: NDArray[np.intp], caught: Mask
@@ -311,11 +285,11 @@ class HandRefinement:
             if iteration == 0:
                 guided = np.concatenate([guided, self._fresh(nominal, best, caught)])
             candidates = np.concatenate([guided, self._draw(around)])
-            trials = self._try_all(candidates, self._most(known.cost))
+            trials = self._tries.all(candidates, known.cost)
             more = self._combined(np.array([best, *candidates]), [known, *trials])
             candidates = np.concatenate([candidates, more])
             least = min(trial.cost for trial in (known, *trials))
-            trials += self._try_all(more, self._most(least))
+            trials += self._tries.all(more, least)
             costs = np.array([trial.cost for trial in trials])
             around = self._update(candidates, costs, around)
             first = int(np.argmin(costs))
@@ -323,10 +297,9 @@ class HandRefinement:
                 best, known = candidates[first], trials[first]
                 if not known.mistakes:
                     return best
-        mean = self._clip(around.mean)
+        mean = self._servos.clip(around.mean)
         if not (mean == best).all():
-            trial = self._try(mean, known.cost)
-            self._note(trial)
+            trial = self._tries.one(mean, known.cost)
             if trial.cost < known.cost:
                 return mean
         return best
@@ -334,7 +307,7 @@ class HandRefinement:
     def _proposed(self, proposal: Proposal, known: Trial) -> tuple[Array, Trial]:
         """(H, A) what networks would do, and what comes of it."""
         _, planned = self._planned(self._horizon)
-        controls = self._clip(planned)
+        controls = self._servos.clip(planned)
 
         def noted() -> Iterator[Array]:
             now = self._twin.state.key_qpos[0]
@@ -343,28 +316,22 @@ class HandRefinement:
                 controls[k] = ctrl
                 yield ctrl
 
-        trial = self._try(noted(), self._most(known.cost))
-        self._note(trial)
-        return controls, trial
+        return controls, self._tries.one(noted(), known.cost)
 
     def _combined(self, plans: Array, trials: Sequence[Trial]) -> Array:
         """(C, H, A) what can be made of plans (N, H, A) that were tried, see `combined`."""
         best = min(range(len(trials)), key=lambda i: trials[i].cost)
         if not trials[best].mistakes:
             return plans[:0]
-        costs = [self._ahead.by_finger(trial) for trial in trials]
-        return combined(plans, costs, best, self._finger)
+        costs = [self._tries.ahead.by_finger(trial) for trial in trials]
+        return combined(plans, costs, best, self._servos.finger)
 
     def _fresh(self, nominal: Array, best: Array, caught: Mask) -> Array:
-        """(N, H, A) the plan without a correction, and ways to free fingers that are `caught`.
-
-        How long something is lifted changes from step to step.
-        """
-        long = self._step % len(_LIFTED)
-        candidates = [self._clip(nominal), self._clip(best + self._lifts[long])]
+        """(N, H, A) the plan without a correction, and ways to free fingers that are `caught`."""
+        candidates = [self._servos.clip(nominal), self._detours.lifted(best, self._step)]
         if caught.any():
-            detours = self._detours(nominal, caught)
-            candidates.extend(detours[self._step % len(_DETOURS) :: len(_DETOURS)])
+            here = self._here()[:, 0]
+            candidates.extend(self._detours.some(nominal, caught, here, self._step))
         return np.array(candidates)
 
     def _corrected(self, plan: Array, trial: Trial) -> Array:
@@ -376,108 +343,29 @@ class HandRefinement:
         """
         if not np.isfinite(trial.cost):
             return plan[None][:0]
-        off, weight = self._ahead.astray(np.array(trial.fingertips))
+        off, weight = self._tries.ahead.astray(np.array(trial.fingertips))
         change = self._toward.of(self._trials, np.array(trial.hand_qpos), off, weight)
         rows = np.minimum(np.arange(1, len(plan) + 1), len(change) - 1)
-        return self._clip(plan + _CORRECTED[:, None, None] * change[rows])
+        return self._servos.clip(plan + _CORRECTED[:, None, None] * change[rows])
 
     def _draw(self, around: Around) -> Array:
         """(N, H, A) candidates: noise that changes evenly from the first step to the last."""
-        servos = len(self._sigma)
+        servos = len(self._servos.noise)
         ends = self._rng.standard_normal((self._candidates, 2, 1, servos))
         late = np.linspace(0.0, 1.0, self._horizon)[:, None]
         noise = (1 - late) * ends[:, 0] + late * ends[:, 1]
         sparse = self._rng.random((self._candidates, 1, servos)) < _SPARSE
         sparse[: self._candidates // 2] = True
-        return self._clip(around.mean + around.sigma * noise * sparse)
+        return self._servos.clip(around.mean + around.sigma * noise * sparse)
 
     def _sigma_at(self, rows: NDArray[np.intp]) -> Array:
         playing = self._part.playing[np.append(rows, rows[-1] + 1)].any(axis=0)
-        busy = (self._finger < 0) | playing[self._finger]
-        return self._sigma * np.where(busy, 1.0, _IDLE_FINGER)
+        finger = self._servos.finger
+        busy = (finger < 0) | playing[finger]
+        return self._servos.noise * np.where(busy, 1.0, _IDLE_FINGER)
 
-    def _clip(self, ctrl: Array) -> Array:
-        return np.clip(ctrl, self._servos.low, self._servos.high)
-
-    def _most(self, cost: float) -> float:
-        """What a candidate may cost, where a plan of `cost` is known, to be of use."""
-        return cost if self._update is cheapest else np.inf  # the others weigh all candidates
-
-    def _begin_trials(self, rows: NDArray[np.intp]) -> None:
+    def _begin_tries(self, rows: NDArray[np.intp]) -> None:
         """From where the hand is, over all keys on its way through the steps `rows`."""
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
-        self._ahead = look_ahead(self._part, inside, self._keyboard, self._trials, self._twin)
-        self._least = np.full(len(inside), np.inf)
-
-    def _try_all(self, candidates: Array, most: float) -> list[Trial]:
-        """Tries plans (N, H, A), see `_try`.
-
-        They are tried in pairs, so that an idle thread can take one of each: what is known of the
-        pairs before decides what is given up, however many threads there are.
-        """
-        trials = list[Trial]()
-        for i in range(0, len(candidates), PLACES):
-            tries = [
-                partial(self._try, ctrl, most, place)
-                for place, ctrl in enumerate(candidates[i : i + PLACES])
-            ]
-            for trial in self._threads.together(tries):
-                self._note(trial)
-                trials.append(trial)
-                most = min(most, self._most(trial.cost))
-        return trials
-
-    def _try(self, ctrl: Iterable[Array], most: float = np.inf, place: int = 0) -> Trial:
-        """Tries a plan (H, A) from here on.
-
-        One that will hardly cost less than `most` is given up before its end, at infinite cost: its
-        remaining steps are expected to cost most of the least that they cost any plan so far.
-        """
-        rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
-        cost, mistakes, steps = 0.0, 0, list[float]()
-        tips, qpos, keys = list[Array](), list[Array](), list[Array]()
-        given_up, sounding = False, self._ahead.sounding
-        inside = islice(ctrl, len(self._least))
-        for k, (key_qpos, fingertips) in enumerate(self._trials.run(inside, place)):
-            more, wrong, sounding = self._ahead.cost(k, key_qpos, fingertips, sounding)
-            cost, mistakes = cost + more, mistakes + wrong
-            steps.append(more)
-            tips.append(fingertips)
-            qpos.append(self._trials.hand_joints(place)[0].copy())
-            keys.append(key_qpos.copy())
-            given_up = rest is not None and cost + EXPECTED * rest[k] >= most
-            if given_up:
-                break
-        no_use = given_up or self._trials.unstable(place)
-        return Trial(np.inf if no_use else cost, mistakes, steps, tips, qpos, keys)
-
-    def _note(self, trial: Trial) -> None:
-        """Reckons with a trial."""
-        taken = len(trial.steps)
-        self._savings -= taken
-        self.simulated += taken
-        self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
-
-
-def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """(6,) the state of a default generator, in words of 64 bits."""
-    state: Any = rng.bit_generator.state
-    numbers = [state["state"]["state"], state["state"]["inc"]]
-    halves = [half for number in numbers for half in divmod(number, 2**64)]
-    return np.array([*halves, state["has_uint32"], state["uinteger"]], np.uint64)
-
-
-def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
-    """The generator whose state that is."""
-    state, more, inc, less, has, left = words.tolist()
-    rng = np.random.default_rng(0)
-    numbers = {"state": state * 2**64 + more, "inc": inc * 2**64 + less}
-    known: Any = rng.bit_generator.state
-    rng.bit_generator.state = known | {"state": numbers, "has_uint32": has, "uinteger": left}
-    return rng
-
-
-def _lifts(lift: Array, times: tuple[float, ...], horizon: int, dt: float) -> Array:
-    """(L, H, A) what is added to the controls for each of L `times` [s]; `lift` is (A,)."""
-    until = np.array([steps_in(seconds, dt) for seconds in times])[:, None, None]
-    return lift * (np.arange(horizon)[None, :, None] < until)
+        ahead = look_ahead(self._part, inside, self._keyboard, self._trials, self._twin)
+        self._tries.begin(ahead)

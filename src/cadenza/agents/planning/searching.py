@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_of_two import HandOfTwo
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.refinement import Memory
+from cadenza.agents.planning.memory import Memory
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Tracking
 from cadenza.sim.protocol import State

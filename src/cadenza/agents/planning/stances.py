@@ -81,7 +81,7 @@ class Stances:
         scene, servos = self._scene, self._servos
         mine = scene.fingertips_on(side)
         own = range(len(servos.names))[scene.servos_on(side)]
-        arm = [a for a in own if scene.hand.servo(servos.names[a]).finger is None]
+        arm = [a for a in own if servos.finger[a] < 0]
         goal, posture = self._points[mine] + np.array([0.0, place, 0.0]), near.copy()
         for _ in range(_ITERATIONS):
             points, jacobian = self._kinematics.fingers(posture[None])
@@ -90,5 +90,5 @@ class Stances:
             normal = slope.T @ slope + _NEAR * np.eye(len(arm))
             pull = slope.T @ error + _NEAR * (near - posture)[arm]
             posture[arm] += np.linalg.solve(normal, pull)
-            posture = np.clip(posture, servos.low, servos.high)
+            posture = servos.clip(posture)
         return posture

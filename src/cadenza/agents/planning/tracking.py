@@ -89,7 +89,7 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
     leading = before * earlier + now * reference[:-1] + after * reference[1:]
-    leading = np.clip(leading, servos.low, servos.high)
+    leading = servos.clip(leading)
     towards = np.zeros((steps, count))
     slope = np.zeros((count, 2))
     for t in range(steps - 1, -1, -1):
@@ -102,9 +102,9 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     ctrl = np.zeros((steps, count))
     for t in range(steps):
         wanted = towards[t] - np.einsum("ai,ai->a", gain[t], expected[t])
-        ctrl[t] = np.clip(wanted, servos.low, servos.high)
+        ctrl[t] = servos.clip(wanted)
         expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
-    return Tracking(np.clip(ctrl + offset, servos.low, servos.high), gain, expected)
+    return Tracking(servos.clip(ctrl + offset), gain, expected)
 
 
 @lru_cache(maxsize=8)  # where plans are short, it would take most of the time

@@ -30,10 +30,8 @@ class Variations:
         planned: (T + 1, A) positions that the plan expects.
         dt: control step [s].
         """
-        uses = [scene.hand.servo(name) for name in servos_of(scene).names]
-        self._sigma = np.array([use.noise for use in uses])
-        self._finger = np.array([-1 if use.finger is None else use.finger for use in uses])
-        self._lift = np.array([use.lift for use in uses])
+        servos = servos_of(scene)
+        self._sigma, self._finger, self._lift = servos.noise, servos.finger, servos.lift
         self._planned = planned
         self._lengths = [steps_in(seconds, dt) for seconds in _LENGTHS]
         self._shift = steps_in(_SHIFTS, dt)

@@ -35,8 +35,7 @@ class Disturbed(Agent):
     ) -> None:
         """`noise` is its standard deviation, of what the planner's search has for each servo."""
         self._agent, self._student = agent, student
-        use = [scene.hand.servo(name).noise for name in servos_of(scene).names]
-        self._sigma = noise * np.array([*use, 0.0])
+        self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
         self.start: State | None = None
 

@@ -85,7 +85,7 @@ def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
         )
     kinematics = Kinematics(scene, servos)
     presses = _presses(scene, servos, kinematics, goals, dt)
-    here, states = start @ np.linalg.pinv(servos.joints), goals.num_steps + 1
+    here, states = start @ servos.of_joints, goals.num_steps + 1
     postures = np.empty((states, len(here)))
     for side in scene.sides:
         hand = hand_alone(scene, side)
@@ -116,7 +116,7 @@ def _presses(
 ) -> list[Press]:
     """What hands hold when, which take their time to get from key to key."""
     fingers = np.where(scene.has_fingers(goals.fingers), goals.fingers, np.int8(NO_FINGER))
-    places = forearm_places(scene, kinematics, rest_posture(scene.hand, servos))
+    places = forearm_places(scene, kinematics, rest_posture(servos))
     wanted = presses_of(goals.keys, fingers, scene.fingers)
     return let_go_in_time(wanted, places, dt, _unhurried(scene.hand))
 

@@ -71,7 +71,7 @@ class Motions:
         self._progress = progress
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
-        self._rest = rest_posture(scene.hand, self._servos)
+        self._rest = rest_posture(self._servos)
         self._places = forearm_places(scene, self._kinematics, self._rest)
         (self._side,) = scene.sides
         (self._slide,) = self._servos.along_keyboard

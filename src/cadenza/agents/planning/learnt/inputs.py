@@ -73,7 +73,7 @@ class About(NamedTuple):
     @classmethod
     def of(cls, alone: Scene) -> About:
         """For the hand which is `alone` in a scene."""
-        servos, fingers = fingers_of_servos(alone), np.arange(alone.fingers.per_hand)
+        servos, fingers = servos_of(alone).finger, np.arange(alone.fingers.per_hand)
         parts = [(servos, 1, True)] * (len(_POSTURES) + 3) + [(fingers, _OF_A_PRESS, False)]
         parts += [(servos, 1, True)] * 3
         correction = len(parts) - 1
@@ -83,12 +83,6 @@ class About(NamedTuple):
         private = [np.full(len(of) * count, own) for of, count, own in parts]
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
         return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
-
-
-def fingers_of_servos(alone: Scene) -> NDArray[np.intp]:
-    """(A,) which finger each servo moves, -1 for the whole hand, which is `alone` in a scene."""
-    fingers = [alone.hand.servo(name).finger for name in servos_of(alone).names]
-    return np.array([-1 if finger is None else finger for finger in fingers])
 
 
 class HandInputs:
@@ -245,8 +239,7 @@ class Corrections(NamedTuple):
     @classmethod
     def of(cls, side: Side, alone: Scene) -> Corrections:
         """For the hand on one side, which is `alone` in a scene."""
-        scale = [alone.hand.servo(name).correction for name in servos_of(alone).names]
-        return cls(Mirror.of(side, alone).servos, np.array(scale))
+        return cls(Mirror.of(side, alone).servos, servos_of(alone).correction)
 
     def ctrl(self, answer: Floats) -> Array:
         """(A,) what is added to the controls."""
