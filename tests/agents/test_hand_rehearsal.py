@@ -61,7 +61,7 @@ def test_what_goes_well_is_played_once_and_foreseen() -> None:
         assert not hand.rehearsal.foresaw(step, qpos + 0.01)
         posture = np.linalg.pinv(hand.rehearsal._servos.joints).T @ np.stack([qpos, qvel], axis=1)
         ctrl = hand.rehearsal.ctrl(step)[0] - hand.tracking.feedback(step, posture)
-        hand.simulation.step(hand.rehearsal._clip(ctrl)[None])
+        hand.simulation.step(hand.rehearsal._servos.clip(ctrl)[None])
     assert hand.rehearsal.ctrl(10).shape == (10, hand.tracking.ctrl.shape[1])
 
 

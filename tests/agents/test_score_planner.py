@@ -223,7 +223,7 @@ def test_caught_fingers_get_free(hands: str, white: int, black: int) -> None:
     hand._rehearsal.forget()
     while hand._step < 25:
         _, nominal = hand._nominal(1)
-        hand._go_on(hand._clip(nominal[0]))
+        hand._go_on(hand._servos.clip(nominal[0]))
     assert not sound()
     heard = []
     for _ in range(15):
@@ -236,18 +236,17 @@ def test_caught_fingers_get_free(hands: str, white: int, black: int) -> None:
 def test_detours_lift_what_is_caught() -> None:
     hand = searching(octaves("right", 60, 58, 1.0), "right")
     _, nominal = hand._nominal(8)
-    nominal = hand._clip(nominal)
+    nominal = hand._servos.clip(nominal)
     thumb = np.arange(5) == 0
-    detours = hand._detours(nominal, thumb)
+    posture = hand._here()[:, 0]
+    detours, up = np.split(hand._detours.all(nominal, thumb, posture), 2)
     changed = (detours != nominal).any(axis=1)  # (D, A)
     assert changed[:3].any()
-    assert set(hand._finger[changed[:3].any(axis=0)]) == {0}
-    assert set(hand._finger[changed[3:6].any(axis=0)]) == {-1, 0}
-    assert set(hand._finger[changed.any(axis=0)]) == {-1, 0, 1, 2, 3, 4}
+    assert set(hand._servos.finger[changed[:3].any(axis=0)]) == {0}
+    assert set(hand._servos.finger[changed[3:6].any(axis=0)]) == {-1, 0}
+    assert set(hand._servos.finger[changed.any(axis=0)]) == {-1, 0, 1, 2, 3, 4}
     assert (detours[:, -1] == nominal[-1]).all()  # and come back to the plan
-    up = hand._detours(nominal, thumb, 0.1)
-    of_thumb = hand._finger == 0
-    posture = hand._to_posture.T @ hand._twin.state.hand_qpos[0]
+    of_thumb = hand._servos.finger == 0
     rises = (detours[0] != nominal).any(axis=0)
     np.testing.assert_allclose(up[0, :2, of_thumb & ~rises].T, [posture[of_thumb & ~rises]] * 2)
     np.testing.assert_array_equal(up[:, 2:], detours[:, 2:])
@@ -267,10 +266,10 @@ def test_fingertips_that_go_astray_are_corrected() -> None:
         state = hand._twin.state
         hand.act(state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0])
     rows, nominal = hand._nominal(7)
-    hand._begin_trials(rows)
-    astray = hand._clip(nominal + 2 * hand._sigma)
-    before = hand._try(astray)
-    after = [hand._try(plan) for plan in hand._corrected(astray, before)]
+    hand._begin_tries(rows)
+    astray = hand._servos.clip(nominal + 2 * hand._servos.noise)
+    before = hand._tries.one(astray)
+    after = [hand._tries.one(plan) for plan in hand._corrected(astray, before)]
     assert min(trial.cost for trial in after) < 0.5 * before.cost
     assert min(trial.mistakes for trial in after) < before.mistakes
 
@@ -309,13 +308,12 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
         task.step(agent.act(task.view()))
     hand = agent.planners[0]._hands[0].refinement
     rows = np.arange(8, 15)
-    middle = hand._clip(hand._tracking.ctrl[rows])
+    middle = hand._servos.clip(hand._tracking.ctrl[rows])
     plans = hand._draw(Around(middle, np.broadcast_to(hand._sigma_at(rows), middle.shape)))
-    hand._begin_trials(rows)
-    tried = [hand._try(plan) for plan in plans]
-    for trial in tried:
-        hand._note(trial)
-    bounded = [hand._try(plan, float(np.median([trial.cost for trial in tried]))) for plan in plans]
+    hand._begin_tries(rows)
+    tried = [hand._tries.one(plan) for plan in plans]
+    most = float(np.median([trial.cost for trial in tried]))
+    bounded = [hand._tries.one(plan, most) for plan in plans]
     kept = [pair for pair in zip(tried, bounded, strict=True) if np.isfinite(pair[1].cost)]
     assert 0 < len(kept) < len(plans)
     assert all(before[:3] == then[:3] for before, then in kept)
