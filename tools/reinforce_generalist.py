@@ -62,7 +62,7 @@ KEPT_EVERY = 20  # rounds
 
 # What a step costs, as in the planner's search, but that a key counts the less the more are wanted.
 WRONG, EARLY, ASTRAY = 3.0, 1.5, 0.3
-COUNTS = np.array([1.0, 0.55, 1.0])  # distances along the keyboard count less
+COUNTS = np.array([0.55, 1.0, 1.0])  # distances along the key count less
 MOST = 15.0  # that a finger loses in a step
 
 
@@ -139,7 +139,7 @@ class Player:
     """Plays songs, one after the other, in one of many simulations."""
 
     def begin(self, song: Song) -> None:
-        self.song, self._step = song, 0
+        self.song, self._step, self._lost = song, 0, 0.0
         self._hands = [copy(hand) for hand in song.hands]
         self._sounding = np.zeros(len(song.demands.keyboard.travel), bool)
         for hand in self._hands:
@@ -148,6 +148,11 @@ class Player:
     @property
     def over(self) -> bool:
         return self._step == self.song.demands.num_steps
+
+    @property
+    def lost_a_step(self) -> float:
+        """What all fingers together have lost in a step, so far."""
+        return self._lost / self._step
 
     def see(self, state: State) -> Array:
         """(H, D) what is told of each hand, in a state of one simulation."""
@@ -165,6 +170,7 @@ class Player:
         after = self._step, state.key_qpos[0], state.fingertip_xpos[0], self._sounding
         lost, self._sounding = self.song.demands.lost(*after)
         self._step += 1
+        self._lost += float(lost.sum())
         return lost.reshape(len(self._hands), -1)
 
 
@@ -182,12 +188,15 @@ class Round(NamedTuple):
 
 
 class Stage:
-    """Where songs are played, all at the same time."""
+    """Where songs are played, all at the same time: the more often, the more they lose."""
 
     def __init__(self, songs: Sequence[Song], scene: Scene, rng: np.random.Generator) -> None:
-        self._songs, self._rng, self._coming = songs, rng, list[int]()
+        self._songs, self._rng = songs, rng
+        self._coming = rng.permutation(len(songs)).tolist()  # those that were never begun
+        self._lost = np.zeros(len(songs))  # in a step, when they were last played
         self._simulation = MujocoSimulation(scene, AT_ONCE)
         self._players = [Player() for _ in range(AT_ONCE)]
+        self._playing = [0] * AT_ONCE  # which songs
         for i in range(AT_ONCE):
             self._begin(i)
 
@@ -204,6 +213,7 @@ class Stage:
             over = np.array([player.over for player in self._players])
             over |= self._simulation.state.unstable
             for i in np.flatnonzero(over):
+                self._lost[self._playing[i]] = self._players[i].lost_a_step
                 self._begin(i)
             answers.append(answer)
             rewards.append(-np.concatenate(lost))
@@ -212,9 +222,14 @@ class Stage:
         return Round(*map(np.array, (told, answers, rewards, ends)))
 
     def _begin(self, i: int) -> None:
-        self._coming = self._coming or self._rng.permutation(len(self._songs)).tolist()
-        self._players[i].begin(self._songs[self._coming.pop()])
+        song = self._coming.pop() if self._coming else self._draw()
+        self._playing[i] = song
+        self._players[i].begin(self._songs[song])
         self._simulation.reset([i], self._players[i].song.start[None])
+
+    def _draw(self) -> int:
+        """A song, the likelier the more it loses."""
+        return int(self._rng.choice(len(self._songs), p=self._lost / self._lost.sum()))
 
     def _see(self) -> Array:
         seen = [player.see(self._state(i)) for i, player in enumerate(self._players)]

@@ -1,4 +1,4 @@
-"""The arrays of postures against MuJoCo, one posture at a time."""
+"""Fingers and servos of a scene against MuJoCo's own figures of the whole scene."""
 
 from __future__ import annotations
 
@@ -7,22 +7,19 @@ import numpy as np
 import pytest
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.kinematics import TIP, Kinematics, KinematicsOfFew
+from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import Reaction, servos_of
 
 CONFIGS = [SceneConfig(), SceneConfig(hands="left"), SceneConfig(reduced_action_space=False)]
 
 
-@pytest.mark.parametrize("kinematics", [Kinematics, KinematicsOfFew])
 @pytest.mark.parametrize("config", CONFIGS, ids=["both", "left", "full"])
-def test_fingertips_and_their_jacobian_are_mujocos(
-    config: SceneConfig, kinematics: type[Kinematics]
-) -> None:
+def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     scene = build_scene(config)
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
-    points, jacobian = kinematics(scene, servos).fingers(postures)
+    points, jacobian = Kinematics(scene, servos).fingers(postures)
     model, data = scene.model, mujoco.MjData(scene.model)
     for posture, tips, slope in zip(postures, points[:, :, TIP], jacobian[:, :, TIP], strict=True):
         data.qpos[scene.hand_qpos] = posture @ servos.joints

@@ -22,7 +22,6 @@ from cadenza.agents.planning.presses import Press
 from cadenza.fingering.players import Players
 from cadenza.fingering.sight import NotesInSight
 from cadenza.fingers import NO_FINGER
-from cadenza.scene.kinematics import KinematicsOfFew
 from cadenza.scene.scene import Scene
 
 _MOTION = 0.6  # [s] for which postures are planned
@@ -64,7 +63,7 @@ class InSight:
         dt: control step [s].
         """
         self._scene, self._dt = scene, dt
-        self._motion = Motion(scene, dt, KinematicsOfFew)
+        self._motion = Motion(scene, dt)
         self._fingers = NotesInSight(players, _MOMENTS)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen

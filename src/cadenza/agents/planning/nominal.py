@@ -181,15 +181,14 @@ class Found(NamedTuple):
 class Motion:
     """Plans motions of the hands of a scene, in control steps of `dt` [s]."""
 
-    def __init__(self, scene: Scene, dt: float, kinematics: type[Kinematics] = Kinematics) -> None:
+    def __init__(self, scene: Scene, dt: float) -> None:
         """Args:
         scene: with one hand or two.
         dt: control step [s].
-        kinematics: what postures are found with.
         """
         self._scene, self._dt = scene, dt
         self._servos = servos_of(scene)
-        self._kinematics = kinematics(scene, self._servos)
+        self._kinematics = Kinematics(scene, self._servos)
         self._reaction = Reaction(scene, self._servos)
         self._rest = rest_posture(self._servos)
         self._stances = Stances(scene, self._kinematics, self._servos, self._rest)
