@@ -78,7 +78,8 @@ class Servos:
 
     def clip(self, coordinates: Array) -> Array:
         """Positions or controls (..., A) within their ranges."""
-        return np.clip(coordinates, self.low, self.high)
+        # Half the time of `np.clip`, which matters to plans of a few steps.
+        return np.minimum(np.maximum(coordinates, self.low), self.high)
 
     def lead(self, dt: float) -> Array:
         """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.

@@ -23,7 +23,7 @@ class _Pairs:
         """`radii` are (F, links) [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
-        self._least = radii[self._a] + radii[self._b] + _CLEARANCE
+        self._least = np.float32(radii[self._a] + radii[self._b] + _CLEARANCE)  # of any precision
 
     def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, tuple[Ids, Ids], Array]:
         """How much nearer than allowed links are, as negative lengths, and zero where they are not.

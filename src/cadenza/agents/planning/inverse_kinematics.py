@@ -11,12 +11,11 @@ kept for each posture by itself: one that is hard to find does not hold up the o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
+from scipy.linalg import LinAlgError, solveh_banded
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import link_collisions
@@ -27,7 +26,7 @@ from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Ids = NDArray[np.intp]
 
 
@@ -38,6 +37,8 @@ _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
 _LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
+_REAL = np.float32  # half the time of double precision, and the same costs within a hundredth
+_BLOCKED = 66  # diagonals from which on LAPACK factors bands in blocks: less time, even if of zeros
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -91,7 +92,7 @@ def solve_postures(
     """
     problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
     postures = (guess if begin is None else begin).copy()
-    damping = np.full(len(guess) - 1, effort.damping)
+    damping = np.full(len(guess) - 1, effort.damping, _REAL)
     now = problem.linearise(postures)
     for iteration in range(effort.iterations):
         progress("postures", iteration, effort.iterations)
@@ -156,7 +157,7 @@ class _InARow(NamedTuple):
         Of each of N postures with itself, with the one before, and with the one before that; two
         before them are known. `weight` (N, H, A) is that of each square.
         """
-        diagonals = np.zeros((3, *weight.shape))
+        diagonals = np.zeros((3, *weight.shape), weight.dtype)
         itself, one_before, two_before = diagonals
         itself += weight * self.third**2
         itself[:-1] += weight[1:] * self.second**2
@@ -191,7 +192,6 @@ class _Problem:
     ) -> None:
         self._kinematics, there = kinematics, scene.fingers_there
         self._hands = len(scene.sides)
-        self._by_hand = partial(by_hand, hands=self._hands)
         self._low, self._high, self._sigma, self._wall, self._force = (
             self._by_hand(values[1:, there])
             for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
@@ -216,14 +216,18 @@ class _Problem:
 
     def _of_hands(self, servos: Array) -> Array:
         """(H, A) of values (H A,)."""
-        return servos.reshape(self._hands, -1)
+        return servos.reshape(self._hands, -1).astype(_REAL)
+
+    def _by_hand(self, rows: Array) -> Array:
+        """(N, H, X, ...) of rows (N, H X, ...)."""
+        return by_hand(rows, self._hands).astype(_REAL)
 
     def linearise(self, postures: Array) -> _Linearised:
         now = self._by_hand(postures)
         rows = np.concatenate([self._before, now])
         count, hands, size = now[1:].shape
-        squares, pull = np.zeros(count), np.zeros((count, hands, size))
-        blocks = np.zeros((count, hands, size, size))
+        squares, pull = np.zeros(count, _REAL), np.zeros((count, hands, size), _REAL)
+        blocks = np.zeros((count, hands, size, size), _REAL)
         control, between = self._lead.of(rows), list[tuple[Ids, Array]]()
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
@@ -267,7 +271,7 @@ class _Problem:
         residual = np.concatenate(
             [outside.reshape(count, hands, walls), into_wall, overlap / _OVERLAP], axis=2
         )
-        slope = np.zeros((count * hands, residual.shape[2], size))
+        slope = np.zeros((count * hands, residual.shape[2], size), _REAL)
         slope[row, links + pair] = overlap_slope.sum(axis=1) / _OVERLAP
         slope = slope.reshape(*residual.shape, size)
         pulled = slope[:, :, :walls].reshape(tip.shape)
@@ -302,12 +306,12 @@ class _Problem:
             distance = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
             near = np.flatnonzero(distance < _FOREARMS_APART)
             if len(near):
-                slope = np.zeros((len(near), *postures.shape[1:]))
+                slope = np.zeros((len(near), *postures.shape[1:]), _REAL)
                 slope[:, :, slide] = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
                 yield near, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA, slope
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
-        """The banded matrices and the gradient (S - 1, H, A); clamped joints are taken out.
+        """The banded matrices, see `_banded`, and the gradient (S - 1, H, A); clamped joints are taken out.
 
         There is a matrix for each hand, or one for both where they come close to each other.
         """
@@ -323,39 +327,54 @@ class _Problem:
         return _banded(diagonals, at), np.where(outwards, 0.0, gradient)
 
     def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
-        damped, shape = bands.copy(), (len(gradient), len(bands), -1)
-        diagonal = damped[:, -1].reshape(len(bands), len(gradient), -1).swapaxes(0, 1)
-        diagonal += (damping[:, None, None] / self._stride**2).reshape(shape)
-        pull = -gradient.reshape(shape)
-        found = [
-            solveh_banded(band, pull[:, i].ravel(), overwrite_ab=True, check_finite=False)
-            for i, band in enumerate(damped)
-        ]
-        change = np.reshape(found, (len(bands), len(gradient), -1)).swapaxes(0, 1)
-        change = np.clip(change.reshape(gradient.shape), -self._stride, self._stride)
+        change = self._solved(bands, gradient, damping).reshape(gradient.shape)
+        change = np.clip(change, -self._stride, self._stride)
         moved = np.clip(self._by_hand(postures[1:]) + change, self._least, self._most)
         return np.concatenate([postures[:1], moved.reshape(len(moved), -1)])
 
+    def _solved(self, bands: Array, gradient: Array, damping: Array) -> Array:
+        """(S - 1, 1 or H, A or H A) what the equations ask for, damped (S - 1,)."""
+        damped, shape = bands.copy(), (len(gradient), len(bands), -1)
+        more = (damping[:, None, None] / self._stride**2).reshape(shape)
+        damped[..., -1] += more.swapaxes(0, 1)
+        pull = -gradient.reshape(shape).swapaxes(0, 1)
+        try:
+            found = [
+                solveh_banded(
+                    band.reshape(-1, band.shape[-1]).T,
+                    own.ravel(),
+                    overwrite_ab=True,
+                    check_finite=False,
+                )
+                for band, own in zip(damped, pull, strict=True)
+            ]
+        except LinAlgError:
+            if bands.dtype == np.float64:
+                raise
+            return self._solved(bands.astype(np.float64), gradient, damping)
+        return np.reshape(found, pull.shape).swapaxes(0, 1)
+
 
 def _banded(diagonals: Array, at: _Linearised) -> Array:
-    """(1 or H, 2 A + 1, N A) normal equations in the upper form of `solveh_banded`.
+    """(1 or H, N, A, D) normal equations: D diagonals as in the upper form of `solveh_banded`.
 
     `diagonals` (3, N, H, A) are those of sums of postures in a row.
     """
     blocks = _of_both(at) if at.between else at.blocks
     count, parts, size = blocks.shape[:3]
-    bands = np.zeros((parts, 2 * size + 1, count, size))
-    bands[:, [2 * size, size, 0]] = diagonals.reshape(3, count, parts, size).transpose(2, 0, 1, 3)
-    for above in range(size):  # diagonals of the blocks
-        diagonal = np.diagonal(blocks, above, axis1=2, axis2=3)
-        bands[:, -1 - above, :, above:] += diagonal.swapaxes(0, 1)
-    return bands.reshape(parts, 2 * size + 1, -1)
+    bands = np.zeros((parts, count, size, max(2 * size + 1, _BLOCKED)), blocks.dtype)
+    row, column = np.triu_indices(size)
+    bands[:, :, column, row - column - 1] = blocks.swapaxes(0, 1)[:, :, row, column]
+    in_a_row = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)
+    for apart, diagonal in enumerate(in_a_row):
+        bands[..., -1 - apart * size] += diagonal
+    return bands
 
 
 def _of_both(at: _Linearised) -> Array:
     """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
     count, hands, size = at.blocks.shape[:3]
-    blocks = np.zeros((count, hands, size, hands, size))
+    blocks = np.zeros((count, hands, size, hands, size), at.blocks.dtype)
     for hand in range(hands):
         blocks[:, hand, :, hand] = at.blocks[:, hand]
     for row, products in at.between:
