@@ -13,15 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
 import cadenza
-from cadenza.agents.planning import nominal, refinement
+from cadenza.agents.planning import inverse_kinematics, nominal, refinement
 from cadenza.agents.planning.ahead import Ahead
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.inverse_kinematics import _Problem, rest_posture
+from cadenza.agents.planning.inverse_kinematics import _Problem, rest_posture, solve_postures
 from cadenza.agents.planning.nominal import nominal_plans
 from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
 from cadenza.agents.planning.sampling import UPDATES, Around
@@ -687,8 +688,11 @@ def test_links_keep_apart_by_their_radii() -> None:
     assert change == pytest.approx((slope @ step).sum(), rel=1e-2)
 
 
-def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
+def test_hands_give_way_to_each_other_as_the_gradient_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Of postures that interlock, against finite differences of what they cost."""
+    monkeypatch.setattr(inverse_kinematics, "_REAL", np.float64)  # differences lack digits else
     scene = build_scene()
     servos, rng = servos_of(scene), np.random.default_rng(3)
     rest = rest_posture(servos)
@@ -714,6 +718,29 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
     ]
     slope = (gradient.reshape(3, -1) * change).sum()
     assert (moved[0] - moved[1]) / 2e-6 == pytest.approx(slope, rel=1e-4)
+
+
+def test_postures_are_found_where_single_precision_does_not_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where LAPACK says that a matrix of floats is not positive definite."""
+    scene = build_scene(SceneConfig(hands="right"))
+    servos = servos_of(scene)
+    guess = np.tile(rest_posture(servos), (12, 1))
+    targets = targets_of(scene, [Press("right", 1, 41, 5, 8)], 12, 0.05)
+
+    def found() -> np.ndarray:
+        kinematics = Kinematics(scene, servos)
+        return solve_postures(scene, kinematics, servos, targets, guess, guess[0], 0.05)
+
+    def of_doubles_only(band: np.ndarray, *args: Any, **kwargs: Any) -> np.ndarray:
+        if band.dtype == np.float32:
+            raise np.linalg.LinAlgError
+        return solveh_banded(band, *args, **kwargs)
+
+    usual = found()
+    monkeypatch.setattr(inverse_kinematics, "solveh_banded", of_doubles_only)
+    assert found() == pytest.approx(usual, abs=1e-3)
 
 
 def test_fingertips_are_wanted_at_the_stop_of_their_keys() -> None:

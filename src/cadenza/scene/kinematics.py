@@ -84,7 +84,9 @@ class Kinematics:
             for kept, values in zip(rows, now, strict=True):
                 kept[row] = values
         # An array for each coordinate, as products take several times as long of vectors.
-        bodies, sites, axes, anchors = (np.ascontiguousarray(values.transpose(2, 0, 1)) for values in rows)
+        bodies, sites, axes, anchors = (
+            np.ascontiguousarray(values.transpose(2, 0, 1)) for values in rows
+        )
         points = bodies[:, :, self._bodies]
         points[:, :, size - 1 :: size] = sites[:, :, self._tips]
         return points, axes, anchors

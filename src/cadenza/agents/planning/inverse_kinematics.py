@@ -11,7 +11,7 @@ kept for each posture by itself: one that is hard to find does not hold up the o
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,8 @@ from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos
 
-Array = NDArray[np.floating]
+Array = NDArray[Any]
 Ids = NDArray[np.intp]
-
 
 _OVERLAP = 0.002  # [m] of links that counts as one
 _WALL = 0.001  # [m] into black keys
@@ -311,9 +310,10 @@ class _Problem:
                 yield near, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA, slope
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
-        """The banded matrices, see `_banded`, and the gradient (S - 1, H, A); clamped joints are taken out.
+        """The banded matrices, see `_banded`, and the gradient (S - 1, H, A).
 
-        There is a matrix for each hand, or one for both where they come close to each other.
+        There is a matrix for each hand, or one for both where they come close to each other. Joints
+        at the ends of their ranges that would go further are taken out.
         """
         rows = self._by_hand(postures)
         now = rows[1:]
