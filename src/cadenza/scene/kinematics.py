@@ -135,5 +135,6 @@ def _ids(values: Iterable[int]) -> Ids:
 
 def _cross(a: Array, b: Array) -> Array:
     """The cross products of vectors (3, ...)."""
-    (x, y, z), (u, v, w) = a, b
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+    (x, y, z), (u, v, w), product = a, b, np.empty_like(b)
+    product[0], product[1], product[2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return product

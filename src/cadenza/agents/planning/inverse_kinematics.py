@@ -11,11 +11,12 @@ kept for each posture by itself: one that is hard to find does not hold up the o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solveh_banded
+from scipy.linalg import LinAlgError, lapack
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import link_collisions
@@ -97,9 +98,11 @@ def solve_postures(
         progress("postures", iteration, effort.iterations)
         bands, gradient = problem.normal_equations(postures, now)
         if not effort.trials:
-            postures = problem.step(postures, bands, gradient, damping)
-            if iteration + 1 < effort.iterations:
-                now = problem.linearise(postures)
+            earlier, postures = postures, problem.step(postures, bands, gradient, damping)
+            gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
+            if iteration + 1 == effort.iterations or gained < effort.converged * now.cost.sum():
+                break
+            now = problem.linearise(postures)
             continue
         for _ in range(effort.trials):
             trial = problem.step(postures, bands, gradient, damping)
@@ -233,7 +236,7 @@ class _Problem:
             points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[1:][some]))
             residual, slope = self._of_one_hand(points, jacobian, some)
             squares[some] = (residual**2).sum(axis=(1, 2))
-            pull[some] = np.einsum("shra,shr->sha", slope, residual)
+            pull[some] = (residual[:, :, None] @ slope)[:, :, 0]
             blocks[some] = slope.swapaxes(2, 3) @ slope
             for row, residual, slope in self._between_hands(points, jacobian, now[1:][some]):
                 np.add.at(squares[some], row, residual**2)
@@ -243,7 +246,7 @@ class _Problem:
             control[some] += (
                 pressing(jacobian[:, :, :, TIP, 2], self._force[some]) * self._per_force
             )
-        beyond = control - np.clip(control, self._least, self._most)
+        beyond = control - _within(control, self._least, self._most)
         smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
         at_ease = self._stiffness * (now[1:] - self._rest) ** 2
         cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=(1, 2)))
@@ -260,7 +263,7 @@ class _Problem:
         low, high, sigma = self._low[some], self._high[some], self._sigma[some]
         tips, tip = points[:, :, :, TIP], jacobian[:, :, :, TIP]
         count, hands, fingers, size = *tips.shape[:3], jacobian.shape[-1]
-        outside = (tips - np.clip(tips, low, high)) / sigma
+        outside = (tips - _within(tips, low, high)) / sigma
         into_wall = np.minimum(tips[..., 0] - self._wall[some], 0.0) / _WALL
         overlap, (row, pair), overlap_slope = self._links.of_hand.overlaps(
             *(values.reshape(count * hands, *values.shape[2:]) for values in (points, jacobian))
@@ -328,8 +331,8 @@ class _Problem:
 
     def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
         change = self._solved(bands, gradient, damping).reshape(gradient.shape)
-        change = np.clip(change, -self._stride, self._stride)
-        moved = np.clip(self._by_hand(postures[1:]) + change, self._least, self._most)
+        change = _within(change, -self._stride, self._stride)
+        moved = _within(self._by_hand(postures[1:]) + change, self._least, self._most)
         return np.concatenate([postures[:1], moved.reshape(len(moved), -1)])
 
     def _solved(self, bands: Array, gradient: Array, damping: Array) -> Array:
@@ -338,21 +341,22 @@ class _Problem:
         more = (damping[:, None, None] / self._stride**2).reshape(shape)
         damped[..., -1] += more.swapaxes(0, 1)
         pull = -gradient.reshape(shape).swapaxes(0, 1)
-        try:
-            found = [
-                solveh_banded(
-                    band.reshape(-1, band.shape[-1]).T,
-                    own.ravel(),
-                    overwrite_ab=True,
-                    check_finite=False,
-                )
-                for band, own in zip(damped, pull, strict=True)
-            ]
-        except LinAlgError:
-            if bands.dtype == np.float64:
-                raise
-            return self._solved(bands.astype(np.float64), gradient, damping)
-        return np.reshape(found, pull.shape).swapaxes(0, 1)
+        # Not `scipy.linalg.solveh_banded`, which takes as long to call it as short plans to solve.
+        solve = lapack.spbsv if bands.dtype == _REAL else lapack.dpbsv
+        found = np.empty_like(pull)
+        for band, own, there in zip(damped, pull, found, strict=True):
+            _, x, failed = solve(band.reshape(-1, band.shape[-1]).T, own.ravel(), overwrite_ab=True)
+            if failed:
+                if bands.dtype == np.float64:
+                    raise LinAlgError("the equations of postures are not positive definite")
+                return self._solved(bands.astype(np.float64), gradient, damping)
+            there[...] = x.reshape(there.shape)
+        return found.swapaxes(0, 1)
+
+
+def _within(values: Array, low: Array, high: Array) -> Array:
+    """As `np.clip`, in half the time if they are few."""
+    return np.minimum(np.maximum(values, low), high)
 
 
 def _banded(diagonals: Array, at: _Linearised) -> Array:
@@ -363,12 +367,15 @@ def _banded(diagonals: Array, at: _Linearised) -> Array:
     blocks = _of_both(at) if at.between else at.blocks
     count, parts, size = blocks.shape[:3]
     bands = np.zeros((parts, count, size, max(2 * size + 1, _BLOCKED)), blocks.dtype)
-    row, column = np.triu_indices(size)
+    row, column = _upper(size)
     bands[:, :, column, row - column - 1] = blocks.swapaxes(0, 1)[:, :, row, column]
     in_a_row = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)
     for apart, diagonal in enumerate(in_a_row):
         bands[..., -1 - apart * size] += diagonal
     return bands
+
+
+_upper = lru_cache(np.triu_indices)  # which takes as long as all else here if plans are short
 
 
 def _of_both(at: _Linearised) -> Array:

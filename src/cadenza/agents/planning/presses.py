@@ -86,7 +86,7 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float, hand: Hand) -
         if following and following.key != press.key:
             last = min(last, max(following.first - rise, press.first + least))
         next_of[press.finger] = press
-        result.append(press._replace(last=last))
+        result.append(press if last == press.last else press._replace(last=last))
     return _with_jumps(result[::-1], places, steps_in(_FLIGHT, dt), hand.jump_times.within_reach)
 
 

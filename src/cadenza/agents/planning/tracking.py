@@ -95,13 +95,13 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     for t in range(steps - 1, -1, -1):
         slope[:, 0] -= reference[t + 1]
         pull = _CONTROL_WEIGHT * leading[t]
-        towards[t] = (pull - np.einsum("ai,ai->a", push, slope)) / curvature[t]
+        towards[t] = (pull - np.vecdot(push, slope)) / curvature[t]
         slope = np.einsum("aji,aj->ai", closed[t], slope) + gain[t] * pull[:, None]
     expected = np.zeros((steps + 1, count, 2))
     expected[0] = start
     ctrl = np.zeros((steps, count))
     for t in range(steps):
-        wanted = towards[t] - np.einsum("ai,ai->a", gain[t], expected[t])
+        wanted = towards[t] - np.vecdot(gain[t], expected[t])
         ctrl[t] = servos.clip(wanted)
         expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
     return Tracking(servos.clip(ctrl + offset), gain, expected)
@@ -122,7 +122,7 @@ def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Arra
     for t in range(steps - 1, -1, -1):
         value[:, 0, 0] += 1.0
         pushed = np.einsum("aij,aj->ai", value, push)
-        curvature[t] = _CONTROL_WEIGHT + np.einsum("ai,ai->a", push, pushed)
+        curvature[t] = _CONTROL_WEIGHT + np.vecdot(push, pushed)
         gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[t][:, None]
         closed[t] = step - push[:, :, None] * gain[t][:, None, :]
         value = np.einsum("aji,ajk->aik", step, value @ closed[t])
