@@ -182,7 +182,7 @@ def check(command: DatasetCheck) -> None:
     for problem in found:
         print(problem, file=sys.stderr)
     if found:
-        raise CadenzaError(f"{command.folder}: {len(found)} problems")
+        raise CadenzaError(f"{command.folder}: {len(found)} problem{'s' * (len(found) > 1)}")
     print(f"{command.folder}: nothing is wrong")
 
 
