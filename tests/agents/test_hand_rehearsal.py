@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cadenza.agents.agent import Array
 from cadenza.agents.planning.ahead import Ahead, Trial
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
 from cadenza.agents.planning.mending import mending
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planning.tracking import Tracking
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
@@ -42,12 +45,19 @@ class Rehearsed:
         self.trials = HandTrials(self.scene, DT)
         self.rehearsal = HandRehearsal(self.scene, self.trials, DT)
 
-    def rehearse(self) -> int:
+    def go_astray(self) -> None:
+        """Plans with the forearm beside where it should be, and no feedback."""
+        ctrl, gain, expected = self.tracking
+        off = np.zeros_like(ctrl)
+        off[:, -2:] = OFF
+        self.tracking = Tracking(ctrl + off, 0.0 * gain, expected)
+
+    def rehearse(self, proposed: Callable[[Array], Iterator[Array]] | None = None) -> int:
         rows = np.arange(self.rehearsal.steps_seen)
         self.trials.begin_from(self.simulation, -1.0, 1.0)
         part, keys = HandPart(self.plan, "right"), self.trials.keys
         ahead = Ahead(part, rows, PIANO, keys, np.zeros(88)[keys])
-        return self.rehearsal.rehearse(self.tracking, rows, ahead)
+        return self.rehearsal.rehearse(self.tracking, rows, ahead, proposed)
 
 
 def test_what_goes_well_is_played_once_and_foreseen() -> None:
@@ -67,9 +77,7 @@ def test_what_goes_well_is_played_once_and_foreseen() -> None:
 
 def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
     hand = Rehearsed("TwinkleTwinkleLittleStar")
-    ctrl = hand.tracking.ctrl.copy()
-    ctrl[:, -2:] += OFF
-    hand.tracking = hand.tracking._replace(ctrl=ctrl, gain=0.0 * hand.tracking.gain)
+    hand.go_astray()
     takes, play = list[Trial](), hand.rehearsal._play
 
     def noted(*args: Any) -> Trial:
@@ -80,7 +88,35 @@ def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPat
     hand.rehearse()
     assert takes[0].mistakes > 0
     assert min(take.mistakes for take in takes) < takes[0].mistakes / 2
-    assert not np.array_equal(hand.rehearsal.ctrl(0), ctrl[:20])
+    assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
+
+
+def test_a_corrected_take_that_goes_well_is_played_as_it_went() -> None:
+    hand = Rehearsed("TwinkleTwinkleLittleStar")
+    good = hand.tracking.ctrl
+    hand.go_astray()
+
+    def corrected(planned: Array) -> Iterator[Array]:
+        rows = np.arange(len(planned))
+        np.testing.assert_array_equal(planned, hand.tracking.ctrl[rows])
+        return hand.rehearsal._with_feedback(good[rows], hand.tracking, rows)
+
+    assert hand.rehearse(corrected) == 2 * hand.rehearsal.steps_seen
+    np.testing.assert_allclose(hand.rehearsal.ctrl(0), good[:20], atol=1e-9)
+
+
+def test_a_corrected_take_that_goes_worse_is_forgotten() -> None:
+    hand, other = (Rehearsed("TwinkleTwinkleLittleStar") for _ in range(2))
+    hand.go_astray()
+    other.go_astray()
+
+    def corrected(planned: Array) -> Iterator[Array]:
+        return iter(planned + 0.5)  # with all fingers bent, on many keys
+
+    taken = other.rehearse()
+    assert taken > other.rehearsal.steps_seen
+    assert hand.rehearse(corrected) == taken + hand.rehearsal.steps_seen
+    np.testing.assert_array_equal(hand.rehearsal.ctrl(0), other.rehearsal.ctrl(0))
 
 
 def test_rehearsing_leaves_the_plan_as_it_is() -> None:

@@ -13,7 +13,7 @@ class GeneralistConfig:
 
     weights: str | None = None
     """File of what it has learnt, as tools/train_generalist.py writes it. By default, it is what
-    comes with Cadenza for these hands. Where it rehearses, it plays without it."""
+    comes with Cadenza for these hands. Where there is nothing for them, it can only rehearse."""
     look_ahead: float | None = field(default=None, metadata=added(before=None))
     """How far ahead it knows the score [s]. By default, it plans the whole song in advance."""
     rehearsals: int = field(default=4, metadata=added(before=0))

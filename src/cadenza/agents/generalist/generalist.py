@@ -21,7 +21,7 @@ from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
-from cadenza.agents.planning.learnt.weights import Weights, weights_of
+from cadenza.agents.planning.learnt.weights import Weights, shipped_for, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
@@ -61,14 +61,17 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         plans = song_plans(track.with_found_fingers(), view.state.hand_qpos[0], self.progress)
         plan = next(plans)
         if config.rehearsals:
-            takes = config.rehearsals + 1
-            rehearsed = [RehearsedHand(plan, side, takes) for side in plan.scene.sides]
+            known, takes = self._known(scene), config.rehearsals + 1
+            rehearsed = [RehearsedHand(plan, side, takes, known) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
         return GeneralistSong(plan, plans, corrected_hands(plan, self._weights(scene)))
 
-    def _weights(self, scene: Scene) -> Weights:
+    def _known(self, scene: Scene) -> Weights | None:
         own = self.config.weights
-        return weights_of(scene) if own is None else Weights.load(Path(own))
+        return shipped_for(scene) if own is None else Weights.load(Path(own))
+
+    def _weights(self, scene: Scene) -> Weights:
+        return self._known(scene) or weights_of(scene)
 
 
 class PlanPlayer(Protocol):

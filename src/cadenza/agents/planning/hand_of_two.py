@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.learnt.weights import shipped_for
 from cadenza.agents.planning.proposal import proposal
 from cadenza.agents.planning.refinement import HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan
@@ -42,14 +43,15 @@ class HandOfTwo:
         threads: that share the search.
         """
         alone, self.servos, self._joints = hand_alone(plan.scene, side)
-        self._side, self._proposes = side, config.proposals == "learnt"
+        self._side = side
+        self._weights = shipped_for(plan.scene) if config.proposals == "learnt" else None
         dt = plan.track.config.control_timestep
         self.refinement = HandRefinement(alone, config, dt, rng, threads)
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""
-        proposed = proposal(plan, self._side, step) if self._proposes else None
+        proposed = proposal(plan, self._side, self._weights, step)
         tracking = plan.nominal.tracking.of(self.servos)
         self.refinement.follow(HandPart(plan, self._side), tracking, proposed)
 

@@ -1,4 +1,4 @@
-"""What networks would have a hand do: the first candidate of a search."""
+"""What networks would have a hand do: the first candidate of a search, a take of a rehearsal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.learnt.inputs import About, Corrections, HandInputs
-from cadenza.agents.planning.learnt.weights import Weights, shipped_for
+from cadenza.agents.planning.learnt.weights import Weights
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
@@ -59,18 +59,16 @@ class Proposal:
             yield corrected
 
 
-def proposal(plan: SongPlan, side: Side, first: int) -> Proposal | None:
-    """By the networks that come with Cadenza; None if there are none for such hands.
+def proposal(plan: SongPlan, side: Side, weights: Weights | None, first: int) -> Proposal | None:
+    """By networks; None if there are none, or if they have learnt with other hands.
 
     Args:
         plan: of the song, as far as it goes.
         side: of the hand.
+        weights: of the networks.
         first: the first step that is proposed.
     """
     alone = hand_alone(plan.scene, side).scene
-    weights, sizes = (
-        shipped_for(plan.scene),
-        (len(About.of(alone).finger), len(servos_of(alone).low)),
-    )
+    sizes = len(About.of(alone).finger), len(servos_of(alone).low)
     fit = weights is not None and weights.sizes == sizes
     return Proposal(plan, side, weights, first) if weights is not None and fit else None
