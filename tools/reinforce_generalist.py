@@ -193,7 +193,7 @@ class Stage:
     def __init__(self, songs: Sequence[Song], scene: Scene, rng: np.random.Generator) -> None:
         self._songs, self._rng = songs, rng
         self._coming = rng.permutation(len(songs)).tolist()  # those that were never begun
-        self._lost = np.zeros(len(songs))  # in a step, when they were last played
+        self._lost = np.ones(len(songs))  # in a step, when they were last played, if they were
         self._simulation = MujocoSimulation(scene, AT_ONCE)
         self._players = [Player() for _ in range(AT_ONCE)]
         self._playing = [0] * AT_ONCE  # which songs

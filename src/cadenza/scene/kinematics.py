@@ -54,7 +54,10 @@ class Kinematics:
         ]
         self._bodies, self._num_points = _ids(bodies), len(scene.hand.fingers[0].links) + 1
         self._tips = _ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
-        self._moves = _moves(model, servos.joints, bodies, self._num_servos)
+        self._of_points, self._of_tips = (
+            _moves(model, servos.joints, some, self._num_servos)
+            for some in (bodies, bodies[self._num_points - 1 :: self._num_points])
+        )
 
     def fingers(self, postures: Array) -> tuple[Array, Array]:
         """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A').
@@ -63,15 +66,27 @@ class Kinematics:
         """
         points, axes, anchors = self._there(postures)
         shape = (len(postures), points.shape[2] // self._num_points, self._num_points, 3)
-        jacobian = np.zeros((len(postures), points.shape[2] * 3 * self._num_servos))
-        for moves in self._moves:
+        jacobian = self._jacobian(points, axes, anchors, self._of_points)
+        return np.moveaxis(points, 0, 2).reshape(shape), jacobian.reshape(*shape, -1)
+
+    def fingertips(self, postures: Array) -> tuple[Array, Array]:
+        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S, F, 3, A'), as `fingers`."""
+        points, axes, anchors = self._there(postures)
+        tips = points[:, :, self._num_points - 1 :: self._num_points]
+        jacobian = self._jacobian(tips, axes, anchors, self._of_tips)
+        return np.moveaxis(tips, 0, 2), jacobian.reshape(len(postures), tips.shape[2], 3, -1)
+
+    def _jacobian(self, points: Array, axes: Array, anchors: Array, some: list[_Moves]) -> Array:
+        """(S, 3 N A') of points (3, S, N), by axes and anchors (3, S, J) of joints."""
+        jacobian = np.zeros((points.shape[1], points.shape[2] * 3 * self._num_servos))
+        for moves in some:
             column = moves.share * axes[:, :, moves.joint]
             if moves.hinge:
                 column = _cross(column, points[:, :, moves.point] - anchors[:, :, moves.joint])
             if moves.again:
                 column += jacobian[:, moves.where].swapaxes(0, 1)
             jacobian[:, moves.where] = column.swapaxes(0, 1)
-        return np.moveaxis(points, 0, 2).reshape(shape), jacobian.reshape(*shape, -1)
+        return jacobian
 
     def _there(self, postures: Array) -> tuple[Array, Array, Array]:
         """(3, S, N) points, and (3, S, J) axes and anchors of joints, of postures (S, A)."""

@@ -145,6 +145,7 @@ class Reaction:
         servos: of the scene.
         """
         self._servos, self._model = servos, hand_on_keys(scene, range(0), ())
+        self._model.opt.gravity = 0.0
         self._data = mujoco.MjData(self._model)
 
     def along(self, postures: Array, dt: float) -> Array:
@@ -157,16 +158,11 @@ class Reaction:
         acceleration = np.zeros_like(postures)
         acceleration[1:-1] = np.diff(postures, n=2, axis=0) / dt**2
         force = np.zeros((len(postures) - 1, model.nv))
-        moving, resting = np.zeros(model.nv), np.zeros(model.nv)
         rows = zip(*(a @ servos.joints for a in (postures, speed, acceleration)), strict=True)
         for t, (qpos, qvel, qacc) in enumerate(list(rows)[:-1]):
             data.qpos, data.qvel, data.qacc = qpos, qvel, qacc
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
-            mujoco.mj_rne(model, data, 1, moving)
-            data.qvel = 0.0
-            mujoco.mj_comVel(model, data)
-            mujoco.mj_rne(model, data, 0, resting)
-            force[t] = moving - resting
+            mujoco.mj_rne(model, data, 1, force[t])
         return force @ servos.joints.T - servos.inertia * acceleration[:-1]

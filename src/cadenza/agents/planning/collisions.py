@@ -23,6 +23,9 @@ class _Pairs:
         """`radii` are (F, links) [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
         self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
+        # (4, C) the ends of the first and the second link, as points of all fingers in a row.
+        points = table[..., 0] * (radii.shape[1] + 1) + table[..., 1]
+        self._ends = np.stack([points[:, 0], points[:, 0] + 1, points[:, 1], points[:, 1] + 1])
         self._least = np.float32(radii[self._a] + radii[self._b] + _CLEARANCE)  # of any precision
 
     def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, tuple[Ids, Ids], Array]:
@@ -36,8 +39,8 @@ class _Pairs:
             (N, C) [m]; the M places in it where that is not zero, (M,) and (M,); and how it changes
             there as the first link of the pair moves, and the second, (M, 2, A).
         """
-        a0, a1 = _ends(points, self._a)
-        b0, b1 = _ends(points, self._b)
+        in_a_row = points.reshape(len(points), -1, 3)
+        a0, a1, b0, b1 = np.moveaxis(in_a_row.take(self._ends, axis=1), 1, 0)
         s, t = _closest(a0, a1, b0, b1)
         gap = a0 + s[..., None] * (a1 - a0) - b0 - t[..., None] * (b1 - b0)
         distance = np.sqrt((gap**2).sum(axis=-1)) + 1e-9
@@ -99,11 +102,6 @@ class LinkCollisions:
 
 
 link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short ask again and again
-
-
-def _ends(points: Array, links: tuple[Ids, Ids]) -> tuple[Array, Array]:
-    finger, link = links
-    return points[:, finger, link], points[:, finger, link + 1]
 
 
 def _closest(a0: Array, a1: Array, b0: Array, b1: Array) -> tuple[Array, Array]:

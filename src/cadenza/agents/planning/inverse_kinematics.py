@@ -38,7 +38,6 @@ _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into ea
 
 _LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
 _REAL = np.float32  # half the time of double precision, and the same costs within a hundredth
-_BLOCKED = 66  # diagonals from which on LAPACK factors bands in blocks: less time, even if of zeros
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -179,6 +178,35 @@ class _InARow(NamedTuple):
 _SECOND_DIFFERENCE = _InARow(1.0, -2.0, 1.0)
 
 
+class _Weights(NamedTuple):
+    """What the motion of H hands with A servos costs, (H, A) each."""
+
+    stiffness: Array
+    """Of squares of how far a servo is from its rest."""
+    inertia: Array
+    """Of squares of second differences."""
+    stride: Array
+    """How far it goes in a step at most."""
+    lead: _InARow
+    """What makes controls of postures, see `Servos.lead`."""
+    limit: Array
+    """Of squares of how far controls are out of their ranges."""
+
+
+@lru_cache(maxsize=8)  # short plans ask again and again
+def _weights(servos: Servos, hands: int, dt: float) -> _Weights:
+    figures = [(use.ease, use.acceleration, use.stride) for use in servos.uses]
+    ease, acceleration, stride = (_of_hands(some, hands) for some in np.array(figures).T)
+    lead = _InARow(*(_of_hands(some, hands) for some in servos.lead(dt)))
+    inertia = (acceleration / (1 / dt) ** 2) ** -2.0
+    return _Weights(ease**-2.0, inertia, stride, lead, (_LACKING * stride * lead.third) ** -2.0)
+
+
+def _of_hands(servos: Array, hands: int) -> Array:
+    """(H, A) of values (H A,)."""
+    return servos.reshape(hands, -1).astype(_REAL)
+
+
 class _Problem:
     """The residuals of postures 1 to S - 1 of H hands with A servos each."""
 
@@ -200,25 +228,18 @@ class _Problem:
         )
         self._links = link_collisions(scene.hand)
         self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
-        figures = [(use.ease, use.acceleration, use.stride) for use in servos.uses]
-        ease, acceleration, stride = np.array(figures).T
-        of_servos = ease**-2.0, (acceleration / (1 / dt) ** 2) ** -2.0, stride
-        # The second is of second differences.
-        self._stiffness, self._inertia, self._stride = map(self._of_hands, of_servos)
-        self._lead = _InARow(*map(self._of_hands, servos.lead(dt)))
-        self._limit = (_LACKING * self._stride * self._lead.third) ** -2.0
-        self._least, self._most, self._per_force = map(
-            self._of_hands, (servos.low, servos.high, 1 / servos.stiffness)
+        self._stiffness, self._inertia, self._stride, self._lead, self._limit = _weights(
+            servos, self._hands, dt
         )
+        self._least, self._most = (
+            _of_hands(ends, self._hands) for ends in (servos.low, servos.high)
+        )
+        self._per_force = _of_hands(1 / servos.stiffness, self._hands)
         self._mounted_apart = scene.config.hand_spacing
         self._slides = servos.along_keyboard[:1]  # as the other hand's
         # The first of the second differences is with the posture before the problem begins.
         self._constant = _SECOND_DIFFERENCE.squares(self._inertia + np.zeros_like(self._rest))
         self._constant[0] += self._stiffness
-
-    def _of_hands(self, servos: Array) -> Array:
-        """(H, A) of values (H A,)."""
-        return servos.reshape(self._hands, -1).astype(_REAL)
 
     def _by_hand(self, rows: Array) -> Array:
         """(N, H, X, ...) of rows (N, H X, ...)."""
@@ -366,7 +387,7 @@ def _banded(diagonals: Array, at: _Linearised) -> Array:
     """
     blocks = _of_both(at) if at.between else at.blocks
     count, parts, size = blocks.shape[:3]
-    bands = np.zeros((parts, count, size, max(2 * size + 1, _BLOCKED)), blocks.dtype)
+    bands = np.zeros((parts, count, size, 2 * size + 1), blocks.dtype)
     row, column = _upper(size)
     bands[:, :, column, row - column - 1] = blocks.swapaxes(0, 1)[:, :, row, column]
     in_a_row = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)

@@ -33,7 +33,7 @@ from cadenza.agents.planning.stances import Stances
 from cadenza.agents.planning.targets import Targets, by_hand, pressing, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.fingers import NO_FINGER
-from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Reaction, Servos, servos_of
 
@@ -127,7 +127,7 @@ def forearm_places(scene: Scene, kinematics: Kinematics, rest: Array) -> Array:
     `rest` is the posture (A,) in which fingers are at ease.
     """
     rest_y = np.zeros(scene.fingers.count)
-    rest_y[scene.fingers_there] = kinematics.fingers(rest[None])[0][0, :, TIP, 1]
+    rest_y[scene.fingers_there] = kinematics.fingertips(rest[None])[0][0, :, 1]
     return scene.keyboard.centre[:, 1, None] - rest_y
 
 
@@ -155,13 +155,13 @@ def controls_along(
         start: (A, 2) positions and speeds of the servos.
         dt: control step [s].
     """
-    points, jacobian = kinematics.fingers(postures)
+    tips, jacobian = kinematics.fingertips(postures)
     hands, pressed = len(scene.sides), targets.force[1:, scene.fingers_there]
-    force = pressing(by_hand(jacobian[1:, :, TIP, 2], hands), by_hand(pressed, hands))
+    force = pressing(by_hand(jacobian[1:, :, 2], hands), by_hand(pressed, hands))
     force = force.reshape(len(pressed), -1)
     moving = np.concatenate([earlier, postures])
     force += reaction.along(moving, dt)[len(earlier) :]
-    return points[:, :, TIP], track(servos, postures, start, force / servos.stiffness, dt)
+    return tips, track(servos, postures, start, force / servos.stiffness, dt)
 
 
 class Found(NamedTuple):
