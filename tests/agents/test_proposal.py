@@ -58,15 +58,20 @@ def test_proposes_what_the_generalist_plays() -> None:
     assert np.ptp(played, axis=0).max() > 0.1  # it moves
 
 
-def test_search_begins_with_what_is_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
-    proposed = list[int]()
-    controls = Proposal.controls
+@pytest.fixture
+def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The steps from which on networks have proposed something."""
+    steps, controls = list[int](), Proposal.controls
 
     def noted(self: Proposal, trials: HandTrials, step: int, *given: Any) -> Any:
-        proposed.append(step)
+        steps.append(step)
         return controls(self, trials, step, *given)
 
     monkeypatch.setattr(Proposal, "controls", noted)
+    return steps
+
+
+def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
     score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
     with_it = play_episode(PianoTask([score], TASK), ScorePlanner(), 0)
     assert proposed
@@ -78,15 +83,7 @@ def test_search_begins_with_what_is_proposed(monkeypatch: pytest.MonkeyPatch) ->
     assert (with_it.episode["action"] != without.episode["action"]).any()
 
 
-def test_rehearsals_ask_networks_where_the_plan_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
-    proposed = list[int]()
-    controls = Proposal.controls
-
-    def noted(self: Proposal, trials: HandTrials, step: int, *given: Any) -> Any:
-        proposed.append(step)
-        return controls(self, trials, step, *given)
-
-    monkeypatch.setattr(Proposal, "controls", noted)
+def test_rehearsals_ask_networks_where_the_plan_goes_wrong(proposed: list[int]) -> None:
     task = TaskConfig(initial_buffer_time=1.0)
     score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
     play_episode(PianoTask([score], task), Generalist(), 0)

@@ -37,7 +37,7 @@ _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
 _LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
-_REAL = np.float32  # half the time of double precision, and the same costs within a hundredth
+_REAL = np.float32  # less time than double precision, and the same costs within a hundredth
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -363,7 +363,7 @@ class _Problem:
         damped[..., -1] += more.swapaxes(0, 1)
         pull = -gradient.reshape(shape).swapaxes(0, 1)
         # Not `scipy.linalg.solveh_banded`, which takes as long to call it as short plans to solve.
-        solve = lapack.spbsv if bands.dtype == _REAL else lapack.dpbsv
+        solve = lapack.spbsv if bands.dtype == np.float32 else lapack.dpbsv
         found = np.empty_like(pull)
         for band, own, there in zip(damped, pull, found, strict=True):
             _, x, failed = solve(band.reshape(-1, band.shape[-1]).T, own.ravel(), overwrite_ab=True)
