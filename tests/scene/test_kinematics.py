@@ -19,7 +19,10 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     scene = build_scene(config)
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
-    points, jacobian = Kinematics(scene, servos).fingers(postures)
+    kinematics = Kinematics(scene, servos)
+    points, jacobian = kinematics.fingers(postures)
+    for alone, of_all in zip(kinematics.fingertips(postures), (points, jacobian), strict=True):
+        np.testing.assert_array_equal(alone, of_all[:, :, TIP])
     model, data = scene.model, mujoco.MjData(scene.model)
     for posture, tips, slope in zip(postures, points[:, :, TIP], jacobian[:, :, TIP], strict=True):
         data.qpos[scene.hand_qpos] = posture @ servos.joints
