@@ -97,4 +97,4 @@ def test_the_command_tells_all_and_fails(
         main(["dataset", "check", str(copied), "--replays", "0"])
     told = capsys.readouterr().err.splitlines()
     assert "plan.npy: missing" in told[0]
-    assert told[1] == f"cadenza: {copied}: 1 problems"
+    assert told[1] == f"cadenza: {copied}: 1 problem"
