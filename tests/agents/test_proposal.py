@@ -26,7 +26,7 @@ STEPS = 7
 
 
 def test_proposes_what_the_generalist_plays() -> None:
-    score = load_score("FurEliseOpening").beginning(3.0)
+    score = load_score("OdeToJoy").beginning(3.0)
     task = PianoTask([score], TASK, SceneConfig(hands="right"))
     agent = Generalist(GeneralistConfig(rehearsals=0))
     task.reset([np.random.default_rng(0)], [0])
@@ -40,10 +40,8 @@ def test_proposes_what_the_generalist_plays() -> None:
         played.append(action[:-1])
         plan, hand = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
         if step % STEPS == 0:
-            ahead, ctrl = (
-                proposal(plan, "right", weights_of(task.scene), step),
-                plan.nominal.tracking.ctrl,
-            )
+            ahead = proposal(plan, "right", weights_of(task.scene), step)
+            ctrl = plan.nominal.tracking.ctrl
             assert ahead
             trials.begin_from(
                 task.simulation, *np.quantile(plan.nominal.fingertips[..., 1], (0, 1))
@@ -54,7 +52,8 @@ def test_proposes_what_the_generalist_plays() -> None:
                 pass
         before = hand.corrections.ctrl(hand.answer)
         task.step(action[None])
-    np.testing.assert_allclose(proposed, played, atol=1e-4)
+    np.testing.assert_array_equal(proposed[::STEPS], played[::STEPS])  # where trials begin
+    np.testing.assert_allclose(proposed, played, atol=1e-5)
     assert np.ptp(played, axis=0).max() > 0.1  # it moves
 
 

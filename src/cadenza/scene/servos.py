@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -78,8 +79,7 @@ class Servos:
 
     def clip(self, coordinates: Array) -> Array:
         """Positions or controls (..., A) within their ranges."""
-        # Half the time of `np.clip`, which matters to plans of a few steps.
-        return np.minimum(np.maximum(coordinates, self.low), self.high)
+        return within(coordinates, self.low, self.high)
 
     def lead(self, dt: float) -> Array:
         """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.
@@ -90,6 +90,11 @@ class Servos:
         damped = self.damping / self.stiffness / dt
         driven = self.inertia / self.stiffness / dt**2
         return np.array([driven, 0.5 - damped - 2 * driven, 0.5 + damped + driven])
+
+
+def within(values: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[Any]:
+    """As `np.clip`, in half the time if they are few, which matters to plans of a few steps."""
+    return np.minimum(np.maximum(values, low), high)
 
 
 @lru_cache(maxsize=8)  # short plans ask again and again

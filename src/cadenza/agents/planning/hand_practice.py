@@ -96,9 +96,8 @@ class HandPractice:
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
-        servos = servos_of(alone)
-        self._low, self._high, self._slides = servos.low, servos.high, servos.along_keyboard
-        self._gain, self._to_posture = tracking.gain, Follower(alone, tracking).posture
+        self._slides = servos_of(alone).along_keyboard
+        self._gain, self._follower = tracking.gain, Follower(alone, tracking)
         self._part, self._losses, self._threads = part, Losses(plan, part), threads
         self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
         self._toward = Correction(alone)
@@ -220,12 +219,12 @@ class HandPractice:
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
-                here = self._to_posture(*trials.hand_joints(place))
+                here = self._follower.posture(*trials.hand_joints(place))
                 off = here - expected[k]
                 off[:, 0] -= offsets[k]
                 expected[k] = here
                 back = (gain * off).sum(axis=1)
-                ctrl[k] = np.clip(ctrl[k] - back + offsets[k + 1], self._low, self._high)
+                ctrl[k] = self._follower.clip(ctrl[k] - back + offsets[k + 1])
                 yield ctrl[k]
 
         cost, heard, steps = 0.0, take.heard(first).of(trials.keys), list[float]()

@@ -13,7 +13,6 @@ from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import Heard, Losses
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower, Tracking
-from cadenza.scene.servos import servos_of
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
@@ -94,10 +93,8 @@ class Stage:
         parts: of the hands.
         """
         scene, tracking = plan.scene, plan.nominal.tracking
-        servos = servos_of(scene)
-        self.gain, self._low, self._high = tracking.gain, servos.low, servos.high
-        self._after = tracking.expected[-1:]
-        self._to_posture = Follower(scene, tracking).posture
+        self.gain, self._after = tracking.gain, tracking.expected[-1:]
+        self._follower = Follower(scene, tracking)
         self._fingers = [part.fingers for part in parts]
         self._losses = [Losses(plan, part) for part in parts]
         self._keys = scene.keyboard.centre[:, 1]
@@ -110,7 +107,7 @@ class Stage:
 
     def posture(self, simulation: PlanningSimulation) -> Array:
         """(A, 2) position and speed of each servo."""
-        return self._to_posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
+        return self._follower.posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
 
     def tracking(self, take: Take) -> Tracking:
         """What leads back to a take of the whole song."""
@@ -145,7 +142,7 @@ class Stage:
                 ctrl = act(simulation.state)
             else:
                 back = (self.gain[row] * (here - take.expected[k])).sum(axis=1)
-                ctrl = np.clip(take.ctrl[k] - back, self._low, self._high)
+                ctrl = self._follower.clip(take.ctrl[k] - back)
             simulation.step(ctrl[None])
             step, heard = self.judged(simulation, row, heard)
             played.put(k, Take(ctrl[None], here[None], *step))

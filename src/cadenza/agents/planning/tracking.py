@@ -43,13 +43,12 @@ class Follower:
         scene: with the hands.
         tracking: of all their servos.
         """
-        servos = servos_of(scene)
-        self._tracking, self._low, self._high = tracking, servos.low, servos.high
-        self._to_posture = servos.of_joints
+        self._tracking, self._servos = tracking, servos_of(scene)
 
     def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
         """(..., A, 2) position and speed of each servo, of joints (..., J)."""
-        return np.stack([hand_qpos @ self._to_posture, hand_qvel @ self._to_posture], axis=-1)
+        to_posture = self._servos.of_joints
+        return np.stack([hand_qpos @ to_posture, hand_qvel @ to_posture], axis=-1)
 
     def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
         """(N, A) controls before `steps` (N,); where the hands are as expected, those tracked."""
@@ -60,7 +59,7 @@ class Follower:
 
     def clip(self, ctrl: Array) -> Array:
         """Controls (..., A) within their range."""
-        return np.clip(ctrl, self._low, self._high)
+        return self._servos.clip(ctrl)
 
 
 # How much less a control's distance from what leads along the reference weighs than the servo's.
