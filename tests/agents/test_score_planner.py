@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,8 +23,9 @@ from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.inverse_kinematics import _Problem, rest_posture, solve_postures
+from cadenza.agents.planning.letting_go import let_go_in_time
 from cadenza.agents.planning.nominal import nominal_plans
-from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
+from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.sampling import UPDATES, Around
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
@@ -31,6 +33,7 @@ from cadenza.agents.planning.targets import targets_of
 from cadenza.agents.planning.tracking import Tracking, track
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
+from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
@@ -558,6 +561,72 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
     left_sooner, *landed = let_go_in_time([first, key, chord], there, 0.05, SHADOW)
     assert left_sooner.last < left.last < 20
     assert not any(press.flies_to for press in landed)
+
+
+def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> list[Press]:
+    """`let_go_in_time` of Shadow hands as plain loops, without jumps."""
+    ahead, times, reach = round(0.4 / dt), SHADOW.jump_times, SHADOW.reach
+
+    def struck_with(press: Press) -> list[Press]:
+        return [p for p in presses if (p.side, p.first) == (press.side, press.first)]
+
+    def place(press: Press) -> float:
+        return float(there[press.key, press.finger])
+
+    def jump(press: Press, chord: list[Press]) -> int:
+        """States before the chord in which the hand has to be off the press, 0 if it need not."""
+        out = 1 if press.side == "right" else -1
+        with_it, strike = struck_with(press), chord[0]
+        holding = press.last > strike.first + 1
+        here = place(press) if holding else np.mean([place(p) for p in with_it])
+        way = abs(np.mean([place(p) for p in chord]) - here)
+        states = math.ceil(
+            round(float(times.seconds(way, len(with_it), len(chord), holding)) / dt, 9)
+        )
+        spanned = all(
+            reach.spans(
+                press.finger % 5, p.finger % 5, out * (there[p.key, 0] - there[press.key, 0])
+            )
+            for p in chord
+        )
+        return 0 if spanned or not states else max(states - strike.later, 1)
+
+    cut = []
+    for press in presses:
+        last = press.last
+        until = max(p.last for p in struck_with(press)) + ahead
+        for head in presses:
+            chord = struck_with(head)
+            if head is chord[0] and head.side == press.side and press.first < head.first <= until:
+                states = jump(press, chord)
+                if states and head.first <= press.last + ahead:
+                    last = min(last, max(head.first - states, press.first + 1))
+        cut.append(press._replace(last=last))
+    for i, press in enumerate(cut):
+        after = [p for p in cut[i + 1 :] if p.finger == press.finger]
+        if after and after[0].key != press.key:
+            cut[i] = press._replace(last=min(press.last, max(after[0].first - 1, press.first + 1)))
+    return cut
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=50)
+def test_letting_go_is_that_of_plain_loops(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fingers = np.full((40, 88), -1, np.int8)
+    for _ in range(rng.integers(40)):
+        first, key = rng.integers(40), int(np.clip(rng.normal(40, 12), 0, 87))
+        fingers[first : first + rng.integers(1, 14), key] = rng.integers(10)
+    later = rng.integers(3, size=(41, 2))
+    presses = [
+        press._replace(later=int(later[press.first, SIDES.index(press.side)]))
+        for press in presses_of(fingers >= 0, fingers, FIVE)
+    ]
+    rest = SHADOW.reach.rest
+    there = places(np.concatenate([rest, -rest]))
+    found = let_go_in_time(presses, there, 0.05, SHADOW)
+    unmarked = [press._replace(flies_off=False, flies_to=False) for press in found]
+    assert unmarked == let_go_one_by_one(presses, there, 0.05)
 
 
 @pytest.mark.parametrize("far", [False, True])

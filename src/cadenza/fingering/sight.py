@@ -95,7 +95,8 @@ class NotesInSight:
 
     def _ended(self, press: Press) -> Press:
         """With what is known of its end by now."""
-        return replace(press, end=self._ends[press.notes[0]])
+        end = self._ends[press.notes[0]]
+        return press if press.end == end else replace(press, end=end)
 
     def _as_seen(self, sounding: Sounding) -> Sounding:
         seen = copy(sounding)

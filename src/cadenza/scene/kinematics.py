@@ -69,12 +69,16 @@ class Kinematics:
         jacobian = self._jacobian(points, axes, anchors, self._of_points)
         return np.moveaxis(points, 0, 2).reshape(shape), jacobian.reshape(*shape, -1)
 
-    def fingertips(self, postures: Array) -> tuple[Array, Array]:
-        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S, F, 3, A'), as `fingers`."""
+    def fingertips(self, postures: Array, moving: slice = slice(None)) -> tuple[Array, Array]:
+        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S', F, 3, A'), as `fingers`.
+
+        `moving` says of which of the postures it is, by default of all.
+        """
         points, axes, anchors = self._there(postures)
         tips = points[:, :, self._num_points - 1 :: self._num_points]
-        jacobian = self._jacobian(tips, axes, anchors, self._of_tips)
-        return np.moveaxis(tips, 0, 2), jacobian.reshape(len(postures), tips.shape[2], 3, -1)
+        some = tips[:, moving], axes[:, moving], anchors[:, moving]
+        jacobian = self._jacobian(*some, self._of_tips)
+        return np.moveaxis(tips, 0, 2), jacobian.reshape(len(jacobian), tips.shape[2], 3, -1)
 
     def _jacobian(self, points: Array, axes: Array, anchors: Array, some: list[_Moves]) -> Array:
         """(S, 3 N A') of points (3, S, N), by axes and anchors (3, S, J) of joints."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
@@ -92,7 +92,7 @@ class Servos:
         return np.array([driven, 0.5 - damped - 2 * driven, 0.5 + damped + driven])
 
 
-def within(values: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[Any]:
+def within(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
     """As `np.clip`, in half the time if they are few, which matters to plans of a few steps."""
     return np.minimum(np.maximum(values, low), high)
 

@@ -45,21 +45,21 @@ class CorrectedHand:
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""
         self._inputs = HandInputs(plan, self._side, self._alone, self.servos, step)
-        self._follower = Follower(self._alone, plan.nominal.tracking.of(self.servos))
+        self._tracking = plan.nominal.tracking.of(self.servos)
+        self._follower = Follower(self._alone, self._tracking)
 
     def posture(self, state: State) -> Array:
         """(A, 2) position and speed of its servos."""
-        (posture,) = self._follower.posture(*self._alone_in(state))
+        joints = state.hand_qpos[:1, self._joints], state.hand_qvel[:1, self._joints]
+        (posture,) = self._follower.posture(*joints)
         return posture
 
     def see(self, step: int, state: State) -> tuple[Floats, Array]:
         """(D,) what is told before a step, and (A,) the controls that it corrects."""
-        qpos, qvel = self._alone_in(state)
-        alone = state._replace(hand_qpos=qpos, hand_qvel=qvel)
-        planned = self._follower.ctrl(np.array([step]), alone)
         posture, tips = self.posture(state), state.fingertip_xpos[0, self._fingers]
+        planned = self.clip(self._tracking.ctrl[step] - self._tracking.feedback(step, posture))
         told = self._inputs.at(step, posture, self.answer, tips, state.key_qpos[0])
-        return told, planned[0]
+        return told, planned
 
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
@@ -80,7 +80,3 @@ class CorrectedHand:
     def played(self, ctrl: Array, planned: Array) -> None:
         """Keeps how the controls (A,) of a step differ from those that were planned (A,)."""
         self.answer = self.corrections.answer(ctrl - planned)
-
-    def _alone_in(self, state: State) -> tuple[Array, Array]:
-        """(1, J) positions and speeds of its joints."""
-        return state.hand_qpos[:1, self._joints], state.hand_qvel[:1, self._joints]

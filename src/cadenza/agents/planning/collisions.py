@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.hand import Hand
+from cadenza.scene.servos import within
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
@@ -75,7 +76,7 @@ class LinkCollisions:
             *pairwise(range(1, count)),
             *((0, other) for other in range(1, 1 + hand.thumb_meets)),
         ]
-        within = [
+        of_one = [
             ((a, i), (b, j))
             for a, b in beside
             for i in links
@@ -91,7 +92,7 @@ class LinkCollisions:
             for j in links[1:]
         ]
         radii = np.array([finger.radii for finger in hand.fingers])  # (F, links)
-        self.of_hand, self.of_both = _Pairs(within, radii), _Pairs(between, np.tile(radii, (2, 1)))
+        self.of_hand, self.of_both = _Pairs(of_one, radii), _Pairs(between, np.tile(radii, (2, 1)))
         self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
     def hands_near(self, points: Array) -> Ids:
@@ -113,6 +114,6 @@ def _closest(a0: Array, a1: Array, b0: Array, b1: Array) -> tuple[Array, Array]:
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)
     da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
-    s = np.clip((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, 1e-12), 0.0, 1.0)
-    t = np.clip((ab * s + db) / bb, 0.0, 1.0)
-    return np.clip((ab * t - da) / aa, 0.0, 1.0), t
+    s = within((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, 1e-12), 0.0, 1.0)
+    t = within((ab * s + db) / bb, 0.0, 1.0)
+    return within((ab * t - da) / aa, 0.0, 1.0), t

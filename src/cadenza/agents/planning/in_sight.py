@@ -98,7 +98,7 @@ class InSight:
             found = self._motion.found(
                 before, presses, past, past + ahead, known=known, effort=effort
             )
-            plan = self._motion.led_along(before, presses, found.part(led + 1))
+            plan = self._motion.led_along(before, presses, found.part(led + 1), played=1)
         presses = [
             press._replace(first=press.first - past, last=press.last - past) for press in presses
         ]

@@ -191,6 +191,11 @@ class _Weights(NamedTuple):
     """What makes controls of postures, see `Servos.lead`."""
     limit: Array
     """Of squares of how far controls are out of their ranges."""
+    least: Array
+    """The ends of these."""
+    most: Array
+    per_force: Array
+    """How much further a control is for a force that stands against the servo."""
 
 
 @lru_cache(maxsize=8)  # short plans ask again and again
@@ -199,7 +204,9 @@ def _weights(servos: Servos, hands: int, dt: float) -> _Weights:
     ease, acceleration, stride = (_of_hands(some, hands) for some in np.array(figures).T)
     lead = _InARow(*(_of_hands(some, hands) for some in servos.lead(dt)))
     inertia = (acceleration / (1 / dt) ** 2) ** -2.0
-    return _Weights(ease**-2.0, inertia, stride, lead, (_LACKING * stride * lead.third) ** -2.0)
+    limit = (_LACKING * stride * lead.third) ** -2.0
+    ends = (_of_hands(some, hands) for some in (servos.low, servos.high, 1 / servos.stiffness))
+    return _Weights(ease**-2.0, inertia, stride, lead, limit, *ends)
 
 
 def _of_hands(servos: Array, hands: int) -> Array:
@@ -228,13 +235,9 @@ class _Problem:
         )
         self._links = link_collisions(scene.hand)
         self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
-        self._stiffness, self._inertia, self._stride, self._lead, self._limit = _weights(
-            servos, self._hands, dt
-        )
-        self._least, self._most = (
-            _of_hands(ends, self._hands) for ends in (servos.low, servos.high)
-        )
-        self._per_force = _of_hands(1 / servos.stiffness, self._hands)
+        weights = _weights(servos, self._hands, dt)
+        self._stiffness, self._inertia, self._stride, self._lead, self._limit, *ends = weights
+        self._least, self._most, self._per_force = ends
         self._mounted_apart = scene.config.hand_spacing
         self._slides = servos.along_keyboard[:1]  # as the other hand's
         # The first of the second differences is with the posture before the problem begins.

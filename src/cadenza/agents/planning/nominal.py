@@ -28,7 +28,8 @@ from cadenza.agents.planning.inverse_kinematics import (
     rest_posture,
     solve_postures,
 )
-from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
+from cadenza.agents.planning.letting_go import let_go_in_time
+from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.stances import Stances
 from cadenza.agents.planning.targets import Targets, by_hand, pressing, targets_of
 from cadenza.agents.planning.tracking import Tracking, track
@@ -141,6 +142,7 @@ def controls_along(
     earlier: Array,
     start: Array,
     dt: float,
+    played: int | None = None,
 ) -> tuple[Array, Tracking]:
     """The fingertips (S, F, 3) along postures, and controls that lead along them.
 
@@ -154,14 +156,17 @@ def controls_along(
         earlier: (E, A) those before the first, if there are any.
         start: (A, 2) positions and speeds of the servos.
         dt: control step [s].
+        played: how many steps will be played by this plan, all by default. Later ones do not press.
     """
-    tips, jacobian = kinematics.fingertips(postures)
-    hands, pressed = len(scene.sides), targets.force[1:, scene.fingers_there]
-    force = pressing(by_hand(jacobian[1:, :, 2], hands), by_hand(pressed, hands))
-    force = force.reshape(len(pressed), -1)
-    moving = np.concatenate([earlier, postures])
-    force += reaction.along(moving, dt)[len(earlier) :]
-    return tips, track(servos, postures, start, force / servos.stiffness, dt)
+    steps = len(postures) - 1 if played is None else played
+    tips, jacobian = kinematics.fingertips(postures, slice(1, steps + 1))
+    hands, pressed = len(scene.sides), targets.force[1 : steps + 1, scene.fingers_there]
+    force = pressing(by_hand(jacobian[:, :, 2], hands), by_hand(pressed, hands))
+    moving = np.concatenate([earlier, postures[: steps + 2]])
+    along = reaction.along(moving, dt)[len(earlier) :][:steps]
+    offset = np.zeros_like(postures[1:])
+    offset[:steps] = (force.reshape(steps, -1) + along) / servos.stiffness
+    return tips, track(servos, postures, start, offset, dt)
 
 
 class Found(NamedTuple):
@@ -237,12 +242,13 @@ class Motion:
             asked: (T, K) fingers that should press the keys, -1 for none.
             later: (T, H), or for all, as in `nominal_plans`.
         """
-        sides = self._scene.sides
-        later = np.broadcast_to(later, (len(asked), len(sides)))
-        wanted = [
-            press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
-            for press in presses_of(asked >= 0, asked, self._scene.fingers)
-        ]
+        sides, wanted = self._scene.sides, presses_of(asked >= 0, asked, self._scene.fingers)
+        if np.any(later):
+            later = np.broadcast_to(later, (len(asked), len(sides)))
+            wanted = [
+                press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
+                for press in wanted
+            ]
         return let_go_in_time(wanted, self._places, self._dt, self._scene.hand)
 
     def found(
@@ -274,8 +280,13 @@ class Motion:
         postures = solve_postures(*model, targets, guess, before, dt, progress, begin, effort)
         return Found(postures, guess, targets)
 
-    def led_along(self, plan: Nominal, presses: list[Press], found: Found) -> Nominal:
-        """What leads the hands along what was found to come after a plan."""
+    def led_along(
+        self, plan: Nominal, presses: list[Press], found: Found, played: int | None = None
+    ) -> Nominal:
+        """What leads the hands along what was found to come after a plan.
+
+        `played` is as in `controls_along`.
+        """
         fingertips, tracking = controls_along(
             self._scene,
             self._kinematics,
@@ -286,6 +297,7 @@ class Motion:
             plan.postures[-2:-1],
             plan.tracking.expected[-1],
             self._dt,
+            played,
         )
         return Nominal(presses, found.postures, fingertips, tracking)
 
@@ -297,6 +309,7 @@ class Motion:
         states, here = last + 1, plan.postures[-1]
         guess = np.tile(self._rest, (states, 1))
         lead, width = steps_in(_LEAD, self._dt), _SMOOTH / self._dt
+        paths = {}
         for side in self._scene.sides:
             place, count = np.zeros(states), np.zeros(states)
             for press in presses:
@@ -308,9 +321,10 @@ class Motion:
                 place[first], count[first] = self._stances.place(here, side), 1
             if count.any():
                 known = np.flatnonzero(count)
-                path = np.interp(np.arange(states), known, place[known] / count[known])
-                smooth = gaussian_filter1d(path, width, mode="nearest")
-                self._stances.stand(guess, side, smooth)
+                paths[side] = np.interp(np.arange(states), known, place[known] / count[known])
+        smooth = gaussian_filter1d(list(paths.values()), width, mode="nearest") if paths else ()
+        for side, path in zip(paths, smooth, strict=True):
+            self._stances.stand(guess, side, path)
         guess[first] = here
         return guess[first:]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -89,19 +90,11 @@ class _Writer:
     """Writes presses into targets that begin with all fingers idle."""
 
     def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
-        self._dt = dt
-        self._keyboard = scene.keyboard
-        fingers = scene.hand.fingers * len(SIDES)
-        radius = self._radius = np.array([finger.tip_radius for finger in fingers])
-        self._on_white = np.array([finger.on_white for finger in fingers])
-        black = scene.keyboard.black
-        # To the micrometre: the sum must not depend on how its parts are written.
-        front = black.centre_x + black.half_size[0]
-        self._walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
-        shape = (num_states, len(fingers), 3)
+        self._dt, self._keyboard, figures = dt, scene.keyboard, _figures(scene)
+        self._radius, self._on_white, self._walls, self._above_all = figures
+        shape = (num_states, len(self._radius), 3)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         low[:, :, 0], high[:, :, 0] = _OVER_KEYS
-        self._above_all = black.top + _LIFTED + radius
         low[:, :, 2] = self._above_all
         sigma = np.broadcast_to(_IDLE, shape).copy()
         self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
@@ -193,6 +186,30 @@ class _Writer:
         fall = np.tan(angle) * (x - centre[:, 0] + half[:, 0])
         height = centre[:, 2] + half[:, 2] - fall + self._radius[some.finger]
         return np.column_stack([x, centre[:, 1], height])
+
+
+class _Figures(NamedTuple):
+    """Of F fingers, (F,) each [m]."""
+
+    radius: Array
+    """Of their tips."""
+    on_white: Array
+    """Where they press white keys, from the middle of those towards the player."""
+    walls: Array
+    """How near they come to black keys, likewise."""
+    above_all: Array
+    """The height in which they are above all keys."""
+
+
+@lru_cache(maxsize=8)  # short plans ask again and again
+def _figures(scene: Scene) -> _Figures:
+    fingers, black = scene.hand.fingers * len(SIDES), scene.keyboard.black
+    radius = np.array([finger.tip_radius for finger in fingers])
+    # To the micrometre: the sum must not depend on how its parts are written.
+    front = black.centre_x + black.half_size[0]
+    walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
+    on_white = np.array([finger.on_white for finger in fingers])
+    return _Figures(radius, on_white, walls, black.top + _LIFTED + radius)
 
 
 class _Presses(NamedTuple):

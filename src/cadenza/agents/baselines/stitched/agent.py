@@ -12,8 +12,9 @@ from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.stitched.motions import Motions
 from cadenza.agents.baselines.stitched.stitching import stitched
 from cadenza.agents.planning.inverse_kinematics import rest_posture
+from cadenza.agents.planning.letting_go import let_go_in_time
 from cadenza.agents.planning.nominal import Nominal, controls_along, forearm_places
-from cadenza.agents.planning.presses import Press, let_go_in_time, presses_of
+from cadenza.agents.planning.presses import Press, presses_of
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.targets import targets_of
 from cadenza.errors import CadenzaError

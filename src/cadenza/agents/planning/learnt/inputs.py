@@ -15,7 +15,7 @@ from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
 from cadenza.scene.scene import Scene
-from cadenza.scene.servos import servos_of
+from cadenza.scene.servos import servos_of, within
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -129,33 +129,29 @@ class HandInputs:
 
         Keys are -1 for none.
         """
-        shape = len(steps), len(range(self._fingers.start, self._fingers.stop))
-        shown, over = np.zeros((*shape, _OF_A_PRESS)), np.ones(shape, bool)
-        begins, ends, key, jumps = (np.zeros(shape, np.intp) for _ in range(4))
-        soon = steps[:, None] + np.arange(1, _HELD + 1)
-        for row in range(shape[1]):
-            number = self._fingers.start + row
-            mine = [
-                (p.first, p.last, p.key, p.flies_to or p.flies_off)
-                for p in presses
-                if p.finger == number
-            ]
-            if mine:
-                first, last, keys, jump = np.array(mine).T
-                following = last.searchsorted(steps, "right")
-                over[:, row] = following == len(mine)
-                which = np.minimum(following, len(mine) - 1)
-                begins[:, row], ends[:, row] = first[which], last[which]
-                key[:, row], jumps[:, row] = keys[which], jump[which]
-                at = first.searchsorted(soon, "right") - 1
-                shown[:, row, 4 : 4 + _HELD] = (at >= 0) & (soon < last[np.maximum(at, 0)])
-        to_begin = begins - steps[:, None]
-        shown[..., 0] = np.clip(to_begin, -FAR, FAR) / FAR
-        shown[..., 1] = np.clip(ends - steps[:, None], 0, FAR) / FAR
-        shown[..., 2], shown[..., 3] = self._keyboard.is_black[key], jumps
-        near = np.clip(1 - to_begin / FAR, 0, 1)
+        fingers = np.arange(self._fingers.stop - self._fingers.start)
+        never = max([len(self._wanted) + _HELD, *(p.last for p in presses)]) + 1
+        rows = [
+            (p.finger - self._fingers.start, p.first, p.last, p.key, p.flies_to or p.flies_off)
+            for p in presses
+        ]
+        rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # their ends
+        of, first, last, keys, jumps = np.array(sorted(rows)).T
+        # On one time line, a finger's presses come long after those of the finger before it.
+        begins, ends = of * (never + 1) + first, of * (never + 1) + last
+        now = fingers * (never + 1) + steps[:, None]
+        soon = now[..., None] + np.arange(1, _HELD + 1)
+        which, at = ends.searchsorted(now, "right"), begins.searchsorted(soon, "right") - 1
+        shown = np.zeros((*which.shape, _OF_A_PRESS))
+        shown[..., 4 : 4 + _HELD] = (at >= 0) & (soon < ends[at])
+        key, over = keys[which], first[which] == never
+        to_begin = first[which] - steps[:, None]
+        shown[..., 0] = within(to_begin, -FAR, FAR) / FAR
+        shown[..., 1] = within(last[which] - steps[:, None], 0, FAR) / FAR
+        shown[..., 2], shown[..., 3] = self._keyboard.is_black[key], jumps[which]
+        near = within(1 - to_begin / FAR, 0, 1)
         way = (self._keyboard.centre[key] - self._tips[steps]) * self._mirror.place / _KEY_OFF
-        shown[..., 5 + _HELD : 8 + _HELD] = np.clip(way, -2, 2) * (near > 0)[..., None]
+        shown[..., 5 + _HELD : 8 + _HELD] = within(way, -2, 2) * (near > 0)[..., None]
         shown[..., 8 + _HELD] = near
         shown[over] = 0.0
         shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
@@ -177,12 +173,12 @@ class HandInputs:
         off = (posture - self._tracking.expected[step]) * turned[:, None]
         following = self._tips[min(step + 1, len(self._tips) - 1)]
         depths = self._depths(row, step, key_qpos)
-        from_now = np.clip((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
-        from_next = np.clip((tips - following) * place / _TIP_OFF, -4, 4)
+        from_now = within((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
+        from_next = within((tips - following) * place / _TIP_OFF, -4, 4)
         parts = (
             self._planned[row],
-            np.clip(off[:, 0] / _OFF, -4, 4),
-            np.clip(off[:, 1] / _TOO_FAST, -4, 4),
+            within(off[:, 0] / _OFF, -4, 4),
+            within(off[:, 1] / _TOO_FAST, -4, 4),
             correction,
             depths.ravel(),
             from_now.ravel(),
@@ -214,9 +210,9 @@ def _cases(presses: Array, depths: Array, from_now: Array, from_next: Array) -> 
         from_next: (F, 3) and from where it should be after the step.
     """
     black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD]
-    wanted, lacks = depths[:, -1], np.clip(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
+    wanted, lacks = depths[:, -1], within(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
     off, off_next = (np.hypot(some[:, 0], some[:, 1]) for some in (from_now, from_next))
-    low, astray = np.clip(-from_now[:, 2], 0, 4), off > _ASTRAY
+    low, astray = within(-from_now[:, 2], 0, 4), off > _ASTRAY
     missing = wanted * lacks
     shallow = (1.0, off < 0.5, black, lacks < 0.5)
     lacking = [missing * case for case in shallow] + [soon * (1 - wanted) * lacks]
@@ -243,8 +239,8 @@ class Corrections(NamedTuple):
 
     def ctrl(self, answer: Floats) -> Array:
         """(A,) what is added to the controls."""
-        return np.clip(answer, -_MOST, _MOST) * self.turned * self.scale
+        return within(answer, -_MOST, _MOST) * self.turned * self.scale
 
     def answer(self, ctrl: Array) -> Array:
         """The inverse of `ctrl`, of what was added."""
-        return np.clip(ctrl * self.turned / self.scale, -_MOST, _MOST)
+        return within(ctrl * self.turned / self.scale, -_MOST, _MOST)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays, write_atomically
 from cadenza.scene.scene import Scene
+from cadenza.scene.servos import within
 
 Floats = NDArray[np.float32]
 Ids = NDArray[np.intp]
@@ -63,7 +64,7 @@ class Network(NamedTuple):
     def __call__(self, told: Floats) -> Floats:
         """(H, M, O) the answers to what is told of H hands (H, D + 2), `CONSTANTS` included."""
         shown = told[:, self.inputs].reshape(-1, len(self.middle))
-        hidden = np.clip((shown - self.middle) / self.spread, -FURTHEST, FURTHEST)
+        hidden = within((shown - self.middle) / self.spread, -FURTHEST, FURTHEST)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ kernel + bias, 0.0)
         answers: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
