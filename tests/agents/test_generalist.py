@@ -304,6 +304,15 @@ def test_hand_with_other_servos() -> None:
         play_episode(task, Generalist(AT_ONCE), 0)
 
 
+@pytest.mark.parametrize("rehearsals", [0, 4])
+def test_own_weights_of_other_hands(rehearsals: int) -> None:
+    scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
+    task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
+    with pytest.raises(CadenzaError, match="has learnt with hands of 19 servos") as raised:
+        play_episode(task, Generalist(GeneralistConfig(str(SHIPPED), rehearsals=rehearsals)), 0)
+    assert "\n" not in str(raised.value)
+
+
 def test_weights_that_are_damaged(tmp_path: Path) -> None:
     path = tmp_path / "half.npz"
     path.write_bytes(SHIPPED.read_bytes()[:10_000])

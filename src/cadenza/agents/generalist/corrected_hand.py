@@ -37,11 +37,6 @@ class CorrectedHand:
         self.answer = np.zeros(len(self.corrections.scale))
         self.follow(plan, 0)
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Of what is told of it, and of the answer."""
-        return len(self.about.finger), len(self.answer)
-
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""
         self._inputs = HandInputs(plan, self._side, self._alone, self.servos, step)

@@ -21,11 +21,12 @@ from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
+from cadenza.agents.planning.learnt.inputs import sizes_of
 from cadenza.agents.planning.learnt.weights import Weights, shipped_for, weights_of
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
@@ -55,7 +56,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             it has learnt is damaged.
         """
         (track,) = view.tracks
-        config, scene = self.config, view.task.scene
+        config, scene = self.config, scene_planned_with(track)
         if config.look_ahead is not None:
             return SightReader(track, view.state, config.look_ahead, self._weights(scene))
         plans = song_plans(track.with_found_fingers(), view.state.hand_qpos[0], self.progress)
@@ -64,14 +65,14 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             known, takes = self._known(scene), config.rehearsals + 1
             rehearsed = [RehearsedHand(plan, side, takes, known) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
-        return GeneralistSong(plan, plans, corrected_hands(plan, self._weights(scene)))
+        return GeneralistSong(plan, plans, _corrected_hands(plan, self._weights(scene)))
 
     def _known(self, scene: Scene) -> Weights | None:
         own = self.config.weights
-        return shipped_for(scene) if own is None else Weights.load(Path(own))
+        return shipped_for(scene) if own is None else _fitting(Weights.load(Path(own)), scene)
 
     def _weights(self, scene: Scene) -> Weights:
-        return self._known(scene) or weights_of(scene)
+        return _fitting(self._known(scene) or weights_of(scene), scene)
 
 
 class PlanPlayer(Protocol):
@@ -142,7 +143,7 @@ class SightReader:
         self._scene = scene_planned_with(track)
         self._in_sight = InSight(self._scene, players_of(self._scene), start.hand_qpos[0], dt)
         self._looked, plan = 0, self._look(0, start)
-        self._hands = corrected_hands(plan, weights)
+        self._hands = _corrected_hands(plan, weights)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
@@ -166,17 +167,21 @@ class SightReader:
         return SongPlan(self._scene, self._track, replace(self._goals, keys=keys), nominal)
 
 
-def corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
-    """Those of a plan.
+def _corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
+    return [CorrectedHand(plan, side, weights) for side in plan.scene.sides]
+
+
+def _fitting(weights: Weights, scene: Scene) -> Weights:
+    """The weights.
 
     Raises:
-        CadenzaError: it has been learnt with other servos.
+        CadenzaError: they have been learnt with other hands than those of the scene.
     """
-    hands = [CorrectedHand(plan, side, weights) for side in plan.scene.sides]
-    for hand in hands:
-        if hand.sizes != weights.sizes:
-            raise CadenzaError(
-                f"generalist: has learnt with hands of {weights.sizes[1]} servos, but here "
-                f"they have {hand.sizes[1]}: leave out options that change the hands"
-            )
-    return hands
+    told, servos = sizes_of(hand_alone(scene, scene.sides[0]).scene)
+    if weights.sizes != (told, servos):
+        raise CadenzaError(
+            f"generalist: has learnt with hands of {weights.sizes[1]} servos, of which it is told "
+            f"{weights.sizes[0]} numbers; here they have {servos}, and it is told {told}: leave "
+            "out options that change the hands"
+        )
+    return weights

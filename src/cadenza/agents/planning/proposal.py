@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.learnt.inputs import About, Corrections, HandInputs
+from cadenza.agents.planning.learnt.inputs import Corrections, HandInputs, sizes_of
 from cadenza.agents.planning.learnt.weights import Weights
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import Side
@@ -68,7 +68,6 @@ def proposal(plan: SongPlan, side: Side, weights: Weights | None, first: int) ->
         weights: of the networks.
         first: the first step that is proposed.
     """
-    alone = hand_alone(plan.scene, side).scene
-    sizes = len(About.of(alone).finger), len(servos_of(alone).low)
-    fit = weights is not None and weights.sizes == sizes
-    return Proposal(plan, side, weights, first) if weights is not None and fit else None
+    if weights is None or weights.sizes != sizes_of(hand_alone(plan.scene, side).scene):
+        return None
+    return Proposal(plan, side, weights, first)

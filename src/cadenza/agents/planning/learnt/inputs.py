@@ -85,6 +85,11 @@ class About(NamedTuple):
         return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
 
 
+def sizes_of(alone: Scene) -> tuple[int, int]:
+    """Of what is told of the hand which is alone in a scene, and of the answer."""
+    return len(About.of(alone).finger), len(servos_of(alone).low)
+
+
 class HandInputs:
     """What is told of one hand, before each of the steps that a plan has from some on."""
 
