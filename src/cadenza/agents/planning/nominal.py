@@ -156,7 +156,8 @@ def controls_along(
         earlier: (E, A) those before the first, if there are any.
         start: (A, 2) positions and speeds of the servos.
         dt: control step [s].
-        played: how many steps will be played by this plan, all by default. Later ones do not press.
+        played: how many steps will be played by this plan, all by default. The controls of later
+            ones do without what makes up for forces.
     """
     steps = len(postures) - 1 if played is None else played
     tips, jacobian = kinematics.fingertips(postures, slice(1, steps + 1))
