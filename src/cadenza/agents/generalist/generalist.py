@@ -68,11 +68,11 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         return GeneralistSong(plan, plans, _corrected_hands(plan, self._weights(scene)))
 
     def _known(self, scene: Scene) -> Weights | None:
-        own = self.config.weights
-        return shipped_for(scene) if own is None else _fitting(Weights.load(Path(own)), scene)
+        return shipped_for(scene) if self.config.weights is None else self._weights(scene)
 
     def _weights(self, scene: Scene) -> Weights:
-        return _fitting(self._known(scene) or weights_of(scene), scene)
+        own = self.config.weights
+        return _fitting(weights_of(scene) if own is None else Weights.load(Path(own)), scene)
 
 
 class PlanPlayer(Protocol):
