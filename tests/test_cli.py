@@ -21,6 +21,7 @@ from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
+from cadenza.files import write_json
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
@@ -334,6 +335,15 @@ def test_play_leaves_what_it_promises(
     assert "<html" in (folder / "report.html").read_text()
 
 
+def test_nothing_of_another_performance_stays(tune: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "played"
+    for name in ("misses.json", "video.mp4", "episode-left.npz", "of-the-user.txt"):
+        write_json(folder / name, "of before")
+    main(["play", str(tune), "--agent", "zero", "--no-video", "-o", str(folder)])
+    files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
+    assert {path.name for path in folder.iterdir()} == files | {"of-the-user.txt"}
+
+
 def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_path: Path) -> None:
     terms = ["--sustain-term", "--forearm-term"]
     main(["play", str(tune), *QUICK, *AT_ONCE, *terms, "-o", str(tmp_path)])
@@ -517,6 +527,24 @@ def test_a_plan_is_an_npz_file(
 ) -> None:
     message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "tune.fingering")
     assert "tune.fingering: a plan is a .npz file" in message
+
+
+def test_a_plan_does_not_replace_the_fingering_of_the_song(
+    tune: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tune.with_suffix(".fingering")
+    own.write_text("mine")
+    said = refused_in_a_line(capsys, "plan", tune, "-o", tune.with_suffix(".npz"))
+    assert f"would replace {own}, which goes with the song; choose another name" in said
+    assert own.read_text() == "mine"
+
+
+def test_a_plan_is_no_folder(
+    tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "plan.npz").mkdir()
+    message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "plan.npz")
+    assert "plan.npz: is a folder; choose another name" in message
 
 
 def test_half_a_plan_is_not_kept(

@@ -125,6 +125,13 @@ def test_the_folder_of_a_policy_as_the_song_plays_that_policy(
     assert settings(here / "played" / "A tune" / "zero")["agent"] == "zero"
 
 
+def test_the_folder_of_a_policy_may_have_an_equals_sign(here: Path) -> None:
+    folder = policy(here / "lr=0.1" / "best")
+    main(["play", "tune.mid", "--agent", str(folder), "--no-video", "-o", "one"])
+    main(["play", "tune.mid", f"--agent={folder}", "--no-video", "-o", "other"])
+    assert {settings(here / name)["agent"] for name in ("one", "other")} == {str(folder)}
+
+
 def test_a_policy_on_another_song_is_a_line_on_stderr(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

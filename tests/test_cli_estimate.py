@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cadenza.agents.agent import Agent, ZeroAgent
+from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.cli import estimate
 from cadenza.cli.progress import QUIET
@@ -33,6 +34,11 @@ def test_a_long_song_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
     assert told == "planning and playing 3:12 of music takes about 1 to 4 min\n"
     estimate.tell_how_long(setup(60))
     assert "1:00 of music takes about 20 to 70 s" in capsys.readouterr().err
+
+
+def test_practice_is_part_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+    estimate.tell_how_long(setup(20, ScorePlanner(ScorePlannerConfig(effort=8.0))))
+    assert "0:20 of music takes about 5 to 15 min" in capsys.readouterr().err
 
 
 def test_short_work_is_not_announced(capsys: pytest.CaptureFixture[str]) -> None:

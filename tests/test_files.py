@@ -32,6 +32,7 @@ from cadenza.files import (
     read_arrays,
     read_json,
     write_atomically,
+    write_json,
 )
 
 # Writing
@@ -337,3 +338,10 @@ def test_a_folder_name_is_one_name_below_its_folder(text: str) -> None:
 )
 def test_a_folder_name_says_what_it_can(text: str, name: str) -> None:
     assert folder_name(text) == name
+
+
+def test_names_that_are_no_text_are_escaped(tmp_path: Path) -> None:
+    name = os.fsdecode(b"F\xfcr")
+    write_json(tmp_path / "file", {"song": name, "path": Path(name)})
+    written = read_json(tmp_path / "file", dict[str, str])
+    assert written == {"song": "F\\udcfcr", "path": "F\\udcfcr"}

@@ -380,14 +380,19 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The same as JSON has it: paths as text, null for what is not a number."""
+    """The same as JSON has it: paths as text, null for what is not a number.
+
+    Bytes of a file's name that are no text become escapes such as `\\udcfc`.
+    """
     if isinstance(value, dict):
         return {name: plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
         return [plain(part) for part in value]
     if isinstance(value, float) and math.isnan(value):
         return None
-    return str(value) if isinstance(value, Path) else value
+    if isinstance(value, str | Path):
+        return str(value).encode(errors="backslashreplace").decode()
+    return value
 
 
 def folder_name(text: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import cadenza
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
@@ -390,6 +391,13 @@ def goals_of(score: Score) -> NDArray[np.bool_]:
     goals = task.tracks[0].goals
     task.close()
     return np.column_stack([goals.keys, goals.sustain])
+
+
+def test_plays_at_sight_with_long_control_steps() -> None:
+    task = replace(TASK, control_timestep=0.5)
+    score = Score((Note(0.5, 1.0, 60), Note(1.0, 2.0, 64)))
+    played = cadenza.play(score, Generalist(GeneralistConfig(look_ahead=0.5)), task=task).episode
+    assert np.isfinite(played["action"]).all()
 
 
 @pytest.mark.parametrize(("look_ahead", "least"), [(0.5, 0.9), (2.0, 0.9)])

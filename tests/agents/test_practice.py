@@ -29,6 +29,7 @@ from cadenza.files import locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
@@ -269,6 +270,23 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
 
 def test_practice_of_something_else_is_refused(practised: Practice) -> None:
     other = practice(seed=1)
+    with pytest.raises(CadenzaError, match="state: is the practice of another song"):
+        other.restore(practised.state(), "state")
+
+
+@pytest.mark.parametrize(
+    ("config", "scene"),
+    [
+        (QUICK, SceneConfig(physics="fast")),
+        (replace(QUICK, wrong_press_termination=True), SceneConfig()),
+    ],
+)
+def test_practice_with_other_options_is_refused(
+    practised: Practice, config: TaskConfig, scene: SceneConfig
+) -> None:
+    task = PianoTask([HARD], config, scene)
+    task.reset([np.random.default_rng(0)], [0])
+    other = Practice(task.view(), np.random.default_rng(0), GIVEN_FINGERS, 1)
     with pytest.raises(CadenzaError, match="state: is the practice of another song"):
         other.restore(practised.state(), "state")
 

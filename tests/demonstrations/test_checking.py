@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from cadenza.cli import main
+from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
 from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, STEPS, digest
 
@@ -98,3 +101,34 @@ def test_the_command_tells_all_and_fails(
     told = capsys.readouterr().err.splitlines()
     assert "plan.npy: missing" in told[0]
     assert told[1] == f"cadenza: {copied}: 1 problem"
+
+
+def test_files_that_cannot_be_opened_are_not_called_damaged(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def too_many(*_: object, **__: object) -> np.ndarray:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(np, "load", too_many)
+    told = list(problems(copied, replays=0))
+    assert told
+    assert all("Too many open files" in line and "delete" not in line for line in told)
+
+
+def test_what_was_checked_is_not_kept_open(made: Path) -> None:
+    opened: list[int] = []
+
+    def count(*_: int) -> None:
+        opened.append(len(os.listdir("/proc/self/fd")))
+
+    assert list(problems(made, replays=0, progress=count)) == []
+    assert opened[-1] <= opened[0]
+
+
+def test_an_episode_that_ends_earlier_than_it_did(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay, "is_over", lambda _, task: task.sheets.steps_done[0] >= 3)
+    lines = list(problems(copied, replays=2))
+    assert len(lines) == 2
+    assert all("played again it differs: the number of steps by" in line for line in lines)

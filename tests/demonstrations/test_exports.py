@@ -11,6 +11,7 @@ import pytest
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episodes
 from cadenza.cli import main
+from cadenza.demonstrations import lerobot_export
 from cadenza.demonstrations.dataset import open_dataset
 from cadenza.demonstrations.recorded import played_actions
 from cadenza.demonstrations.replay import task_of
@@ -67,7 +68,10 @@ def test_minari_loads_what_was_recorded(
         assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
 
 
-def test_lerobot_files_hold_what_was_recorded(made: Path, tmp_path: Path) -> None:
+def test_lerobot_files_hold_what_was_recorded(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lerobot_export, "_ROWS_AT_ONCE", 1)
     folder = tmp_path / "lerobot"
     main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(folder)])
     dataset = open_dataset(made)

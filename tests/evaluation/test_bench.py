@@ -13,7 +13,7 @@ import pytest
 from cadenza.evaluation.bench import Ended, State, bench
 from cadenza.evaluation.job import Job
 from cadenza.evaluation.matrix import Contender, matrix
-from cadenza.evaluation.results import read_results
+from cadenza.evaluation.results import RESULT, read_results
 from cadenza.evaluation.run import carry_out
 from cadenza.files import locked
 from cadenza.music.arrangement import Arrangement
@@ -100,6 +100,33 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
     assert carried_out(both, tmp_path, retry=True)[1] == ["bench_agents:Raises"]
     (unfinished,) = read_results(tmp_path).unfinished
     assert unfinished.why == why
+
+
+def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    job, other = jobs("bench_agents:Raises", "zero")
+    folder = tmp_path / "runs" / job.spec.name
+    folder.mkdir(parents=True)
+    (folder / RESULT).write_text("{}")
+    executor = OneByOne()
+    state = bench(
+        [job, other],
+        tmp_path,
+        executor,
+        lambda *_: None,
+        lambda _: True,
+        is_complete=lambda *_: False,
+    )
+    assert list(state.failed) == [job.spec.name]
+    assert state.finished == 1
+
+
+def test_songs_may_have_long_names(jobs: Callable[..., list[Job]]) -> None:
+    (job,) = jobs("zero")
+    name = replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 78).name
+    assert len(name.encode()) < 200
+    assert name != replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 77).name
 
 
 def test_a_run_whose_process_dies_is_taken_up_again_but_not_forever(

@@ -41,7 +41,7 @@ AGENTS = Registry(
         ),
         "generalist": Entry(
             "cadenza.agents.generalist.generalist:Generalist",
-            "the same plan, corrected by what was learnt from the planner",
+            "a plan without search: rehearsed, or read at sight and corrected by networks",
             GeneralistConfig,
         ),
         "predictive-sampling": Entry(

@@ -31,7 +31,14 @@ from cadenza.cli import (
     studio,
     train,
 )
-from cadenza.cli.arguments import Shell, about_in_a_line, help_or_completion, parse, similar
+from cadenza.cli.arguments import (
+    Shell,
+    about_in_a_line,
+    help_or_completion,
+    option_parts,
+    parse,
+    similar,
+)
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
@@ -123,7 +130,7 @@ def _run(arguments: list[str]) -> None:
 
 def _load_chosen(words: Sequence[str]) -> None:
     """Loads what is given as `module:NAME` and files may name: those can have nothing imported."""
-    parts = [part for word in words for part in word.split("=", 1)]
+    parts = option_parts(words)
     for option, name in pairwise(parts):
         if module_of(name) is None:
             continue

@@ -328,6 +328,15 @@ def _name(argument: Any) -> str:
     return argument.lowered.metavar if argument.is_positional() else argument.display_name()
 
 
+def option_parts(words: Sequence[str]) -> list[str]:
+    """The words of a command line, where `--name=value` is two."""
+    return [
+        part
+        for word in words
+        for part in (word.split("=", 1) if word.startswith("--") else (word,))
+    ]
+
+
 def words_of(name: str, value: Any) -> list[str]:
     """What gives an option this value on a command line."""
     option = name.replace("_", "-")

@@ -107,17 +107,27 @@ def _check(command: Collect) -> None:
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.scene.touch:
         raise CadenzaError("--touch: no forces are kept of an episode; leave it out")
+    if command.task.control_noise:
+        raise CadenzaError(
+            "--control-noise: is not kept, so no episode could be played again; use --noise"
+        )
 
 
 def _who(command: Collect) -> Demonstrator:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.collecting.episode import Demonstrator
+    from cadenza.performing.setup import is_policy_folder
 
     agent = current_name(command.agent)
-    if agent in (PLAYBACK, PRETRAINED) or Path(agent).is_dir():
-        raise CadenzaError(f"--agent {agent}: plays no song but its own; choose the planner")
+    if agent in (PLAYBACK, PRETRAINED) or is_policy_folder(agent):
+        raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
     config = command.configs.get(agent)
     student = command.variation.student
+    if student is not None and is_policy_folder(student):
+        raise CadenzaError(
+            f"--student {student}: policies cannot be students; choose an agent with a name, such "
+            "as generalist"
+        )
     student_config = None if student is None else command.configs.get(student)
     make_agent(agent, config)  # who is not there is told before anyone plays
     if student is not None:

@@ -16,11 +16,13 @@ _WORTH_TELLING = 30.0  # [s]
 # On two cores the planner takes as long for a control step as for this many plain ones: so many,
 # and more for every note a second. By the times in docs/planners.md, from which pieces differ.
 _STEPS, _STEPS_PER_DENSITY = 8, 5
+_STEPS_OF_PRACTICE = 1.5  # as many for one of a hand that practises, by docs/practice.md
 _LEAST, _MOST = 0.6, 1.8
 
 
 def tell_how_long(setup: Setup) -> None:
     """Says on stderr about how long the planner will take, where that is long."""
+    from cadenza.agents.planning.practice import EFFORT
     from cadenza.agents.planning.score_planner import ScorePlanner
 
     agent, config, score = setup.agent, setup.task.config, setup.task.scores[0]
@@ -29,6 +31,7 @@ def tell_how_long(setup: Setup) -> None:
     seconds = score.total_time + config.initial_buffer_time
     steps = seconds / config.control_timestep
     plain_steps = _STEPS + _STEPS_PER_DENSITY * len(score.notes) / seconds
+    plain_steps += _STEPS_OF_PRACTICE * EFFORT * agent.config.effort
     plain_steps *= 2 / min(agent.threads, 2)
     about = steps * plain_steps * seconds_of_a_step(setup.task.scene, config.control_timestep)
     if about > _WORTH_TELLING:

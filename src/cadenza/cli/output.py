@@ -12,6 +12,8 @@ def check_name(path: Path, suffix: str, what: str) -> None:
     """Before anything is made for a file that has another format than its name says."""
     if path.suffix != suffix:
         raise CadenzaError(f"{path}: {what}; choose a name with that ending")
+    if path.is_dir():
+        raise CadenzaError(f"{path}: is a folder; choose another name")
 
 
 def check_writable(folder: Path) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 import tyro
 
 from cadenza.agents.registry import AGENTS, agent_options, options_name
-from cadenza.cli.arguments import Advanced
+from cadenza.cli.arguments import Advanced, option_parts
 from cadenza.cli.progress import stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.errors import CadenzaError
@@ -109,7 +109,7 @@ def with_options_of_agents(kind: type[Command], words: Sequence[str]) -> type[Co
 
 def _named(words: Sequence[str]) -> Iterator[str]:
     """The agents that a command line names."""
-    parts = [part for word in words for part in word.split("=", 1)]
+    parts = option_parts(words)
     for i, option in enumerate(parts):
         if option in ("--agent", "--agents"):
             names = takewhile(lambda part: not part.startswith("-"), parts[i + 1 :])

@@ -23,6 +23,7 @@ from cadenza.cli.performing import (
     setting_up,
 )
 from cadenza.cli.progress import stages
+from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
@@ -51,6 +52,14 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
 
     if command.output is not None:
         check_name(command.output, ".npz", "a plan is a .npz file")
+        fingering = command.output.with_suffix(SUFFIX)
+        song = Path(command.song)
+        own = song.with_suffix(SUFFIX) if song.is_file() else None
+        if own is not None and own.exists() and own.resolve() == fingering.resolve():
+            raise CadenzaError(
+                f"{command.output}: the plan's fingering would replace {fingering}, which goes "
+                "with the song; choose another name or folder"
+            )
     selection = selected(command, PLANNER)
     path = command.output or default_folder(selection) / "plan.npz"
     with setting_up(selection, command, command.seed) as setup:

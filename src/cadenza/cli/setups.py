@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from cadenza.cli.arguments import option_names, words_of
+from cadenza.cli.arguments import option_names, option_parts, words_of
 from cadenza.tasks.setups import setup_named
 
 SETUP_HELP = 'Hands, keyboard and agent by one name, see "cadenza info". Options override it.'
@@ -21,7 +21,7 @@ def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:
         CadenzaError: there is no such setup.
     """
     before = words[: words.index("--")] if "--" in words else words
-    parts = [part for word in before for part in word.split("=", 1)]
+    parts = option_parts(before)
     names = [name for option, name in pairwise(parts) if option == "--setup"]
     known = {*option_names(kind)}
     if not names or "--setup" not in known:

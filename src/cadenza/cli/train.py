@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
-from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.arguments import Advanced, Quiet, option_parts
 from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
@@ -91,7 +91,7 @@ def begins_with(arguments: Sequence[str]) -> TrainingConfig:
     Raises:
         CadenzaError: there is no such run, learner or setup.
     """
-    words = [word for argument in arguments for word in argument.split("=", 1)]
+    words = option_parts(arguments)
     following = dict(pairwise(words))
     if words[:1] == ["train"] and "--resume" in following:
         from cadenza.learning.run_folder import RunFolder

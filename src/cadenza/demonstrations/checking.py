@@ -65,11 +65,13 @@ def problems(
                 scene = scenes(recorded.about.scene)
                 found = list(_of_files(recorded)) or list(_of_content(recorded, scene))
                 yield from found
-                if not found:
-                    sound.append((recorded, scene))
-        except (CadenzaError, OSError) as error:
+                if not found:  # anew, as what is mapped holds an open file
+                    sound.append((Recorded(path.parent, recorded.about), scene))
+        except CadenzaError as error:
             said = str(error)
             yield said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
+        except OSError as error:
+            yield f"{path.parent}: cannot be read ({error.strerror or error})"
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
     for i in chosen.tolist():

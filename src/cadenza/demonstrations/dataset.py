@@ -9,6 +9,7 @@ batch = dataset.batch(dataset.sample(np.random.default_rng(0), 256), lookahead=1
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,6 +104,7 @@ class Dataset:
         """Raises: CadenzaError: there is none, or they do not go together."""
         if not episodes:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
+        _allow_open_files()
         self.episodes = tuple(episodes)
         self.scene = build_scene(_common(episodes, "scene", [e.about.scene for e in episodes]))
         dt = [e.about.task.control_timestep for e in episodes]
@@ -243,6 +245,17 @@ def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
         for i, (of, at) in enumerate(zip(episode.tolist(), within, strict=True)):
             result[i] = rows[of].bytes[at]
     return result.view(kind)[..., 0]
+
+
+def _allow_open_files() -> None:
+    """As many as the system lets us have: each mapped array is one, and episodes have two."""
+    try:
+        import resource  # which only Unix has
+    except ImportError:
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(ValueError, OSError):  # where not even that is allowed
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _common(episodes: Sequence[Recorded], what: str, values: Sequence[Any]) -> Any:

@@ -26,6 +26,7 @@ from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
 
 _FILE_BYTES = 100 * 2**20  # after which another file is begun
+_ROWS_AT_ONCE = 256  # of the table of episodes; one takes 170 kB
 _FILES_PER_CHUNK = 1000
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -48,7 +49,7 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
     songs = list(dict.fromkeys(episode.about.song for episode in dataset.episodes))
     tasks = {song: number for number, song in enumerate(songs)}
     with new_folder(path) as folder:
-        files, rows, stats = _Files(folder), list[dict[str, Any]](), _Stats()
+        files, rows, stats = _Files(folder), _Episodes(folder / _EPISODES), _Stats()
         index = 0
         features: dict[str, Any] = {}
         for number, episode in enumerate(dataset.episodes):
@@ -58,15 +59,14 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
             stats.add(of_episode)
             place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
             end = index + len(frames["index"])
-            rows.append(_row(number, episode.about.song, range(index, end), place, of_episode))
+            rows.add(_row(number, episode.about.song, range(index, end), place, of_episode))
             index = end
             advance(number + 1, len(dataset.episodes))
         files.close()
-        (folder / _EPISODES).parent.mkdir(parents=True)
-        pq.write_table(pa.Table.from_pylist(rows), folder / _EPISODES)
+        rows.close()
         pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
         write_json(folder / "meta/stats.json", stats.whole)
-        counts = {"episodes": len(rows), "frames": index, "tasks": len(songs)}
+        counts = {"episodes": len(dataset.episodes), "frames": index, "tasks": len(songs)}
         robot = f"{dataset.scene.hand.name} hands"
         write_json(folder / "meta/info.json", _info(robot, counts, fps, features))
 
@@ -240,3 +240,32 @@ class _Files:
     def _path(self) -> Path:
         chunk, file = self._place
         return self._folder / _DATA.format(chunk_index=chunk, file_index=file)
+
+
+class _Episodes:
+    """The table of episodes, of which only so many rows are in memory."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True)
+        self._path, self._rows = path, list[dict[str, Any]]()
+        self._writer: Any = None
+
+    def add(self, row: dict[str, Any]) -> None:
+        self._rows.append(row)
+        if len(self._rows) == _ROWS_AT_ONCE:
+            self._write()
+
+    def close(self) -> None:
+        if self._rows:
+            self._write()
+        self._writer.close()
+
+    def _write(self) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        table = pa.Table.from_pylist(self._rows)
+        self._rows.clear()
+        if self._writer is None:
+            self._writer = pq.ParquetWriter(self._path, table.schema)
+        self._writer.write_table(table)

@@ -160,12 +160,15 @@ def mapped(path: Path) -> Array:
 
     Raises:
         CadenzaError: the file is not there, or is no such file.
+        OSError: the system cannot open or map it.
     """
     try:
         # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
     except FileNotFoundError as error:
         raise CadenzaError(f"{path}: there is no such file; {MAKE_AGAIN}") from error
+    except OSError:  # the file may be sound: too many are open, or it is not ours to read
+        raise
     except Exception as error:  # damage shows in many ways
         raise CadenzaError(f"{path}: not a readable .npy file; {MAKE_AGAIN}") from error
 

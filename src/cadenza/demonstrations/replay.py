@@ -54,6 +54,9 @@ def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
     """
     result, found = replayed(recorded, scene), dict[str, float]()
     again = result.episode
+    if missing := recorded.about.num_steps - again.num_steps:
+        found["the number of steps"] = float(missing)
+        return found
     for name in _COMPARED:
         was = recorded.steps[name][1:]
         now = again[name].astype(was.dtype)

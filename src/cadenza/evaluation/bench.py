@@ -130,7 +130,9 @@ def _start(state: State, job: Job, executor: Executor) -> None:
 
 
 def _is_finished(state: State, job: Job) -> bool:
-    finished = (state.folder / job.spec.name / RESULT).exists()
+    folder = state.folder / job.spec.name
+    # What failed now may have left a result before, which was not good enough.
+    finished = (folder / RESULT).exists() and not (folder / FAILED).exists()
     state.finished += finished
     return finished
 

@@ -15,7 +15,7 @@ from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
-_MOST_OF_A_NAME = 80  # characters of a song or an agent in the name of a folder
+_MOST_OF_A_NAME = 80  # bytes of a song or an agent in the name of a folder
 _HASH = 12  # hexadecimal digits
 
 
@@ -61,8 +61,7 @@ class JobSpec:
     def name(self) -> str:
         """SONG--AGENT--sSEED--HASH, the name of its folder."""
         song, agent = (
-            folder_name("-".join(path.split("/")[-2:]))[-_MOST_OF_A_NAME:]
-            for path in (self.song, self.agent)
+            _end_of(folder_name("-".join(path.split("/")[-2:]))) for path in (self.song, self.agent)
         )
         return f"{song}--{agent}--s{self.seed}--{self.key}"
 
@@ -92,3 +91,7 @@ class Job:
     song: SongFacts
     page: bool = True
     """Whether it leaves a page to watch and hear."""
+
+
+def _end_of(name: str) -> str:
+    return name.encode()[-_MOST_OF_A_NAME:].decode(errors="ignore")

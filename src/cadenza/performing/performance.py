@@ -19,6 +19,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import read_json, write_json
+from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import played_in, with_loudness_of
@@ -103,13 +104,19 @@ class Performance:
             played = with_loudness_of(played, self.goal)
         lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         self.episode.save(folder / "episode.npz")
-        for side, part in parts_of(self.episode, self.scene).items():
+        parts = parts_of(self.episode, self.scene)
+        for side, part in parts.items():
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
         write_json(folder / "settings.json", self.settings)
         if self.misses is not None:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
+        of_before = set() if self.misses is not None else {"misses.json"}
+        of_before |= {f"episode-{side}.npz" for side in SIDES if side not in parts}
+        of_before |= set() if page else {"report.html", "video.mp4"}
+        for name in of_before:  # it would tell of another performance
+            (folder / name).unlink(missing_ok=True)
         if not page:
             return
         progress("making the sound", 0, 1)
@@ -118,6 +125,8 @@ class Performance:
         try:
             drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
         finally:  # who does not wait for the video has the page all the same
+            if not drawn:
+                path.unlink(missing_ok=True)  # of another performance
             shown = self.episode, self.metrics, self.settings, audio, lost, self.goal
             _write_page(folder, *shown, video=path.name if drawn else "")
 

@@ -189,7 +189,8 @@ class PianoTask:
         slides = self.scene.slide_joints
         if most and not len(slides):
             raise CadenzaError(
-                "random_hand_position needs the forearm's tx joint: add tx to forearm_dofs"
+                "random_hand_position needs hands that slide along the keyboard, with tx among "
+                "their forearm_dofs; choose such hands, or random_hand_position 0"
             )
         reach = min((abs(self.scene.model.joint(names[j]).range).min() for j in slides), default=0)
         if most > reach:

@@ -34,6 +34,7 @@ from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
 from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.takes import Moments, Take, scene_before
+from cadenza.agents.playback import options_of
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, ArrayOf, Expected
@@ -409,7 +410,10 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig) -> str:
     """Of all that practice begins with."""
-    digest = hashlib.sha256(json.dumps([seed, identity(config)]).encode())
+    track = plan.track
+    options = options_of(track.config, track.scene.config, seed)
+    digest = hashlib.sha256(json.dumps([options, identity(config)], sort_keys=True).encode())
+    digest.update(str(seed).encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
         digest.update(values.tobytes())
     return digest.hexdigest()

@@ -169,6 +169,8 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
 def _disturbed(setup: Setup, noise: float, spec: EpisodeSpec) -> Disturbed:
     name = spec.variation.student
     student = None if name is None else make_agent(name, spec.student_config)
+    if student is not None:
+        student.num_threads = setup.agent.num_threads
     return Disturbed(setup.agent, setup.task.scene, noise, student)
 
 
@@ -205,7 +207,7 @@ def _excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
     possible = [start for start in starts if start <= score.total_time - seconds] or starts[:1]
     since = possible[int(where * len(possible))]
     notes = tuple(note for note in score.notes if note.start >= since)
-    return replace(score, notes=notes).beginning(seconds), since
+    return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since
 
 
 def _plan(setup: Setup, disturbed: Disturbed) -> SongPlan:
