@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.generalist import HASTE, shipped_for
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights, weights_of
+from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.files import write_atomically
 from cadenza.fingers import SIDES
@@ -130,7 +131,7 @@ def planned(library: str, most: int, rng: np.random.Generator) -> list[Song]:
         score = Arrangement(first_seconds=SECONDS).score(songs[i].name).without_fingers()
         task = PianoTask([score], TaskConfig())
         start = task.state.hand_qpos[0].copy()
-        some.append(Song.of(plan_song(task.tracks[0], start), start))
+        some.append(Song.of(plan_song(task.tracks[0], start, haste=HASTE), start))
         task.close()
     return some
 
@@ -420,7 +421,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of which songs, and noise")
     given = parser.parse_args()
     rng, scene = np.random.default_rng(given.seed), build_scene()
-    weights = Weights.load(given.weights) if given.weights else weights_of(scene)
+    weights = Weights.load(given.weights) if given.weights else shipped_for(scene)
+    assert weights is not None
     networks = Networks(weights, scene)
     songs = planned(given.songs, given.most, rng)
     learner, checkpoint = Learner(networks, given.rounds, rng), given.output / "checkpoint.npz"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import cadenza
 from cadenza.agents.agent import Array
+from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hand import CorrectedHand
 from cadenza.agents.generalist.generalist import Generalist
@@ -24,7 +25,6 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.learning_control import changes
-from cadenza.agents.planning.learnt import weights as weights_module
 from cadenza.agents.planning.learnt.inputs import Corrections
 from cadenza.agents.planning.learnt.weights import Weights
 from cadenza.agents.planning.score_planner import ScorePlanner
@@ -47,7 +47,7 @@ from cadenza.tasks.view import View
 from numbered import finger
 
 TASK = TaskConfig(initial_buffer_time=0.5)
-SHIPPED = Path(weights_module.__file__).parent / "shadow.npz"
+SHIPPED = Path(generalist.__file__).parent / "shadow.npz"
 AT_ONCE = GeneralistConfig(rehearsals=0)
 WHITE = (60, 62, 64, 65, 67, 65, 64, 62)
 

@@ -9,9 +9,8 @@ import pytest
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.generalist import Generalist
+from cadenza.agents.generalist.generalist import Generalist, shipped_for
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.learnt.weights import weights_of
 from cadenza.agents.planning.proposal import Proposal, proposal
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
@@ -40,7 +39,7 @@ def test_proposes_what_the_generalist_plays() -> None:
         played.append(action[:-1])
         plan, hand = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
         if step % STEPS == 0:
-            ahead = proposal(plan, "right", weights_of(task.scene), step)
+            ahead = proposal(plan, "right", shipped_for(task.scene), step)
             ctrl = plan.nominal.tracking.ctrl
             assert ahead
             trials.begin_from(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,10 @@ class JumpTimes:
     """From or to a chord [m/s^2]."""
     descent: float = 0.05
     """On a chord [s]."""
+
+    def hurried(self, haste: float) -> JumpTimes:
+        """With so many times the acceleration."""
+        return replace(self, glide=haste * self.glide, glide_of_chord=haste * self.glide_of_chord)
 
     def seconds(
         self, way: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False

@@ -22,7 +22,7 @@ from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.learnt.inputs import sizes_of
-from cadenza.agents.planning.learnt.weights import Weights, shipped_for, weights_of
+from cadenza.agents.planning.learnt.weights import Weights, shipped
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
@@ -31,6 +31,10 @@ from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
+HASTE = 2.0
+"""Times the acceleration with which hands jump, where networks see to it that they land."""
+
+_LEARNT = Path(__file__).parent
 _MOST_REHEARSALS = 100
 
 
@@ -59,20 +63,36 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         config, scene = self.config, scene_planned_with(track)
         if config.look_ahead is not None:
             return SightReader(track, view.state, config.look_ahead, self._weights(scene))
-        plans = song_plans(track.with_found_fingers(), view.state.hand_qpos[0], self.progress)
+        weights = self._known(scene) if config.rehearsals else self._weights(scene)
+        plans = song_plans(
+            track.with_found_fingers(),
+            view.state.hand_qpos[0],
+            self.progress,
+            haste=1.0 if weights is None else HASTE,
+        )
         plan = next(plans)
-        if config.rehearsals:
-            known, takes = self._known(scene), config.rehearsals + 1
-            rehearsed = [RehearsedHand(plan, side, takes, known) for side in plan.scene.sides]
+        if weights is None or config.rehearsals:
+            takes = config.rehearsals + 1
+            rehearsed = [RehearsedHand(plan, side, takes, weights) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
-        return GeneralistSong(plan, plans, _corrected_hands(plan, self._weights(scene)))
+        return GeneralistSong(plan, plans, _corrected_hands(plan, weights))
 
     def _known(self, scene: Scene) -> Weights | None:
-        return shipped_for(scene) if self.config.weights is None else self._weights(scene)
+        """What has been learnt with such hands, if anything has."""
+        if self.config.weights is not None:
+            return self._weights(scene)
+        weights = shipped_for(scene)
+        return weights if weights is not None and weights.sizes == _sizes(scene) else None
 
     def _weights(self, scene: Scene) -> Weights:
         own = self.config.weights
-        return _fitting(weights_of(scene) if own is None else Weights.load(Path(own)), scene)
+        weights = shipped_for(scene) if own is None else Weights.load(Path(own))
+        if weights is None:
+            raise CadenzaError(
+                f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
+                f"{', '.join(sorted(shipped(_LEARNT)))}, or another agent"
+            )
+        return _fitting(weights, scene)
 
 
 class PlanPlayer(Protocol):
@@ -141,7 +161,8 @@ class SightReader:
         self._track, self._goals, self._weights = track, track.goals, weights
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = scene_planned_with(track)
-        self._in_sight = InSight(self._scene, players_of(self._scene), start.hand_qpos[0], dt)
+        players = players_of(self._scene)
+        self._in_sight = InSight(self._scene, players, start.hand_qpos[0], dt, HASTE)
         self._looked, plan = 0, self._look(0, start)
         self._hands = _corrected_hands(plan, weights)
 
@@ -167,6 +188,15 @@ class SightReader:
         return SongPlan(self._scene, self._track, replace(self._goals, keys=keys), nominal)
 
 
+def shipped_for(scene: Scene) -> Weights | None:
+    """What comes with the package for the hands of a scene, if anything does."""
+    return shipped(_LEARNT).get(scene.hand.name)
+
+
+def _sizes(scene: Scene) -> tuple[int, int]:
+    return sizes_of(hand_alone(scene, scene.sides[0]).scene)
+
+
 def _corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
     return [CorrectedHand(plan, side, weights) for side in plan.scene.sides]
 
@@ -177,7 +207,7 @@ def _fitting(weights: Weights, scene: Scene) -> Weights:
     Raises:
         CadenzaError: they have been learnt with other hands than those of the scene.
     """
-    told, servos = sizes_of(hand_alone(scene, scene.sides[0]).scene)
+    told, servos = _sizes(scene)
     if weights.sizes != (told, servos):
         raise CadenzaError(
             f"generalist: has learnt with hands of {weights.sizes[1]} servos, of which it is told "

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.learnt.weights import shipped_for
+from cadenza.agents.planning.learnt.weights import shipped
 from cadenza.agents.planning.proposal import proposal
 from cadenza.agents.planning.refinement import HandRefinement
 from cadenza.agents.planning.song_plan import SongPlan
@@ -44,7 +44,8 @@ class HandOfTwo:
         """
         alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._side = side
-        self._weights = shipped_for(plan.scene) if config.proposals == "learnt" else None
+        known = shipped() if config.proposals == "learnt" else {}
+        self._weights = known.get(plan.scene.hand.name)
         dt = plan.track.config.control_timestep
         self.refinement = HandRefinement(alone, config, dt, rng, threads)
         self.follow(plan, 0)

@@ -55,15 +55,18 @@ class InSight:
     above all keys, and presses again.
     """
 
-    def __init__(self, scene: Scene, players: Players, hand_qpos: Array, dt: float) -> None:
+    def __init__(
+        self, scene: Scene, players: Players, hand_qpos: Array, dt: float, haste: float = 1.0
+    ) -> None:
         """Args:
         scene: with one hand or two.
         players: the hands of the scene at its keyboard.
         hand_qpos: (J,) where the joints of the hands are in the beginning.
         dt: control step [s].
+        haste: times the acceleration with which the hands are known to jump.
         """
         self._scene, self._dt = scene, dt
-        self._motion = Motion(scene, dt)
+        self._motion = Motion(scene, dt, haste)
         self._fingers = NotesInSight(players, _MOMENTS)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +90,7 @@ def nominal_plans(
     dt: float,
     progress: Progress = silent,
     later: NDArray[np.integer] | int = 0,
+    haste: float = 1.0,
 ) -> Iterator[Nominal]:
     """Plans how to play `keys` (T, K) with `fingers` (T, K), a window more each time.
 
@@ -101,11 +103,12 @@ def nominal_plans(
         progress: is told of "postures".
         later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
             presses in each step, or before all.
+        haste: times the acceleration with which the hands are known to jump.
 
     Yields:
         The plan so far; the last one is the whole.
     """
-    hands = Motion(scene, dt)
+    hands = Motion(scene, dt, haste)
     asked = np.where(keys & scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
     later = np.broadcast_to(later, (len(asked), len(scene.sides)))
     whole = hands.at_rest(hand_qpos, len(asked))
@@ -187,12 +190,15 @@ class Found(NamedTuple):
 class Motion:
     """Plans motions of the hands of a scene, in control steps of `dt` [s]."""
 
-    def __init__(self, scene: Scene, dt: float) -> None:
+    def __init__(self, scene: Scene, dt: float, haste: float = 1.0) -> None:
         """Args:
         scene: with one hand or two.
         dt: control step [s].
+        haste: as in `nominal_plans`.
         """
         self._scene, self._dt = scene, dt
+        times = scene.hand.jump_times.hurried(haste)
+        self._hand = replace(scene.hand, jump_times=times)
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
         self._reaction = Reaction(scene, self._servos)
@@ -250,7 +256,7 @@ class Motion:
                 press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
                 for press in wanted
             ]
-        return let_go_in_time(wanted, self._places, self._dt, self._scene.hand)
+        return let_go_in_time(wanted, self._places, self._dt, self._hand)
 
     def found(
         self,

@@ -410,8 +410,9 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig) -> str:
     """Of all that practice begins with."""
-    track = plan.track
-    options = options_of(track.config, track.scene.config, seed)
+    task, scene = plan.track.config, plan.track.scene.config
+    physics = {"physics": scene.physics, "sleeping_keys": scene.sleeping_keys}
+    options = options_of(task, scene, seed, **physics)
     digest = hashlib.sha256(json.dumps([options, identity(config)], sort_keys=True).encode())
     digest.update(str(seed).encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):

@@ -40,9 +40,10 @@ def plan_song(
     start: Array,
     progress: Progress = silent,
     later: NDArray[np.integer] | int = 0,
+    haste: float = 1.0,
 ) -> SongPlan:
     """The last of `song_plans`: all of the song."""
-    *_, whole = song_plans(track, start, progress, later)
+    *_, whole = song_plans(track, start, progress, later, haste)
     return whole
 
 
@@ -51,6 +52,7 @@ def song_plans(
     start: Array,
     progress: Progress = silent,
     later: NDArray[np.integer] | int = 0,
+    haste: float = 1.0,
 ) -> Iterator[SongPlan]:
     """Plans what the hands of a task are to play.
 
@@ -60,6 +62,7 @@ def song_plans(
         progress: is told of "fingers" and "postures".
         later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
             presses in each step, or before all.
+        haste: times the acceleration with which the hands are known to jump.
 
     Yields:
         The plan as far as it goes, every time a few more seconds of music; the last one is the
@@ -72,7 +75,7 @@ def song_plans(
     track = track.fingered(partial(progress, "fingers"))
     goals, dt = track.goals, track.config.control_timestep
     asked = goals.keys, goals.fingers
-    for nominal in nominal_plans(scene, *asked, start, dt, progress, later):
+    for nominal in nominal_plans(scene, *asked, start, dt, progress, later, haste):
         yield SongPlan(scene, track, goals, nominal)
 
 

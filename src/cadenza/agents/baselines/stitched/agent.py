@@ -123,11 +123,6 @@ def _presses(
 
 
 def _unhurried(hand: Hand) -> Hand:
-    jumps = hand.jump_times
-    slower = replace(
-        jumps,
-        within_reach=_NEAR * jumps.within_reach,
-        glide=_UNHURRIED * jumps.glide,
-        glide_of_chord=_UNHURRIED * jumps.glide_of_chord,
-    )
-    return replace(hand, jump_times=slower)
+    slower = hand.jump_times.hurried(_UNHURRIED)
+    near = _NEAR * slower.within_reach
+    return replace(hand, jump_times=replace(slower, within_reach=near))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, ArrayOf, read_arrays, write_atomically
-from cadenza.scene.scene import Scene
 from cadenza.scene.servos import within
 
 Floats = NDArray[np.float32]
@@ -136,27 +135,7 @@ class Weights(NamedTuple):
         return answers.reshape(shape)
 
 
-def shipped_for(scene: Scene) -> Weights | None:
-    """Those that come with the package for the hands of `scene`, if there are any."""
-    return _shipped().get(scene.hand.name)
-
-
-def weights_of(scene: Scene) -> Weights:
-    """Those that come with the package for the hands of `scene`.
-
-    Raises:
-        CadenzaError: there are none.
-    """
-    weights = shipped_for(scene)
-    if weights is None:
-        raise CadenzaError(
-            f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
-            f"{', '.join(sorted(_shipped()))}, or another agent"
-        )
-    return weights
-
-
 @lru_cache
-def _shipped() -> dict[str, Weights]:
-    """All that come with the package, by hand."""
-    return {path.stem: Weights.load(path) for path in Path(__file__).parent.glob("*.npz")}
+def shipped(folder: Path = Path(__file__).parent) -> dict[str, Weights]:
+    """Hand's name -> what comes with the package for it; by default, to propose to planners."""
+    return {path.stem: Weights.load(path) for path in folder.glob("*.npz")}
