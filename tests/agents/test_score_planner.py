@@ -382,11 +382,11 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nominal, "_OVERLAP", 1.5)
 
 
-def whole_plan(score: Score, later: int | np.ndarray = 0) -> SongPlan:
+def whole_plan(score: Score, later: int | np.ndarray = 0, haste: float = 1.0) -> SongPlan:
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     start = task.state.hand_qpos[0]
-    return plan_song(task.sheets.tracks[0], start, later=later)
+    return plan_song(task.sheets.tracks[0], start, later=later, haste=haste)
 
 
 def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRequest) -> None:
@@ -668,6 +668,15 @@ def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
         return float(np.diff(plan.postures[:, slide]).std() / dt)
 
     assert speed(dt) == pytest.approx(speed(0.05), rel=0.1)
+
+
+def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
+    notes = ((0.6, 1.0, 48), (1.0, 1.4, 72), (1.4, 1.8, 48))
+    score = Score(tuple(Note(*times, finger=finger(1)) for times in notes))
+    usual, hasty = (whole_plan(score, haste=haste).nominal.presses for haste in (1.0, 4.0))
+    assert [press.first for press in hasty] == [press.first for press in usual]
+    assert [press.last for press in hasty[:2]] > [press.last for press in usual[:2]]
+    assert hasty[2].last == usual[2].last  # no jump
 
 
 def test_in_a_jump_only_heights_are_strict() -> None:
