@@ -54,8 +54,8 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
         check_name(command.output, ".npz", "a plan is a .npz file")
         fingering = command.output.with_suffix(SUFFIX)
         song = Path(command.song)
-        own = song.with_suffix(SUFFIX) if song.is_file() else None
-        if own is not None and own.exists() and own.resolve() == fingering.resolve():
+        ours = song.is_file() and fingering.resolve() == song.with_suffix(SUFFIX).resolve()
+        if ours and fingering.exists():
             raise CadenzaError(
                 f"{command.output}: the plan's fingering would replace {fingering}, which goes "
                 "with the song; choose another name or folder"

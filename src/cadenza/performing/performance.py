@@ -112,11 +112,11 @@ class Performance:
         if self.misses is not None:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
-        of_before = set() if self.misses is not None else {"misses.json"}
-        of_before |= {f"episode-{side}.npz" for side in SIDES if side not in parts}
-        of_before |= set() if page else {"report.html", "video.mp4"}
-        for name in of_before:  # it would tell of another performance
-            (folder / name).unlink(missing_ok=True)
+        ours = {f"episode-{side}.npz": side in parts for side in SIDES}
+        ours |= {"misses.json": self.misses is not None, "report.html": page, "video.mp4": False}
+        for name in ours:
+            if not ours[name]:  # it tells of another performance
+                (folder / name).unlink(missing_ok=True)
         if not page:
             return
         progress("making the sound", 0, 1)
@@ -125,8 +125,6 @@ class Performance:
         try:
             drawn = video and self._write_video(path, audio, progress, picture or VIDEO)
         finally:  # who does not wait for the video has the page all the same
-            if not drawn:
-                path.unlink(missing_ok=True)  # of another performance
             shown = self.episode, self.metrics, self.settings, audio, lost, self.goal
             _write_page(folder, *shown, video=path.name if drawn else "")
 

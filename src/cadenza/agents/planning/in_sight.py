@@ -96,8 +96,7 @@ class InSight:
         else:
             before, effort = self._plan.part(0, 1), _IMPROVED
             presses = self._again(presses, step, past, tips, before.fingertips[1])
-            before_that = (self._found.postures - self._found.guess)[2:]
-            known = before_that if len(before_that) else None
+            known = (self._found.postures - self._found.guess)[2:]
         with self._blas.limit(limits=1):  # as in `nominal_plans`
             found = self._motion.found(
                 before, presses, past, past + ahead, known=known, effort=effort

@@ -283,7 +283,9 @@ class Motion:
         dt, model = self._dt, (self._scene, self._kinematics, self._servos)
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
         guess, before = self._guess(plan, presses, first, last), plan.postures[-2:][0]
-        begin = guess if known is None else guess + _continued(known, len(guess))
+        begin = guess
+        if known is not None and len(known):
+            begin = guess + _continued(known, len(guess))
         postures = solve_postures(*model, targets, guess, before, dt, progress, begin, effort)
         return Found(postures, guess, targets)
 

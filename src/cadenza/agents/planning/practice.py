@@ -413,8 +413,8 @@ def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig)
     task, scene = plan.track.config, plan.track.scene.config
     physics = {"physics": scene.physics, "sleeping_keys": scene.sleeping_keys}
     options = options_of(task, scene, seed, **physics)
-    digest = hashlib.sha256(json.dumps([options, identity(config)], sort_keys=True).encode())
-    digest.update(str(seed).encode())
+    chosen = json.dumps([seed, options, identity(config)], sort_keys=True)
+    digest = hashlib.sha256(chosen.encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
         digest.update(values.tobytes())
     return digest.hexdigest()
