@@ -48,7 +48,7 @@ from numbered import finger
 
 TASK = TaskConfig(initial_buffer_time=0.5)
 SHIPPED = Path(generalist.__file__).parent / "shadow.npz"
-AT_ONCE = GeneralistConfig(rehearsals=0)
+CORRECTED, REHEARSED = GeneralistConfig(rehearsals=0), GeneralistConfig(rehearsals=4)
 WHITE = (60, 62, 64, 65, 67, 65, 64, 62)
 
 
@@ -190,7 +190,7 @@ def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan, side: Si
 # How it plays
 
 
-@pytest.mark.parametrize("config", [GeneralistConfig(), AT_ONCE], ids=["rehearsed", "at_once"])
+@pytest.mark.parametrize("config", [CORRECTED, REHEARSED], ids=["corrected", "rehearsed"])
 def test_plays_better_than_its_plan(config: GeneralistConfig) -> None:
     score = load_score("CanonInDOpening").beginning(6.0)
     alone = ScorePlannerConfig(method="none")
@@ -209,7 +209,7 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
         return act(self, step, state)
 
     monkeypatch.setattr(RehearsedHand, "act", noted)
-    play(load_score("FurEliseOpening").beginning(4.0), Generalist())
+    play(load_score("FurEliseOpening").beginning(4.0), Generalist(REHEARSED))
     assert len(off) > 100
     assert np.quantile(off, 0.95) < 1e-4  # keys are as fast as they were when the half second began
 
@@ -241,7 +241,7 @@ def test_half_a_second_begins_with_what_the_one_before_found_for_it(
         changed.append(bool((known != plan[step : step + len(known)]).any()))
 
     monkeypatch.setattr(RehearsedHand, "_rehearse", noted)
-    play(load_score("MoonlightOpening").beginning(3.0), Generalist())
+    play(load_score("MoonlightOpening").beginning(3.0), Generalist(REHEARSED))
     assert any(changed)
 
 
@@ -254,14 +254,15 @@ def test_rehearses_only_what_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None
         return simulated[-1]
 
     monkeypatch.setattr(HandRehearsal, "rehearse", noted)
-    play(Score((Note(0.0, 1.0, 64, 80), Note(3.0, 4.0, 64, 80))), Generalist())
+    play(Score((Note(0.0, 1.0, 64, 80), Note(3.0, 4.0, 64, 80))), Generalist(REHEARSED))
     assert len(simulated) == 2 * 10  # by either hand, once for each half second
     assert max(simulated) == 24  # with what comes soon after
 
 
-def test_plays_the_same_each_time() -> None:
+@pytest.mark.parametrize("config", [CORRECTED, REHEARSED], ids=["corrected", "rehearsed"])
+def test_plays_the_same_each_time(config: GeneralistConfig) -> None:
     score = load_score("OdeToJoy").beginning(3.0)
-    agent = Generalist()
+    agent = Generalist(config)
     first, second = (
         play_episode(PianoTask([score], TASK), agent, seed).episode["action"] for seed in (0, 1)
     )
@@ -284,6 +285,15 @@ def test_plays_on_where_a_window_of_the_plan_ends() -> None:
     assert whole[-1]
 
 
+def test_corrects_by_default_what_it_has_learnt_to_correct() -> None:
+    score = load_score("MoonlightOpening").beginning(3.0)
+    played, corrected, rehearsed = (
+        actions(score, config) for config in (GeneralistConfig(), CORRECTED, REHEARSED)
+    )
+    np.testing.assert_array_equal(played, corrected)
+    assert (played != rehearsed).any()
+
+
 def test_rehearses_with_hands_that_it_has_not_learnt_with() -> None:
     task = PianoTask([load_score("OdeToJoy").beginning(3.0)], TASK, SceneConfig(hand="allegro"))
     assert play_episode(task, Generalist(), 0).metrics["f1"] > 0.8
@@ -295,30 +305,36 @@ def test_rehearses_with_hands_that_it_has_not_learnt_with() -> None:
 def test_hand_that_it_has_not_learnt_with() -> None:
     task = PianoTask([load_score("OdeToJoy")], TASK, SceneConfig(hand="allegro"))
     with pytest.raises(CadenzaError, match="has not learnt to play with hand allegro"):
-        play_episode(task, Generalist(AT_ONCE), 0)
+        play_episode(task, Generalist(CORRECTED), 0)
 
 
 def test_hand_with_other_servos() -> None:
     scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
     task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
     with pytest.raises(CadenzaError, match="leave out options that change the hands"):
-        play_episode(task, Generalist(AT_ONCE), 0)
+        play_episode(task, Generalist(CORRECTED), 0)
 
 
-@pytest.mark.parametrize("rehearsals", [0, 4])
-def test_own_weights_of_other_hands(rehearsals: int) -> None:
+def test_own_weights_of_other_hands() -> None:
     scene = SceneConfig(reduced_action_space=not SceneConfig().reduced_action_space)
     task = PianoTask([load_score("OdeToJoy").beginning(1.0)], TASK, scene)
     with pytest.raises(CadenzaError, match="has learnt with hands of 19 servos") as raised:
-        play_episode(task, Generalist(GeneralistConfig(str(SHIPPED), rehearsals=rehearsals)), 0)
+        play_episode(task, Generalist(GeneralistConfig(str(SHIPPED))), 0)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("other", [{"weights": str(SHIPPED)}, {"look_ahead": 0.5}], ids=str)
+def test_rehearses_neither_what_networks_correct_nor_at_sight(other: dict[str, Any]) -> None:
+    Generalist(GeneralistConfig(rehearsals=0, **other))
+    with pytest.raises(CadenzaError, match=f"does not rehearse with {next(iter(other))}"):
+        Generalist(GeneralistConfig(rehearsals=4, **other))
 
 
 def test_weights_that_are_damaged(tmp_path: Path) -> None:
     path = tmp_path / "half.npz"
     path.write_bytes(SHIPPED.read_bytes()[:10_000])
     with pytest.raises(CadenzaError, match=r"half\.npz") as raised:
-        play(load_score("OdeToJoy"), Generalist(GeneralistConfig(str(path), rehearsals=0)))
+        play(load_score("OdeToJoy"), Generalist(GeneralistConfig(str(path))))
     assert "\n" not in str(raised.value)
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cadenza.agents.agent import Array
 from cadenza.agents.planning.ahead import Ahead, Trial
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
@@ -52,12 +50,12 @@ class Rehearsed:
         off[:, -2:] = OFF
         self.tracking = Tracking(ctrl + off, 0.0 * gain, expected)
 
-    def rehearse(self, proposed: Callable[[Array], Iterator[Array]] | None = None) -> int:
+    def rehearse(self) -> int:
         rows = np.arange(self.rehearsal.steps_seen)
         self.trials.begin_from(self.simulation, -1.0, 1.0)
         part, keys = HandPart(self.plan, "right"), self.trials.keys
         ahead = Ahead(part, rows, PIANO, keys, np.zeros(88)[keys])
-        return self.rehearsal.rehearse(self.tracking, rows, ahead, proposed)
+        return self.rehearsal.rehearse(self.tracking, rows, ahead)
 
 
 def test_what_goes_well_is_played_once_and_foreseen() -> None:
@@ -89,34 +87,6 @@ def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPat
     assert takes[0].mistakes > 0
     assert min(take.mistakes for take in takes) < takes[0].mistakes / 2
     assert not np.array_equal(hand.rehearsal.ctrl(0), hand.tracking.ctrl[:20])
-
-
-def test_a_corrected_take_that_goes_well_is_played_as_it_went() -> None:
-    hand = Rehearsed("TwinkleTwinkleLittleStar")
-    good = hand.tracking.ctrl
-    hand.go_astray()
-
-    def corrected(planned: Array) -> Iterator[Array]:
-        rows = np.arange(len(planned))
-        np.testing.assert_array_equal(planned, hand.tracking.ctrl[rows])
-        return hand.rehearsal._with_feedback(good[rows], hand.tracking, rows)
-
-    assert hand.rehearse(corrected) == 2 * hand.rehearsal.steps_seen
-    np.testing.assert_allclose(hand.rehearsal.ctrl(0), good[:20], atol=1e-9)
-
-
-def test_a_corrected_take_that_goes_worse_is_forgotten() -> None:
-    hand, other = (Rehearsed("TwinkleTwinkleLittleStar") for _ in range(2))
-    hand.go_astray()
-    other.go_astray()
-
-    def corrected(planned: Array) -> Iterator[Array]:
-        return iter(planned + 0.5)  # with all fingers bent, on many keys
-
-    taken = other.rehearse()
-    assert taken > other.rehearsal.steps_seen
-    assert hand.rehearse(corrected) == taken + hand.rehearsal.steps_seen
-    np.testing.assert_array_equal(hand.rehearsal.ctrl(0), other.rehearsal.ctrl(0))
 
 
 def test_rehearsing_leaves_the_plan_as_it_is() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cadenza.agents.agent import Array
-from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.generalist import Generalist, shipped_for
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.proposal import Proposal, proposal
@@ -27,7 +26,7 @@ STEPS = 7
 def test_proposes_what_the_generalist_plays() -> None:
     score = load_score("OdeToJoy").beginning(3.0)
     task = PianoTask([score], TASK, SceneConfig(hands="right"))
-    agent = Generalist(GeneralistConfig(rehearsals=0))
+    agent = Generalist()
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     trials = HandTrials(task.scene, TASK.control_timestep)
@@ -79,14 +78,6 @@ def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
     )
     assert not proposed
     assert (with_it.episode["action"] != without.episode["action"]).any()
-
-
-def test_rehearsals_ask_networks_where_the_plan_goes_wrong(proposed: list[int]) -> None:
-    task = TaskConfig(initial_buffer_time=1.0)
-    score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
-    play_episode(PianoTask([score], task), Generalist(), 0)
-    assert proposed
-    assert not {0, 10} & set(proposed)  # of steps, in which nothing has to be played
 
 
 def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with() -> None:

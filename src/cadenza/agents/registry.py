@@ -41,7 +41,7 @@ AGENTS = Registry(
         ),
         "generalist": Entry(
             "cadenza.agents.generalist.generalist:Generalist",
-            "a plan without search: rehearsed, or read at sight and corrected by networks",
+            "a plan of the song, or of what is in sight, corrected by networks",
             GeneralistConfig,
         ),
         "predictive-sampling": Entry(

@@ -20,7 +20,7 @@ PLANNERS = PRACTISED, SIGHT
 """Agents of `AGENTS` that are the planner under another name."""
 AGENTS = {
     "planner": ("Planner", "Plans fingers and motions, and refines them while it plays."),
-    "generalist": ("Generalist", "The plan, rehearsed, without a search; quick."),
+    "generalist": ("Generalist", "The plan, corrected by networks, without a search; quick."),
     PRACTISED: (
         "Planner, practising",
         "Plays, then practises in the background: next time better.",

@@ -1,9 +1,9 @@
 """Plays any score by its plan, and what it has learnt about plans: nothing is searched.
 
-The plan is inverse kinematics of the song, with feedback, rehearsed in simulation. What goes wrong
-with such plans is much the same in all music: a finger is caught, a thumb comes late. Where there
-is no time to rehearse, what corrects them, the same for both hands, has been learnt from the
-planner's search over many songs, and by reinforcement.
+The plan is inverse kinematics of the song, with feedback. What goes wrong with such plans is much
+the same in all music: a finger is caught, a thumb comes late. Networks correct them, the same for
+both hands, which have learnt from the planner's search over many songs, and by reinforcement. With
+hands that they do not know, plans are rehearsed in simulation instead.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ HASTE = 2.0
 """Times the acceleration with which hands jump, where networks see to it that they land."""
 
 _LEARNT = Path(__file__).parent
-_MOST_REHEARSALS = 100
+_REHEARSALS, _MOST_REHEARSALS = 4, 100
 
 
 class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
@@ -52,7 +52,13 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         self.config = config or GeneralistConfig()
         if self.config.look_ahead is not None:
             check_ranges(self.config, {"look_ahead": (0.2, 10.0)})
-        whole_number(self.config.rehearsals, "rehearsals", 0, _MOST_REHEARSALS)
+        if self.config.rehearsals is not None:
+            whole_number(self.config.rehearsals, "rehearsals", 0, _MOST_REHEARSALS)
+        for other in ("weights", "look_ahead"):
+            if self.config.rehearsals and getattr(self.config, other) is not None:
+                raise CadenzaError(
+                    f"generalist: does not rehearse with {other}: leave out one of the two"
+                )
 
     def begin(self, view: View, rng: np.random.Generator) -> GeneralistSong | SightReader:
         """Raises:
@@ -63,7 +69,8 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         config, scene = self.config, scene_planned_with(track)
         if config.look_ahead is not None:
             return SightReader(track, view.state, config.look_ahead, self._weights(scene))
-        weights = self._known(scene) if config.rehearsals else self._weights(scene)
+        rehearsals = self._rehearsals(scene)
+        weights = None if rehearsals else self._weights(scene)
         plans = song_plans(
             track.with_found_fingers(),
             view.state.hand_qpos[0],
@@ -71,18 +78,21 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             haste=1.0 if weights is None else HASTE,
         )
         plan = next(plans)
-        if weights is None or config.rehearsals:
-            takes = config.rehearsals + 1
-            rehearsed = [RehearsedHand(plan, side, takes, weights) for side in plan.scene.sides]
+        if weights is None:
+            takes = rehearsals + 1
+            rehearsed = [RehearsedHand(plan, side, takes) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
         return GeneralistSong(plan, plans, _corrected_hands(plan, weights))
 
-    def _known(self, scene: Scene) -> Weights | None:
-        """What has been learnt with such hands, if anything has."""
-        if self.config.weights is not None:
-            return self._weights(scene)
-        weights = shipped_for(scene)
-        return weights if weights is not None and weights.sizes == _sizes(scene) else None
+    def _rehearsals(self, scene: Scene) -> int:
+        """How often each half second of the plan is changed; with 0, networks correct it."""
+        if self.config.rehearsals is not None:
+            return self.config.rehearsals
+        known = shipped_for(scene)
+        learnt = self.config.weights is not None or (
+            known is not None and known.sizes == _sizes(scene)
+        )
+        return 0 if learnt else _REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
         own = self.config.weights

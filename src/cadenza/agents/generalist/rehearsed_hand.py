@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import partial
-
 import numpy as np
 
 from cadenza.agents.agent import Array
@@ -12,8 +9,6 @@ from cadenza.agents.planning.ahead import look_ahead
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal, Manner
-from cadenza.agents.planning.learnt.weights import Weights
-from cadenza.agents.planning.proposal import Proposal, proposal
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.tracking import Follower
 from cadenza.fingers import Side
@@ -37,15 +32,14 @@ class RehearsedHand:
         steps_seen: how many steps of the plan a step looks at.
     """
 
-    def __init__(self, plan: SongPlan, side: Side, takes: int, weights: Weights | None) -> None:
+    def __init__(self, plan: SongPlan, side: Side, takes: int) -> None:
         """Args:
         plan: of the song, as far as it goes.
         side: of the hand.
-        takes: of each half second by the plan and what is changed of it, at most.
-        weights: what corrects one take more, if that was learnt with such hands.
+        takes: of each half second, at most.
         """
         dt = plan.track.config.control_timestep
-        self._side, self._keyboard, self._weights = side, plan.scene.keyboard, weights
+        self._side, self._keyboard = side, plan.scene.keyboard
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._here = PlanningSimulation(self._alone, 1, dt)
         self._trials = HandTrials(self._alone, dt)
@@ -60,7 +54,6 @@ class RehearsedHand:
         tracking = plan.nominal.tracking.of(self.servos)
         self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
         self._follower = Follower(self._alone, self._tracking)
-        self._proposal = proposal(plan, self._side, self._weights, step)
 
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
@@ -80,13 +73,7 @@ class RehearsedHand:
         if step == self._rehearsal.ends:  # the one before has found how to begin
             known = self._rehearsal.beyond
             self._tracking.ctrl[step : step + len(known)] = known
-        proposed = partial(self._proposed, self._proposal, step) if self._proposal else None
-        self._rehearsal.rehearse(self._tracking, rows, ahead, proposed)
-
-    def _proposed(self, proposal: Proposal, step: int, planned: Array) -> Iterator[Array]:
-        """(A,) what networks make of the planned controls (S, A) from that step on."""
-        key_qpos, before = self._here.state.key_qpos[0], np.zeros(planned.shape[1])
-        return proposal.controls(self._trials, step, planned, before, key_qpos)
+        self._rehearsal.rehearse(self._tracking, rows, ahead)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
         """(K,) how fast keys at (K,) move, as far as it was foreseen: no state says it."""

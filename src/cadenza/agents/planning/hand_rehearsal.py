@@ -1,13 +1,13 @@
 """Rehearsals of one hand: a second of its plan at a time, before it plays it.
 
-In a take, the plan is played in simulation, with feedback. If that goes wrong, networks may correct
-the next one. Then iterative learning control changes the controls by how far fingertips were
-astray, and the hand tries again. Nothing is drawn. The take that costs least is kept.
+In a take, the plan is played in simulation, with feedback. If that goes wrong, iterative learning
+control changes the controls by how far fingertips were astray, and the hand tries again. Nothing is
+drawn. The take that costs least is kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -111,41 +111,24 @@ class HandRehearsal:
             return False
         return bool(np.abs(hand_qpos - self._foreseen[played - 1]).max() < _SAME)
 
-    def rehearse(
-        self,
-        tracking: Tracking,
-        rows: NDArray[np.intp],
-        ahead: Ahead,
-        proposed: Callable[[Array], Iterator[Array]] | None = None,
-    ) -> int:
+    def rehearse(self, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> int:
         """Rehearses what comes next, from where trials begin: how many steps were simulated.
 
         Args:
             tracking: the plan, of this hand's servos.
             rows: (S,) its steps from here on, `steps_seen` or up to its end.
             ahead: what they ask of the hand.
-            proposed: makes controls (A,) of each step of planned ones (S, A), as a take with them
-                comes along. Where the plan goes wrong, there is such a take, and changes go on from
-                the better one.
         """
         ctrl = kept = tracking.ctrl[rows]
-        best = take = self._play(self._with_feedback(ctrl, tracking, rows), ahead)
+        best = take = self._play(ctrl, tracking, rows, ahead)
         most, simulated = self._left * take.mistakes, len(rows)
-        if take.mistakes and proposed:
-            corrected = np.empty_like(ctrl)
-            again = self._play(self._noted(proposed(ctrl), corrected, tracking, rows), ahead)
-            simulated += len(rows)
-            if again.cost < take.cost:
-                ctrl, take = corrected, again
-                if take.mistakes <= most:
-                    kept, best = ctrl, take
         for _ in range(self._takes - 1):
             if not take.mistakes:
                 break
             ctrl = self._servos.clip(
                 ctrl + _SHARE * self._changes(take, tracking.gain[rows], ahead)
             )
-            take = self._play(self._with_feedback(ctrl, tracking, rows), ahead)
+            take = self._play(ctrl, tracking, rows, ahead)
             simulated += len(rows)
             if take.cost < best.cost and take.mistakes <= most:
                 kept, best = ctrl, take
@@ -160,23 +143,12 @@ class HandRehearsal:
     ) -> Iterator[Array]:
         """(A,) the controls of each step, by those (S, A) that are planned."""
         for row, planned in zip(rows, ctrl, strict=True):
-            yield self._servos.clip(planned - self._feedback(tracking, row))
+            posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
+            yield self._servos.clip(planned - tracking.feedback(row, posture))
 
-    def _noted(
-        self, proposed: Iterator[Array], ctrl: Array, tracking: Tracking, rows: NDArray[np.intp]
-    ) -> Iterator[Array]:
-        """The controls that are `proposed`; `ctrl` (S, A) becomes what leads to them."""
-        for row, planned, played in zip(rows, ctrl, proposed, strict=True):
-            planned[:] = played + self._feedback(tracking, row)
-            yield played
-
-    def _feedback(self, tracking: Tracking, row: int) -> Array:
-        """(A,) what a step's controls lose to where the hand is in the trial."""
-        posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
-        return tracking.feedback(row, posture)
-
-    def _play(self, controls: Iterator[Array], ahead: Ahead) -> Take:
-        """What comes of controls (A,) of each step."""
+    def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Take:
+        """What comes of planned controls (S, A), with feedback."""
+        controls = self._with_feedback(ctrl, tracking, rows)
         cost, mistakes, tips, qpos, keys = 0.0, 0, *(list[Array]() for _ in range(3))
         sounding, judged = [ahead.sounding], self._window + self._judged
         for k, (key_qpos, fingertips) in enumerate(self._trials.run(controls)):

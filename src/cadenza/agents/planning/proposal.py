@@ -1,4 +1,4 @@
-"""What networks would have a hand do: the first candidate of a search, a take of a rehearsal."""
+"""What networks would have a hand do: the first candidate of a search."""
 
 from __future__ import annotations
 
