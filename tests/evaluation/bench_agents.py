@@ -1,6 +1,7 @@
 """Agents that crash, wait or play; runs import them by name."""
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -21,6 +22,13 @@ class Still(cadenza.Agent):
 class Aborts(Still):
     def at_step(self):
         os.abort()
+
+
+class IsToldToEnd(Still):
+    """As by a system that is short of memory."""
+
+    def at_step(self):
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 class Raises(Still):

@@ -152,14 +152,6 @@ def test_what_a_run_before_has_left_may_be_corrupt(
     assert carried_out([job], tmp_path, retry=True)[0].finished == 1
 
 
-def test_a_process_that_was_told_to_end_is_taken_up_again(
-    jobs: Callable[..., list[Job]], tmp_path: Path
-) -> None:
-    (job,) = jobs("zero")
-    state, begun = carried_out([job], tmp_path, [Ended(job, told_to=True)])
-    assert (state.finished, begun) == (1, ["zero", "zero"])
-
-
 def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
     jobs: Callable[..., list[Job]], tmp_path: Path
 ) -> None:

@@ -30,9 +30,6 @@ class Ended(NamedTuple):
     job: Job
     crash: str = ""
     """What became of a process that died, in a line; others leave a result or why there is none."""
-    told_to: bool = False
-    """Whether somebody told it to end, so that it is to be taken up again."""
-
 
 class Executor(Protocol):
     """Where runs are carried out, each by a process of its own."""
@@ -112,11 +109,9 @@ def bench(
             _start(state, state.todo.popleft(), executor)
         if not state.running:
             time.sleep(_BETWEEN_LOOKS)
-        for job, crash, told_to in executor.ended(_BETWEEN_LOOKS) if state.running else ():
+        for job, crash in executor.ended(_BETWEEN_LOOKS) if state.running else ():
             del state.running[job.spec.name]
-            if told_to:
-                state.todo.append(job)
-            elif _is_ours(state, job, crash):
+            if _is_ours(state, job, crash):
                 ended(state, job)
             else:
                 state.elsewhere.append(job)

@@ -76,8 +76,6 @@ def _ended(job: Job, process: BaseProcess) -> Ended:
     process.join()
     status = process.exitcode or 0
     process.close()
-    if status == -signal.SIGTERM:
-        return Ended(job, told_to=True)
     if status == -signal.SIGKILL:
         why = "its process was killed (SIGKILL), as a system does when memory runs out"
         return Ended(job, why)
