@@ -97,6 +97,9 @@ def collect(command: Collect, _again: Again[Collect]) -> None:
 
 def _check(command: Collect) -> None:
     """Raises: CadenzaError: an option makes no sense."""
+    from cadenza.music.score import Note, Score
+    from cadenza.tasks.piano_task import PianoTask
+
     check_executor(command)
     whole_number(command.episodes, "episodes", 1, _MOST_EPISODES)
     check_ranges(command, {"least_f1": (0, 1)})
@@ -111,6 +114,8 @@ def _check(command: Collect) -> None:
         raise CadenzaError(
             "--control-noise: is not kept, so no episode could be played again; use --noise"
         )
+    # Options of task and scene that do not go together are told once, not by each episode.
+    PianoTask([Score((Note(0.0, 0.1, 60),))], command.task, command.scene).close()
 
 
 def _who(command: Collect) -> Demonstrator:

@@ -31,6 +31,7 @@ class Ended(NamedTuple):
     crash: str = ""
     """What became of a process that died, in a line; others leave a result or why there is none."""
 
+
 class Executor(Protocol):
     """Where runs are carried out, each by a process of its own."""
 
