@@ -2,12 +2,12 @@
 
     python tools/reinforce_generalist.py LIBRARY:train -o reinforced
 
-The generalist plays the openings of songs without rehearsals, several at once, and adds noise to
-what its networks answer. Each finger has its own reward: what its keys lack, wrong keys that it is
-nearest to, and how far astray it is. So a network that answers for a finger learns from what that
-finger does (proximal policy optimisation with an advantage for each part of a hand; Schulman et
-al., Proximal Policy Optimization Algorithms, 2017), and the one for the wrist and the forearm from
-all fingers of the hand.
+The generalist plays excerpts of songs, several at once, and adds noise to what its networks answer.
+Each finger has its own reward: what its keys lack, wrong keys that it is nearest to, and how far
+astray it is. So a network that answers for a finger learns from what that finger does (proximal
+policy optimisation with an advantage for each part of a hand; Schulman et al., Proximal Policy
+Optimization Algorithms, 2017), and the one for the wrist and the forearm from all fingers of the
+hand.
 
 In the folder `reinforced`, `weights.npz` is the running mean of the networks of all rounds. If it
 is stopped, the same command goes on from `checkpoint.npz`, with other noise.
@@ -36,10 +36,10 @@ from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.evaluation.collecting.episode import excerpt
 from cadenza.files import write_atomically
 from cadenza.fingers import SIDES
-from cadenza.music.arrangement import Arrangement
-from cadenza.music.libraries.library import open_library
+from cadenza.music.libraries.library import load_score, open_library
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -125,10 +125,10 @@ class Song(NamedTuple):
 
 
 def planned(library: str, most: int, rng: np.random.Generator) -> list[Song]:
-    """The openings of songs of a library, `most` at most, drawn."""
+    """Excerpts of songs of a library, `most` at most, drawn, from somewhere in each."""
     songs, some = open_library(library).songs, []
     for i in tqdm(rng.permutation(len(songs))[:most], desc="plans", leave=False):
-        score = Arrangement(first_seconds=SECONDS).score(songs[i].name).without_fingers()
+        score, _ = excerpt(load_score(songs[i].name).without_fingers(), SECONDS, rng.random())
         task = PianoTask([score], TaskConfig())
         start = task.state.hand_qpos[0].copy()
         some.append(Song.of(plan_song(task.tracks[0], start, haste=HASTE), start))

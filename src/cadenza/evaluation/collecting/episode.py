@@ -192,7 +192,7 @@ def _drawn(
     begin, mirror, noise = rng.random(3).tolist()
     since = 0.0
     if variation.excerpt is not None:
-        score, since = _excerpt(score, variation.excerpt, begin)
+        score, since = excerpt(score, variation.excerpt, begin)
     there = all(MIRROR - note.pitch in pitches for note in score.notes)
     mirrored = variation.mirror and mirror < 0.5 and there
     if mirrored:
@@ -201,7 +201,7 @@ def _drawn(
     return score, drawn
 
 
-def _excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
+def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
     """So many seconds from a note on, and when that begins; `where` is 0 to 1."""
     starts = sorted({note.start for note in score.notes})
     possible = [start for start in starts if start <= score.total_time - seconds] or starts[:1]
