@@ -29,7 +29,7 @@ import optax
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import HASTE, shipped_for
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
@@ -114,14 +114,14 @@ class Song(NamedTuple):
     """A song, and how hands are to play it."""
 
     demands: Demands
-    hands: list[CorrectedHand]
+    hands: CorrectedHands
     start: Array
     """(J,) where their joints begin [m, rad]."""
 
     @classmethod
     def of(cls, plan: SongPlan, start: Array) -> Song:
         """`start` (J,) is where the plan begins."""
-        return cls(Demands(plan), [CorrectedHand(plan, side) for side in plan.scene.sides], start)
+        return cls(Demands(plan), CorrectedHands(plan), start)
 
 
 def planned(library: str, most: int, rng: np.random.Generator) -> list[Song]:
@@ -141,10 +141,9 @@ class Player:
 
     def begin(self, song: Song) -> None:
         self.song, self._step, self._lost = song, 0, 0.0
-        self._hands = [copy(hand) for hand in song.hands]
+        self._hands = copy(song.hands)
         self._sounding = np.zeros(len(song.demands.keyboard.travel), bool)
-        for hand in self._hands:
-            hand.answer = np.zeros_like(hand.answer)
+        self._hands.answer = np.zeros_like(self._hands.answer)
 
     @property
     def over(self) -> bool:
@@ -157,14 +156,12 @@ class Player:
 
     def see(self, state: State) -> Array:
         """(H, D) what is told of each hand, in a state of one simulation."""
-        seen = [hand.see(self._step, state) for hand in self._hands]
-        self._planned = [planned for _, planned in seen]
-        return np.stack([told for told, _ in seen])
+        told, self._planned = self._hands.see(self._step, state)
+        return told
 
     def ctrl(self, answers: Array) -> Array:
-        """(A,) the controls of a step, by the answers (H, A / H) for each hand."""
-        hands = zip(self._hands, self._planned, answers, strict=True)
-        return np.concatenate([hand.corrected(*of_it) for hand, *of_it in hands])
+        """(H A,) the controls of a step, by the answers (H, A) to it."""
+        return self._hands.corrected(self._planned, answers)
 
     def lost(self, state: State) -> Array:
         """(H, F) what each finger of each hand has lost in the step that led to a state."""
@@ -172,7 +169,7 @@ class Player:
         lost, self._sounding = self.song.demands.lost(*after)
         self._step += 1
         self._lost += float(lost.sum())
-        return lost.reshape(len(self._hands), -1)
+        return lost.reshape(len(self._hands.answer), -1)
 
 
 class Round(NamedTuple):

@@ -26,7 +26,7 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
-from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.planning.learnt.inputs import About
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song
@@ -76,15 +76,13 @@ def lesson_of(recorded: Recorded) -> Lesson:
             "collect again, or train with that version"
         )
     nothing, inputs, answers = State.zeros(scene, 1), [], []
-    for side in scene.sides:
-        hand = CorrectedHand(plan, side)
-        servos = hand.servos
-        for step in range(recorded.about.num_steps):
-            seen, planned = hand.see(step, state_of(rows[step : step + 1], nothing))
-            inputs.append(seen)
-            answers.append(hand.corrections.answer(rows["action"][step, servos] - planned))
-            hand.played(rows["previous_action"][step + 1, servos], planned)
-    return Lesson(np.array(inputs, np.float32), np.array(answers, np.float32))
+    hands = CorrectedHands(plan)
+    for step in range(recorded.about.num_steps):
+        seen, planned = hands.see(step, state_of(rows[step : step + 1], nothing))
+        inputs.append(seen)
+        answers.append(hands.recommended(rows["action"][step, hands.servos], planned))
+        hands.played(rows["previous_action"][step + 1, hands.servos], planned)
+    return Lesson(*(np.concatenate(each).astype(np.float32) for each in (inputs, answers)))
 
 
 def state_of(rows: Array, nothing: State) -> State:

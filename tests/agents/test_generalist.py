@@ -17,7 +17,7 @@ import cadenza
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planning import hand_rehearsal
@@ -25,7 +25,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_rehearsal import HandRehearsal
 from cadenza.agents.planning.in_sight import InSight
 from cadenza.agents.planning.learning_control import changes
-from cadenza.agents.planning.learnt.inputs import Corrections
+from cadenza.agents.planning.learnt.inputs import Corrections, HandInputs
 from cadenza.agents.planning.learnt.weights import Weights
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
@@ -145,24 +145,23 @@ def test_left_hand_is_told_what_the_right_hand_would_be_in_the_mirror(
     scene_of_both: SongPlan, step: int
 ) -> None:
     images = elsewhere(scene_of_both, lambda key: 82 - key, [1, 0], -1.0)
-    told = CorrectedHand(scene_of_both, "right").see(
+    told, _ = CorrectedHands(scene_of_both).see(
         step, state_on(scene_of_both, step, {39: 0.02, 41: 0.05})
     )
-    mirrored = CorrectedHand(images, "left").see(step, state_on(images, step, {43: 0.02, 41: 0.05}))
+    mirrored, _ = CorrectedHands(images).see(step, state_on(images, step, {43: 0.02, 41: 0.05}))
     # Black keys are up to a millimetre from where their images would be.
-    np.testing.assert_allclose(told[0], mirrored[0], atol=0.05)
+    np.testing.assert_allclose(told, mirrored[::-1], atol=0.05)
 
 
 def test_corrections_of_a_left_hand_are_mirrored(scene_of_both: SongPlan) -> None:
-    right, left = (
-        Corrections.of(side, hand_alone(scene_of_both.scene, side).scene)
-        for side in ("right", "left")
-    )
-    names = [name.rpartition("/")[2] for name in scene_of_both.scene.actuator_names]
-    answer = np.full(len(right.scale), 0.5, np.float32)
-    opposite = np.flatnonzero(right.ctrl(answer) == -left.ctrl(answer))
-    assert [names[i] for i in opposite] == [n for n in names[: len(answer)] if "forearm_tx" in n]
-    np.testing.assert_allclose(left.answer(left.ctrl(answer)), answer)
+    scene = scene_of_both.scene
+    corrections = Corrections.of(SIDES, hand_alone(scene, "right").scene)
+    names = [name.rpartition("/")[2] for name in scene.actuator_names]
+    answer = np.full(corrections.turned.shape, 0.5, np.float32)
+    right, left = corrections.ctrl(answer)
+    opposite = np.flatnonzero(right == -left)
+    assert [names[i] for i in opposite] == [n for n in names[: len(right)] if "forearm_tx" in n]
+    np.testing.assert_allclose(corrections.answer(corrections.ctrl(answer)), answer)
 
 
 @pytest.fixture(scope="module")
@@ -172,19 +171,35 @@ def scene_of_both() -> SongPlan:
 
 def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
     higher = elsewhere(scene_of_both, lambda key: key + 12, [0, 1], 1.0)
-    here = CorrectedHand(scene_of_both, "right").see(25, state_on(scene_of_both, 25, {39: 0.02}))
-    there = CorrectedHand(higher, "right").see(25, state_on(higher, 25, {51: 0.02}))
+    here, _ = CorrectedHands(scene_of_both).see(25, state_on(scene_of_both, 25, {39: 0.02}))
+    there, _ = CorrectedHands(higher).see(25, state_on(higher, 25, {51: 0.02}))
     np.testing.assert_allclose(here[0], there[0], atol=1e-3)
 
 
+def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan) -> None:
+    hands = CorrectedHands(scene_of_both)
+    ctrl = hands.see(24, state_on(scene_of_both, 24, {}))[1]
+    hands.played(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
+    told = hands.see(25, state_on(scene_of_both, 25, {}))[0]
+    assert hands.answer.any(axis=1).all()
+    np.testing.assert_allclose(told[:, hands.about.previous], hands.answer, rtol=1e-6)
+
+
 @pytest.mark.parametrize("side", SIDES)
-def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan, side: Side) -> None:
-    hand = CorrectedHand(scene_of_both, side)
-    ctrl = hand.see(24, state_on(scene_of_both, 24, {}))[1]
-    hand.played(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
-    told = hand.see(25, state_on(scene_of_both, 25, {}))[0]
-    assert hand.answer.any()
-    np.testing.assert_allclose(told[hand.about.previous], hand.answer, rtol=1e-6)
+def test_a_hand_is_told_the_same_without_the_other(scene_of_both: SongPlan, side: Side) -> None:
+    plan, (alone, _, joints) = scene_of_both, hand_alone(scene_of_both.scene, side)
+    hands, state = CorrectedHands(plan), state_on(scene_of_both, 25, {39: 0.02, 60: 0.01})
+    hands.answer = np.random.default_rng(0).uniform(-1, 1, hands.answer.shape)
+    number, to_posture = SIDES.index(side), servos_of(alone).of_joints
+    joints_now = (values[:, joints] for values in (state.hand_qpos, state.hand_qvel))
+    told = HandInputs(plan, [side], alone, 20).at(
+        25,
+        np.stack([values @ to_posture for values in joints_now], axis=-1),
+        hands.answer[[number]],
+        state.fingertip_xpos[0, plan.scene.fingers.of_hand(number)],
+        state.key_qpos[0],
+    )
+    np.testing.assert_allclose(hands.see(25, state)[0][[number]], told, atol=1e-6)
 
 
 # How it plays
@@ -364,9 +379,9 @@ def test_weights_are_kept_as_they_were_read(tmp_path: Path) -> None:
 
 
 def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
-    hand, weights = CorrectedHand(scene_of_both, "right"), Weights.load(SHIPPED)
-    told = hand.see(25, state_on(scene_of_both, 25, {}))[0]
-    ring = told + np.where((hand.about.finger == 3) & hand.about.private, 0.3, 0.0).astype(
+    hands, weights = CorrectedHands(scene_of_both), Weights.load(SHIPPED)
+    told = hands.see(25, state_on(scene_of_both, 25, {}))[0][0]
+    ring = told + np.where((hands.about.finger == 3) & hands.about.private, 0.3, 0.0).astype(
         np.float32
     )
     changed = np.flatnonzero(weights(ring) != weights(told))

@@ -36,7 +36,7 @@ def test_proposes_what_the_generalist_plays() -> None:
         state = task.view().state
         action = agent.act(task.view())[0]
         played.append(action[:-1])
-        plan, hand = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
+        plan, hands = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
         if step % STEPS == 0:
             ahead = proposal(plan, "right", shipped_for(task.scene), step)
             ctrl = plan.nominal.tracking.ctrl
@@ -48,7 +48,7 @@ def test_proposes_what_the_generalist_plays() -> None:
             coming = ahead.controls(trials, step, planned, before, keys)
             for _ in trials.run(proposed.append(row) or row for row in coming):  # type: ignore[func-returns-value]
                 pass
-        before = hand.corrections.ctrl(hand.answer)
+        (before,) = hands.corrections.ctrl(hands.answer)
         task.step(action[None])
     np.testing.assert_array_equal(proposed[::STEPS], played[::STEPS])  # where trials begin
     np.testing.assert_allclose(proposed, played, atol=1e-5)

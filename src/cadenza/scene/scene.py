@@ -81,22 +81,22 @@ class Scene:
         """(A + 1,) largest action in actuator units, the pedal last."""
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
 
-    def servos_on(self, side: Side) -> slice:
-        """Which of the A actuators are those of one hand."""
-        return self._half(side, len(self.actuator_names))
+    def servos_on(self, *sides: Side) -> slice:
+        """Which of the A actuators are those of one hand, or of all."""
+        return self._on(sides, len(self.actuator_names))
 
-    def joints_on(self, side: Side) -> slice:
-        """Which of the J joints are those of one hand."""
-        return self._half(side, len(self.hand_joint_names))
+    def joints_on(self, *sides: Side) -> slice:
+        """Which of the J joints are those of one hand, or of all."""
+        return self._on(sides, len(self.hand_joint_names))
 
-    def fingertips_on(self, side: Side) -> slice:
-        """Which of `fingertip_sites` are those of one hand."""
-        return self._half(side, len(self.fingertip_sites))
+    def fingertips_on(self, *sides: Side) -> slice:
+        """Which of `fingertip_sites` are those of one hand, or of all."""
+        return self._on(sides, len(self.fingertip_sites))
 
-    def _half(self, side: Side, count: int) -> slice:
+    def _on(self, sides: tuple[Side, ...], count: int) -> slice:
         each = count // len(self.sides)
-        first = self.sides.index(side) * each
-        return slice(first, first + each)
+        first = self.sides.index(sides[0]) * each
+        return slice(first, first + len(sides) * each)
 
     def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Which of these are numbers of fingers that are there."""

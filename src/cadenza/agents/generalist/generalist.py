@@ -17,7 +17,7 @@ import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.generalist.corrected_hand import CorrectedHand
+from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.in_sight import InSight
@@ -82,7 +82,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             takes = rehearsals + 1
             rehearsed = [RehearsedHand(plan, side, takes) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
-        return GeneralistSong(plan, plans, _corrected_hands(plan, weights))
+        return GeneralistSong(plan, plans, [CorrectedHands(plan, weights)])
 
     def _rehearsals(self, scene: Scene) -> int:
         """How often each half second of the plan is changed; with 0, networks correct it."""
@@ -106,10 +106,10 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
 
 
 class PlanPlayer(Protocol):
-    """One hand that plays a plan."""
+    """One hand that plays a plan, or all."""
 
     servos: slice
-    """Which of all the scene's are this hand's."""
+    """Which of all the scene's are theirs."""
     steps_seen: int
     """How many steps of the plan it looks at before one."""
 
@@ -135,7 +135,7 @@ class GeneralistSong:
         """Args:
         plan: of the song, as far as it goes.
         plans: the next ones, each longer than the one before.
-        hands: that play it.
+        hands: that play it, one by one or all.
         """
         self.plan, self._plans, self._hands = plan, plans, hands
         self._seen = max(hand.steps_seen for hand in hands)
@@ -168,27 +168,20 @@ class SightReader:
         weights: what corrects its plans.
         """
         dt = track.config.control_timestep
-        self._track, self._goals, self._weights = track, track.goals, weights
+        self._track, self._goals = track, track.goals
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = scene_planned_with(track)
         players = players_of(self._scene)
         self._in_sight = InSight(self._scene, players, start.hand_qpos[0], dt, HASTE)
         self._looked, plan = 0, self._look(0, start)
-        self._hands = _corrected_hands(plan, weights)
+        self._hands = CorrectedHands(plan, weights)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
         while self._looked < step:  # once, unless others have played
-            plan = self._look(self._looked + 1, view.state)
-            for hand in self._hands:
-                hand.follow(plan, 0)
-        action = np.zeros(view.task.action_size)
-        action[-1] = self._goals.sustain[step]
-        seen = [hand.see(step - self._looked, view.state) for hand in self._hands]
-        answers = self._weights(np.stack([told for told, _ in seen]))  # sooner than one by one
-        for hand, (_, planned), answer in zip(self._hands, seen, answers, strict=True):
-            action[hand.servos] = hand.corrected(planned, answer)
-        return action
+            self._hands.follow(self._look(self._looked + 1, view.state), 0)
+        ctrl = self._hands.act(step - self._looked, view.state)
+        return np.append(ctrl, self._goals.sustain[step])
 
     def _look(self, step: int, state: State) -> SongPlan:
         """The plan of what is in sight at a step; its first step is this one."""
@@ -205,10 +198,6 @@ def shipped_for(scene: Scene) -> Weights | None:
 
 def _sizes(scene: Scene) -> tuple[int, int]:
     return sizes_of(hand_alone(scene, scene.sides[0]).scene)
-
-
-def _corrected_hands(plan: SongPlan, weights: Weights) -> list[CorrectedHand]:
-    return [CorrectedHand(plan, side, weights) for side in plan.scene.sides]
 
 
 def _fitting(weights: Weights, scene: Scene) -> Weights:

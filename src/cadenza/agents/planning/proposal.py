@@ -32,8 +32,8 @@ class Proposal:
         first: the first step that is proposed.
         """
         alone, servos, _ = hand_alone(plan.scene, side)
-        self._inputs = HandInputs(plan, side, alone, servos, first)
-        self._weights, self._corrections = weights, Corrections.of(side, alone)
+        self._inputs = HandInputs(plan, [side], alone, first)
+        self._weights, self._corrections = weights, Corrections.of([side], alone)
         self._tracking, self._servos = plan.nominal.tracking.of(servos), servos_of(alone)
 
     def controls(
@@ -48,15 +48,15 @@ class Proposal:
             before: (A,) by how much the controls of the step before them were corrected.
             key_qpos: (K,) of the whole keyboard before them [rad].
         """
-        key_qpos, answer = key_qpos.copy(), self._corrections.answer(before)
+        key_qpos, answer = key_qpos.copy(), self._corrections.answer(before[None])
         for row, ctrl in enumerate(planned, step):
             posture = self._servos.of_joints.T @ np.stack(trials.hand_joints(), axis=1)
             ctrl = self._servos.clip(ctrl - self._tracking.feedback(row, posture))
             key_qpos[trials.keys] = trials.key_qpos()
-            told = self._inputs.at(row, posture, answer, trials.fingertips(), key_qpos)
+            told = self._inputs.at(row, posture[None], answer, trials.fingertips(), key_qpos)
             corrected = self._servos.clip(ctrl + self._corrections.ctrl(self._weights(told)))
             answer = self._corrections.answer(corrected - ctrl)
-            yield corrected
+            yield corrected[0]
 
 
 def proposal(plan: SongPlan, side: Side, weights: Weights | None, first: int) -> Proposal | None:

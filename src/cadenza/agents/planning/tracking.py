@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from cadenza.agents.planning.targets import by_hand
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos, servos_of
 from cadenza.sim.protocol import State
@@ -30,9 +31,13 @@ class Tracking(NamedTuple):
         """That of some of the servos, as views."""
         return Tracking._make(values[:, servos] for values in self)
 
+    def by_hand(self, hands: int) -> Tracking:
+        """That of H hands with A servos each, (T, H, A, ...), as views."""
+        return Tracking._make(by_hand(values, hands) for values in self)
+
     def feedback(self, step: int, here: Array) -> Array:
-        """(A,) what positions and speeds `here` (A, 2) before a step take from its controls."""
-        return (self.gain[step] * (here - self.expected[step])).sum(axis=1)
+        """(..., A) what positions and speeds `here` (..., A, 2) take from a step's controls."""
+        return (self.gain[step] * (here - self.expected[step])).sum(axis=-1)
 
 
 class Follower:

@@ -6,6 +6,7 @@ that what is learnt serves both hands and every place on the keyboard.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,25 +40,20 @@ _KEY_OFF = 0.03  # [m] from a planned fingertip to the middle of its key
 
 
 class Mirror(NamedTuple):
-    """Makes a right hand of either hand."""
+    """Makes right hands of H hands."""
 
-    y: float
-    """What turns positions along the keyboard, 1 or -1."""
+    y: Array
+    """(H,) what turns positions along the keyboard, 1 or -1."""
     servos: Array
-    """(A,) what turns the coordinates of servos."""
+    """(H, A) what turns the coordinates of servos."""
 
     @classmethod
-    def of(cls, side: Side, alone: Scene) -> Mirror:
-        """For the hand on one side, which is `alone` in a scene."""
-        y, servos = (1.0 if side == "right" else -1.0), servos_of(alone)
-        turned = np.ones(len(servos.names))
-        turned[servos.along_keyboard] = y
+    def of(cls, sides: Sequence[Side], alone: Scene) -> Mirror:
+        """For the hands on these sides; each is as the one that is `alone` in a scene."""
+        y, servos = np.array([1.0 if side == "right" else -1.0 for side in sides]), servos_of(alone)
+        turned = np.ones((len(sides), len(servos.names)))
+        turned[:, servos.along_keyboard] = y[:, None]
         return cls(y, turned)
-
-    @property
-    def place(self) -> Array:
-        """(3,) what turns positions."""
-        return np.array([1.0, self.y, 1.0])
 
 
 class About(NamedTuple):
@@ -91,54 +87,54 @@ def sizes_of(alone: Scene) -> tuple[int, int]:
 
 
 class HandInputs:
-    """What is told of one hand, before each of the steps that a plan has from some on."""
+    """What is told of H hands, before each of the steps that a plan has from some on."""
 
-    def __init__(self, plan: SongPlan, side: Side, alone: Scene, servos: slice, first: int) -> None:
+    def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
         """Args:
         plan: as far as it goes.
-        side: of the hand.
-        alone: a scene with this hand only.
-        servos: which of the plan's they are.
+        sides: of the hands, those of the scene or one of them.
+        alone: a scene with one of them only.
         first: the step before which something is told for the first time.
         """
-        self._mirror, self._first = Mirror.of(side, alone), first
-        self._keyboard, scene = alone.keyboard, plan.scene
-        self._fingers = scene.fingers.of_hand(SIDES.index(side))
-        self._tracking = plan.nominal.tracking.of(servos)
-        count = scene.fingers.per_hand
-        row = count * scene.sides.index(side)
-        self._tips = plan.nominal.fingertips[:, row : row + count]
+        self._mirror, self._first, scene = Mirror.of(sides, alone), first, plan.scene
+        self._hands, self._keyboard = len(sides), alone.keyboard
+        tracking = plan.nominal.tracking.of(scene.servos_on(*sides))
+        self._tracking = tracking.by_hand(self._hands)
+        self._tips = plan.nominal.fingertips[:, scene.fingertips_on(*sides)]
+        self._place = np.ones(self._tips.shape[1:])  # what turns positions of fingertips
+        self._place[:, 1] = np.repeat(self._mirror.y, scene.fingers.per_hand)
         self._wanted = plan.goals.keys
         steps = np.arange(first, plan.nominal.num_steps)
-        mine = [press for press in plan.nominal.presses if press.side == side]
-        self._key, self._presses = self._coming(mine, steps)  # (S, F), (S, F, 15)
-        presses = self._presses.reshape(len(steps), -1)
+        thumb = scene.fingers.of_hand(SIDES.index(sides[0])).start
+        mine = [press for press in plan.nominal.presses if press.side in sides]
+        self._key, self._presses = self._coming(mine, thumb, steps)  # (S, H F), (S, H F, 15)
+        presses = self._presses.reshape(len(steps), self._hands, -1)
         planned = [self._postures(alone, steps), presses]
-        self._planned = np.concatenate(planned, axis=1, dtype=np.float32)  # as they are told
+        self._planned = np.concatenate(planned, axis=2, dtype=np.float32)  # as they are told
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
-        """(S, 7 A) what the plan does with the servos."""
+        """(S, H, 7 A) what the plan does with the servos."""
         ctrl, _, expected = self._tracking
-        turned, here = self._mirror.servos, expected[steps, :, 0]
+        turned, here = self._mirror.servos, expected[steps, :, :, 0]
         last = len(ctrl)
-        ahead = [expected[np.minimum(steps + far, last), :, 0] for far in _POSTURES]
+        ahead = [expected[np.minimum(steps + far, last), :, :, 0] for far in _POSTURES]
         relative = [(there - here) * turned / _POSTURE for there in (*ahead, ctrl[steps])]
         still = here.copy()
-        still[:, servos_of(alone).along_keyboard] = 0.0  # wherever on the keyboard
-        return np.concatenate([*relative, still, expected[steps, :, 1] * turned / _SPEED], axis=1)
+        still[..., servos_of(alone).along_keyboard] = 0.0  # wherever on the keyboard
+        speeds = expected[steps, :, :, 1] * turned / _SPEED
+        return np.concatenate([*relative, still, speeds], axis=2)
 
     def _coming(
-        self, presses: list[Press], steps: NDArray[np.intp]
+        self, presses: list[Press], thumb: int, steps: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Array]:
-        """(S, F) the keys that fingers press or will press next, and (S, F, 15) what is told of it.
+        """(S, H F) the keys that fingers press or will press next, and (S, H F, 15) what is told.
 
-        Keys are -1 for none.
+        Keys are -1 for none. `thumb` is the number of the first of these fingers.
         """
-        fingers = np.arange(self._fingers.stop - self._fingers.start)
+        fingers = np.arange(len(self._place))
         never = max([len(self._wanted) + _HELD, *(p.last for p in presses)]) + 1
         rows = [
-            (p.finger - self._fingers.start, p.first, p.last, p.key, p.flies_to or p.flies_off)
-            for p in presses
+            (p.finger - thumb, p.first, p.last, p.key, p.flies_to or p.flies_off) for p in presses
         ]
         rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # their ends
         of, first, last, keys, jumps = np.array(sorted(rows)).T
@@ -155,7 +151,7 @@ class HandInputs:
         shown[..., 1] = within(last[which] - steps[:, None], 0, FAR) / FAR
         shown[..., 2], shown[..., 3] = self._keyboard.is_black[key], jumps[which]
         near = within(1 - to_begin / FAR, 0, 1)
-        way = (self._keyboard.centre[key] - self._tips[steps]) * self._mirror.place / _KEY_OFF
+        way = (self._keyboard.centre[key] - self._tips[steps]) * self._place / _KEY_OFF
         shown[..., 5 + _HELD : 8 + _HELD] = within(way, -2, 2) * (near > 0)[..., None]
         shown[..., 8 + _HELD] = near
         shown[over] = 0.0
@@ -165,37 +161,36 @@ class HandInputs:
     def at(
         self, step: int, posture: Array, correction: Array, tips: Array, key_qpos: Array
     ) -> Floats:
-        """(D,) what is told before a step.
+        """(H, D) what is told before a step.
 
         Args:
             step: of the song.
-            posture: (A, 2) position and speed of the hand's servos.
-            correction: (A,) what was answered before the step before.
-            tips: (F, 3) where its fingertips are [m].
+            posture: (H, A, 2) position and speed of the servos.
+            correction: (H, A) what was answered before the step before.
+            tips: (H F, 3) where fingertips are [m].
             key_qpos: (K,) [rad]
         """
-        row, (turned, place) = step - self._first, (self._mirror.servos, self._mirror.place)
-        off = (posture - self._tracking.expected[step]) * turned[:, None]
+        row, place = step - self._first, self._place
+        off = (posture - self._tracking.expected[step]) * self._mirror.servos[..., None]
         following = self._tips[min(step + 1, len(self._tips) - 1)]
         depths = self._depths(row, step, key_qpos)
         from_now = within((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
         from_next = within((tips - following) * place / _TIP_OFF, -4, 4)
+        cases = _cases(self._presses[row], depths, from_now, from_next)
+        of_fingers = depths, from_now, from_next, cases
         parts = (
             self._planned[row],
-            within(off[:, 0] / _OFF, -4, 4),
-            within(off[:, 1] / _TOO_FAST, -4, 4),
+            within(off[..., 0] / _OFF, -4, 4),
+            within(off[..., 1] / _TOO_FAST, -4, 4),
             correction,
-            depths.ravel(),
-            from_now.ravel(),
-            from_next.ravel(),
-            _cases(self._presses[row], depths, from_now, from_next).ravel(),
+            *(values.reshape(self._hands, -1) for values in of_fingers),
         )
-        return np.concatenate(parts, dtype=np.float32)
+        return np.concatenate(parts, axis=1, dtype=np.float32)
 
     def _depths(self, row: int, step: int, key_qpos: Array) -> Array:
-        """(F, 6) how far down a finger's key and its neighbours are, and whether it should be."""
+        """(H F, 6) how far down a finger's key and those beside it are, and if it should be."""
         key = self._key[row][:, None]
-        beside = key + (_NEIGHBOURS * self._mirror.y).astype(np.intp)
+        beside = key + (_NEIGHBOURS * self._place[:, 1:2]).astype(np.intp)
         there = (key >= 0) & (beside >= 0) & (beside < len(key_qpos))
         depths = np.where(there, (key_qpos / self._keyboard.travel)[beside * there], 0.0)
         wanted = self._wanted[step, np.maximum(key, 0)] & (key >= 0)
@@ -230,20 +225,20 @@ def _cases(presses: Array, depths: Array, from_now: Array, from_next: Array) -> 
 
 
 class Corrections(NamedTuple):
-    """Answers as controls of a hand."""
+    """Answers as controls of H hands."""
 
     turned: Array
-    """(A,)"""
+    """(H, A)"""
     scale: Array
     """(A,) what counts as one [m, rad]."""
 
     @classmethod
-    def of(cls, side: Side, alone: Scene) -> Corrections:
-        """For the hand on one side, which is `alone` in a scene."""
-        return cls(Mirror.of(side, alone).servos, servos_of(alone).correction)
+    def of(cls, sides: Sequence[Side], alone: Scene) -> Corrections:
+        """For the hands on these sides; each is as the one that is `alone` in a scene."""
+        return cls(Mirror.of(sides, alone).servos, servos_of(alone).correction)
 
     def ctrl(self, answer: Floats) -> Array:
-        """(A,) what is added to the controls."""
+        """(H, A) what is added to the controls, by the answer (H, A)."""
         return within(answer, -_MOST, _MOST) * self.turned * self.scale
 
     def answer(self, ctrl: Array) -> Array:
