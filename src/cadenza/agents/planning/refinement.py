@@ -45,7 +45,7 @@ _HALVED = 1.0  # [s] in which half of the correction to the nominal plan fades
 
 # Share of a full search's simulations that a hand may use at a step, or save for later ones. Keeps
 # planning within the time of the music on two cores where every step fails. Rehearsals come on top.
-_SUSTAINED = 0.5
+_SUSTAINED = 0.4
 _SAVED = 1.0  # [s] for which it has been saved where a hand starts over
 _DRIFT = 1e-5  # [m, rad] a simulation of the hand alone that is further off is put right
 
