@@ -26,7 +26,7 @@ from cadenza.agents.planning.learnt.weights import Weights, shipped
 from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.scene.scene import Scene, hand_alone
+from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
@@ -90,7 +90,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
             return self.config.rehearsals
         known = shipped_for(scene)
         learnt = self.config.weights is not None or (
-            known is not None and known.sizes == _sizes(scene)
+            known is not None and known.sizes == sizes_of(scene)
         )
         return 0 if learnt else _REHEARSALS
 
@@ -196,17 +196,13 @@ def shipped_for(scene: Scene) -> Weights | None:
     return shipped(_LEARNT).get(scene.hand.name)
 
 
-def _sizes(scene: Scene) -> tuple[int, int]:
-    return sizes_of(hand_alone(scene, scene.sides[0]).scene)
-
-
 def _fitting(weights: Weights, scene: Scene) -> Weights:
     """The weights.
 
     Raises:
         CadenzaError: they have been learnt with other hands than those of the scene.
     """
-    told, servos = _sizes(scene)
+    told, servos = sizes_of(scene)
     if weights.sizes != (told, servos):
         raise CadenzaError(
             f"generalist: has learnt with hands of {weights.sizes[1]} servos, of which it is told "

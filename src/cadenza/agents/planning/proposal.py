@@ -68,6 +68,6 @@ def proposal(plan: SongPlan, side: Side, weights: Weights | None, first: int) ->
         weights: of the networks.
         first: the first step that is proposed.
     """
-    if weights is None or weights.sizes != sizes_of(hand_alone(plan.scene, side).scene):
+    if weights is None or weights.sizes != sizes_of(plan.scene):
         return None
     return Proposal(plan, side, weights, first)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.presses import Press
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.fingers import SIDES, Side
-from cadenza.scene.scene import Scene
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of, within
 
 Array = NDArray[np.float64]
@@ -81,8 +81,9 @@ class About(NamedTuple):
         return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
 
 
-def sizes_of(alone: Scene) -> tuple[int, int]:
-    """Of what is told of the hand which is alone in a scene, and of the answer."""
+def sizes_of(scene: Scene) -> tuple[int, int]:
+    """Of what is told of each hand of a scene, and of the answer."""
+    alone = hand_alone(scene, scene.sides[0]).scene
     return len(About.of(alone).finger), len(servos_of(alone).low)
 
 
