@@ -667,7 +667,7 @@ def test_hands_glide_as_fast_at_any_control_step(dt: float) -> None:
         (slide,) = servos_of(scene).along_keyboard
         return float(np.diff(plan.postures[:, slide]).std() / dt)
 
-    assert speed(dt) == pytest.approx(speed(0.05), rel=0.1)
+    assert speed(dt) == pytest.approx(speed(0.05), rel=0.15)
 
 
 def test_hands_in_haste_let_go_later_and_land_as_soon() -> None:
@@ -765,36 +765,60 @@ def test_links_keep_apart_by_their_radii() -> None:
     assert change == pytest.approx((slope @ step).sum(), rel=1e-2)
 
 
-def test_hands_give_way_to_each_other_as_the_gradient_says(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of postures that interlock, against finite differences of what they cost."""
-    monkeypatch.setattr(inverse_kinematics, "_REAL", np.float64)  # differences lack digits else
+def close_hands(right: float, left: float) -> tuple[_Problem, np.ndarray]:
+    """Three postures after the first, of hands that are this far from where they are mounted."""
     scene = build_scene()
     servos, rng = servos_of(scene), np.random.default_rng(3)
     rest = rest_posture(servos)
     guess = rest + 0.05 * rng.uniform(size=(4, len(rest))) * (servos.high - servos.low)
-    right, left = servos.along_keyboard
-    guess[:, right], guess[:, left] = -0.08, 0.1  # forearms are mounted 0.3 m apart
+    guess[:, servos.along_keyboard] = right, left  # forearms are mounted 0.3 m apart
     targets = targets_of(scene, [Press("right", 1, 41, 1, 3)], 4, 0.05)
     kinematics = Kinematics(scene, servos)
     problem = _Problem(scene, kinematics, servos, targets, guess, guess[0], 0.05)
-    here = guess + 1e-3 * rng.standard_normal(guess.shape)
-    at = problem.linearise(here)
+    return problem, guess + 1e-3 * rng.standard_normal(guess.shape)
+
+
+@pytest.fixture
+def _exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inverse_kinematics, "_REAL", np.float64)  # differences lack digits else
+
+
+@pytest.mark.usefixtures("_exactly")
+def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
+    """Of postures that interlock, against finite differences of what they cost."""
+    problem, here = close_hands(-0.08, 0.1)
     points, jacobian = (
-        values[1:].reshape(3, 2, -1, *values.shape[2:]) for values in kinematics.fingers(here)
+        values[1:].reshape(3, 2, -1, *values.shape[2:])
+        for values in problem._kinematics.fingers(here)
     )
     links, forearms = problem._between_hands(points, jacobian, here[1:].reshape(3, 2, -1))
     assert len(links[0]) > 3
     assert len(forearms[0]) == 3
-    _, gradient = problem.normal_equations(here, at)
-    change = rng.standard_normal((3, len(rest)))
+    _, gradient = problem.normal_equations(here, problem.linearise(here))
+    change = np.random.default_rng(4).standard_normal((3, here.shape[1]))
     moved = [
         problem.linearise(here + sign * 1e-6 * np.pad(change, ((1, 0), (0, 0)))).cost.sum()
         for sign in (1, -1)
     ]
     slope = (gradient.reshape(3, -1) * change).sum()
     assert (moved[0] - moved[1]) / 2e-6 == pytest.approx(slope, rel=1e-4)
+
+
+@pytest.mark.usefixtures("_exactly")
+def test_only_postures_that_have_moved_are_linearised_anew() -> None:
+    problem, here = close_hands(-0.06, 0.085)
+    known = problem.linearise(here).postures
+    assert known.close.tolist() == [0, 1, 2]  # the forearms
+    there = here + 1e-5 * np.random.default_rng(4).standard_normal(here.shape)
+    assert problem.linearise(there, known).postures is known
+    there[2] += 0.02
+    some, anew = problem.linearise(there, known), problem.linearise(there)
+    assert (some.postures.at == known.at).all(axis=(1, 2)).tolist() == [True, False, True]
+    assert some.cost == pytest.approx(anew.cost, rel=1e-6)
+    assert some.pull == pytest.approx(anew.pull, abs=1e-5 * np.abs(anew.pull).max())
+    assert known.pull[0] != pytest.approx(anew.pull[0], abs=1e-5 * np.abs(anew.pull).max())
+    (bands, _), (bands_anew, _) = (problem.normal_equations(there, at) for at in (some, anew))
+    assert bands == pytest.approx(bands_anew, abs=1e-3 * bands_anew.max())
 
 
 def test_postures_are_found_where_single_precision_does_not_do(

@@ -96,7 +96,8 @@ class InSight:
         else:
             before, effort = self._plan.part(0, 1), _IMPROVED
             presses = self._again(presses, step, past, tips, before.fingertips[1])
-            known = (self._found.postures - self._found.guess)[2:]
+            known = self._found.improved[2:]
+            known = np.concatenate([known, known[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `nominal_plans`
             found = self._motion.found(
                 before, presses, past, past + ahead, known=known, effort=effort

@@ -5,7 +5,9 @@ boxes, fingers out of each other, forearms apart, joints near rest) or to three 
 motion, controls within their ranges), so that the normal equations are banded, and a Gauss-Newton
 step costs a time linear in the music's length. Where hands never come close to each other, the
 equations of each are solved by themselves, in a quarter of the time. Levenberg-Marquardt damping is
-kept for each posture by itself: one that is hard to find does not hold up the others.
+kept for each posture by itself: one that is hard to find does not hold up the others. And only
+postures that have moved far enough are linearised anew (fluid relinearisation: Kaess et al., iSAM2,
+International Journal of Robotics Research 31, 2012).
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ _FOREARMS_APART = WIDTH + 0.011  # [m]
 _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into each other
 
 _LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
+_MOVED = 0.05  # of a servo's stride by which a posture moves until it is linearised anew
 _REAL = np.float32  # less time than double precision, and the same costs within a hundredth
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
@@ -103,18 +106,20 @@ def solve_postures(
                 break
             now = problem.linearise(postures)
             continue
+        failed = np.zeros(len(damping), bool)
         for _ in range(effort.trials):
             trial = problem.step(postures, bands, gradient, damping)
-            there = problem.linearise(trial)
+            there = problem.linearise(trial, now.postures)
             worse = there.cost > 1.02 * now.cost + 0.02
             near = worse | np.roll(worse, 1) | np.roll(worse, -1)
             better = there.cost.sum() < now.cost.sum()
             if better:
-                eased = np.maximum(damping / 4, 1e-3)
+                eased = np.where(failed, damping, np.maximum(damping / 2, 1e-3))
                 damping = np.where(near, np.minimum(damping * 4, 1e3), eased)
             if better or not near.any():  # more trials would be the same
                 break
             damping = np.where(near, np.minimum(damping * 8, 1e3), damping)
+            failed |= near
         if not better:
             break
         gained = now.cost.sum() - there.cost.sum()
@@ -124,6 +129,46 @@ def solve_postures(
     return postures
 
 
+class _Postures(NamedTuple):
+    """N postures of H hands with A servos each, and the residuals of each by itself near them."""
+
+    at: Array
+    """(N, H, A) near which that is."""
+    squares: Array
+    """(N,) the sums of their squares."""
+    pull: Array
+    """(N, H, A) half the gradient of these."""
+    blocks: Array
+    """(N, H, A, A) the products of their derivatives by the same hand."""
+    pressed: Array
+    """(N, H, A) how much further controls are to press keys."""
+    close: Ids
+    """(M,) which of them residuals between hands are of. None where hands are apart."""
+    between: Array
+    """(M, A, A) the products of derivatives of these, by the right hand and the left."""
+
+    def with_new(self, rows: Ids, new: _Postures) -> _Postures:
+        """With new ones in some rows, (R,)."""
+        kept = ~np.isin(self.close, rows)
+        values = {
+            "close": np.concatenate([self.close[kept], new.close]),
+            "between": np.concatenate([self.between[kept], new.between]),
+        }
+        for name in ("at", "squares", "pull", "blocks", "pressed"):
+            values[name] = getattr(self, name).copy()
+            values[name][rows] = getattr(new, name)
+        return _Postures(**values)
+
+    def pull_of(self, off: Array) -> Array:
+        """(N, H, A) by how much their pull is another where they are off by (N, H, A)."""
+        more = (self.blocks @ off[..., None])[..., 0]
+        if len(self.close):
+            right, left = np.moveaxis(off[self.close], 1, 0)
+            np.add.at(more[:, 0], self.close, np.einsum("mrl,ml->mr", self.between, left))
+            np.add.at(more[:, 1], self.close, np.einsum("mrl,mr->ml", self.between, right))
+        return more
+
+
 class _Linearised(NamedTuple):
     """Of N postures of H hands with A servos each."""
 
@@ -131,13 +176,10 @@ class _Linearised(NamedTuple):
     """(N,) half the squares of all residuals, those in time at their first posture."""
     pull: Array
     """(N, H, A) the gradient of the residuals that belong to one posture."""
-    blocks: Array
-    """(N, H, A, A) the products of their derivatives by the same hand."""
-    between: list[tuple[Ids, Array]]
-    """Of residuals between hands, those by different ones: at which postures, (M,), and (M, A, A)
-    by the right hand, then the left. Nothing where hands are apart."""
     beyond: Array
     """(N, H, A) how far the controls that lead to them are out of their ranges."""
+    postures: _Postures
+    """What that was found by: these or, where they have hardly moved, earlier ones."""
 
 
 class _InARow(NamedTuple):
@@ -248,47 +290,68 @@ class _Problem:
         """(N, H, X, ...) of rows (N, H X, ...)."""
         return by_hand(rows, self._hands).astype(_REAL)
 
-    def linearise(self, postures: Array) -> _Linearised:
+    def linearise(self, postures: Array, known: _Postures | None = None) -> _Linearised:
+        """Anew, where postures (S, A) have moved far from those that are `known`."""
         now = self._by_hand(postures)
+        here = now[1:]
+        if known is None:
+            known = self._by_themselves(postures[1:], np.arange(len(here)))
+        else:
+            far = np.abs(here - known.at) > _MOVED * self._stride
+            moved = np.flatnonzero(far.any(axis=(1, 2)))
+            if len(moved):
+                known = known.with_new(moved, self._by_themselves(postures[1:][moved], moved))
+        off = here - known.at
+        more = known.pull_of(off)
+        squares = known.squares + ((2 * known.pull + more) * off).sum(axis=(1, 2))
         rows = np.concatenate([self._before, now])
-        count, hands, size = now[1:].shape
-        squares, pull = np.zeros(count, _REAL), np.zeros((count, hands, size), _REAL)
-        blocks = np.zeros((count, hands, size, size), _REAL)
-        control, between = self._lead.of(rows), list[tuple[Ids, Array]]()
+        control = self._lead.of(rows) + known.pressed
+        beyond = control - within(control, self._least, self._most)
+        smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
+        at_ease = self._stiffness * (here - self._rest) ** 2
+        cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=(1, 2)))
+        return _Linearised(cost, known.pull + more, beyond, known)
+
+    def _by_themselves(self, postures: Array, rows: Ids) -> _Postures:
+        """Some postures (N, A), which are those after the first in some rows, (N,)."""
+        count, (hands, size) = len(postures), self._stride.shape
+        at = postures.reshape(count, hands, size).astype(_REAL)
+        squares, pull = np.zeros(count, _REAL), np.zeros(at.shape, _REAL)
+        blocks = np.zeros((*at.shape, size), _REAL)
+        pressed = np.zeros(at.shape, _REAL)
+        close = [np.zeros(0, np.intp)]
+        between = [np.zeros((0, size, size), _REAL)]
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[1:][some]))
-            residual, slope = self._of_one_hand(points, jacobian, some)
+            points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[some]))
+            residual, slope = self._of_one_hand(points, jacobian, rows[some])
             squares[some] = (residual**2).sum(axis=(1, 2))
             pull[some] = (residual[:, :, None] @ slope)[:, :, 0]
             blocks[some] = slope.swapaxes(2, 3) @ slope
-            for row, residual, slope in self._between_hands(points, jacobian, now[1:][some]):
+            for row, residual, slope in self._between_hands(points, jacobian, at[some]):
                 np.add.at(squares[some], row, residual**2)
                 np.add.at(pull[some], row, residual[:, None, None] * slope)
                 np.add.at(blocks[some], row, slope[..., None] * slope[..., None, :])
-                between.append((first + row, slope[:, 0, :, None] * slope[:, 1, None]))
-            control[some] += (
-                pressing(jacobian[:, :, :, TIP, 2], self._force[some]) * self._per_force
-            )
-        beyond = control - within(control, self._least, self._most)
-        smooth = self._inertia * _SECOND_DIFFERENCE.of(rows) ** 2
-        at_ease = self._stiffness * (now[1:] - self._rest) ** 2
-        cost = 0.5 * (squares + (smooth + at_ease + self._limit * beyond**2).sum(axis=(1, 2)))
-        return _Linearised(cost, pull, blocks, between, beyond)
+                close.append(rows[some][row])
+                between.append(slope[:, 0, :, None] * slope[:, 1, None])
+            force = self._force[rows[some]]
+            pressed[some] = pressing(jacobian[:, :, :, TIP, 2], force) * self._per_force
+        both = np.concatenate(close), np.concatenate(between)
+        return _Postures(at, squares, pull, blocks, pressed, *both)
 
-    def _of_one_hand(self, points: Array, jacobian: Array, some: slice) -> tuple[Array, Array]:
+    def _of_one_hand(self, points: Array, jacobian: Array, rows: Ids) -> tuple[Array, Array]:
         """(N, H, R) residuals of each hand by itself in N postures, and derivatives (N, H, R, A).
 
         Args:
             points: (N, H, F, P, 3), see `Kinematics`.
             jacobian: (N, H, F, P, 3, A).
-            some: of all postures.
+            rows: (N,) which of all postures they are.
         """
-        low, high, sigma = self._low[some], self._high[some], self._sigma[some]
+        low, high, sigma = self._low[rows], self._high[rows], self._sigma[rows]
         tips, tip = points[:, :, :, TIP], jacobian[:, :, :, TIP]
         count, hands, fingers, size = *tips.shape[:3], jacobian.shape[-1]
         outside = (tips - within(tips, low, high)) / sigma
-        into_wall = np.minimum(tips[..., 0] - self._wall[some], 0.0) / _WALL
+        into_wall = np.minimum(tips[..., 0] - self._wall[rows], 0.0) / _WALL
         overlap, (row, pair), overlap_slope = self._links.of_hand.overlaps(
             *(values.reshape(count * hands, *values.shape[2:]) for values in (points, jacobian))
         )
@@ -351,7 +414,7 @@ class _Problem:
         outwards = np.where(gradient > 0, now <= self._least, now >= self._most)
         diagonals = self._constant + self._lead.squares(self._limit * (at.beyond != 0))
         diagonals[0] += 1e9 * outwards
-        return _banded(diagonals, at), np.where(outwards, 0.0, gradient)
+        return _banded(diagonals, at.postures), np.where(outwards, 0.0, gradient)
 
     def step(self, postures: Array, bands: Array, gradient: Array, damping: Array) -> Array:
         change = self._solved(bands, gradient, damping).reshape(gradient.shape)
@@ -378,12 +441,12 @@ class _Problem:
         return found.swapaxes(0, 1)
 
 
-def _banded(diagonals: Array, at: _Linearised) -> Array:
+def _banded(diagonals: Array, at: _Postures) -> Array:
     """(1 or H, N, A, D) normal equations: D diagonals as in the upper form of `solveh_banded`.
 
     `diagonals` (3, N, H, A) are those of sums of postures in a row.
     """
-    blocks = _of_both(at) if at.between else at.blocks
+    blocks = _of_both(at) if len(at.close) else at.blocks
     count, parts, size = blocks.shape[:3]
     bands = np.zeros((parts, count, size, 2 * size + 1), blocks.dtype)
     row, column = _upper(size)
@@ -397,12 +460,11 @@ def _banded(diagonals: Array, at: _Linearised) -> Array:
 _upper = lru_cache(np.triu_indices)  # which takes as long as all else here if plans are short
 
 
-def _of_both(at: _Linearised) -> Array:
+def _of_both(at: _Postures) -> Array:
     """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
     count, hands, size = at.blocks.shape[:3]
     blocks = np.zeros((count, hands, size, hands, size), at.blocks.dtype)
     for hand in range(hands):
         blocks[:, hand, :, hand] = at.blocks[:, hand]
-    for row, products in at.between:
-        np.add.at(blocks[:, 0, :, 1], row, products)
+    np.add.at(blocks[:, 0, :, 1], at.close, at.between)
     return blocks.reshape(count, 1, hands * size, hands * size)

@@ -112,11 +112,11 @@ def nominal_plans(
     asked = np.where(keys & scene.has_fingers(fingers), fingers, np.int8(NO_FINGER))
     later = np.broadcast_to(later, (len(asked), len(scene.sides)))
     whole = hands.at_rest(hand_qpos, len(asked))
-    plan = whole.part(0, 0)
+    plan, known = whole.part(0, 0), None
     while plan.num_steps < len(asked):
         # BLAS shares small products among threads, which takes longer, and other bits come out.
         with threadpool_limits(1):
-            window, kept = hands.window(plan, asked, later, progress)
+            window, kept, known = hands.window(plan, asked, later, known, progress)
         last = plan.num_steps + kept
         there, here = whole.part(plan.num_steps, last), window.part(0, kept)
         for values, new in zip(there.arrays, here.arrays, strict=True):
@@ -182,6 +182,11 @@ class Found(NamedTuple):
     targets: Targets
     """What they reach, as far as they can."""
 
+    @property
+    def improved(self) -> Array:
+        """(S, A) by how much they differ from what they began with."""
+        return self.postures - self.guess
+
     def part(self, last: int) -> Found:
         """The states up to, not including, `last`, as views."""
         return Found(self.postures[:last], self.guess[:last], self.targets.part(0, last))
@@ -220,14 +225,20 @@ class Motion:
         return Nominal([], postures, np.zeros((steps + 1, fingers, 3)), tracking)
 
     def window(
-        self, plan: Nominal, asked: NDArray[np.int8], later: NDArray[np.integer], progress: Progress
-    ) -> tuple[Nominal, int]:
-        """A plan for the steps after `plan`, and how many of them to keep.
+        self,
+        plan: Nominal,
+        asked: NDArray[np.int8],
+        later: NDArray[np.integer],
+        known: Array | None,
+        progress: Progress,
+    ) -> tuple[Nominal, int, Array]:
+        """A plan for the steps after `plan`, how many of them to keep, and what is `known` then.
 
         Args:
             plan: of the first steps.
             asked: (T, K) fingers that should press the keys, -1 for none.
             later: (T, H), as in `nominal_plans`.
+            known: what the window before found for these steps, as in `found`.
             progress: is told of "postures".
         """
         first, dt = plan.num_steps, self._dt
@@ -237,10 +248,10 @@ class Motion:
             kept = last - first
         since = _begin_of_presses(asked, first, steps_in(_SETTLED, dt))
         presses = self.presses(asked[since:last], later[since:last])
-        found = self.found(plan, presses, first - since, last - since, progress)
+        found = self.found(plan, presses, first - since, last - since, progress, known)
         window = self.led_along(plan, presses, found)
         presses = [p._replace(first=p.first + since, last=p.last + since) for p in presses]
-        return window._replace(presses=presses), kept
+        return window._replace(presses=presses), kept, found.improved[kept + 1 :]
 
     def presses(self, asked: NDArray[np.int8], later: NDArray[np.integer] | int = 0) -> list[Press]:
         """By time, as far as the hands can be there.
@@ -276,16 +287,16 @@ class Motion:
             first: step, as presses count them.
             last: step; not included.
             progress: is told of "postures".
-            known: (N, A) by how much postures after these steps that were found before differ from
-                what they began with. They are to be improved.
+            known: (N, A) by how much postures after the first steps were `improved` before.
             effort: how long they are looked for.
         """
         dt, model = self._dt, (self._scene, self._kinematics, self._servos)
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
         guess, before = self._guess(plan, presses, first, last), plan.postures[-2:][0]
         begin = guess
-        if known is not None and len(known):
-            begin = guess + _continued(known, len(guess))
+        if known is not None:
+            begin = guess.copy()
+            begin[1 : len(known) + 1] += known[: len(guess) - 1]
         postures = solve_postures(*model, targets, guess, before, dt, progress, begin, effort)
         return Found(postures, guess, targets)
 
@@ -336,12 +347,6 @@ class Motion:
             self._stances.stand(guess, side, path)
         guess[first] = here
         return guess[first:]
-
-
-def _continued(known: Array, states: int) -> Array:
-    """(S, A) nothing in the first state, then what is `known` (N, A), and on as in its last row."""
-    rows = np.minimum(np.arange(states - 1), len(known) - 1)
-    return np.concatenate([np.zeros_like(known[:1]), known[rows]])
 
 
 def _begin_of_presses(asked: NDArray[np.int8], first: int, settling: int) -> int:
