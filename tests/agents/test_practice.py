@@ -194,7 +194,7 @@ def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
 
 
 def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
-    one = practice()
+    one = practice(score=EASY)
     one.run(0.0)
     (hand,) = [hand for hand in one.hands if hand._part.mine.any()]
     first, last = 6, one.num_steps
