@@ -94,18 +94,31 @@ def solve_postures(
     """
     problem = _Problem(scene, kinematics, servos, targets, guess, before, dt)
     postures = (guess if begin is None else begin).copy()
-    damping = np.full(len(guess) - 1, effort.damping, _REAL)
+    if not effort.trials:
+        return _improved(problem, postures, effort)
+    return _searched(problem, postures, effort, progress)
+
+
+def _improved(problem: _Problem, postures: Array, effort: Effort) -> Array:
+    """By steps of Gauss-Newton that are taken unseen."""
+    damping = np.full(len(postures) - 1, effort.damping, _REAL)
+    for _ in range(effort.iterations):
+        now = problem.linearise(postures)
+        bands, gradient = problem.normal_equations(postures, now)
+        earlier, postures = postures, problem.step(postures, bands, gradient, damping)
+        gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
+        if gained < effort.converged * now.cost.sum():
+            break
+    return postures
+
+
+def _searched(problem: _Problem, postures: Array, effort: Effort, progress: Progress) -> Array:
+    """By steps of Levenberg-Marquardt, as long as they cost less."""
+    damping = np.full(len(postures) - 1, effort.damping, _REAL)
     now = problem.linearise(postures)
     for iteration in range(effort.iterations):
         progress("postures", iteration, effort.iterations)
         bands, gradient = problem.normal_equations(postures, now)
-        if not effort.trials:
-            earlier, postures = postures, problem.step(postures, bands, gradient, damping)
-            gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
-            if iteration + 1 == effort.iterations or gained < effort.converged * now.cost.sum():
-                break
-            now = problem.linearise(postures)
-            continue
         failed = np.zeros(len(damping), bool)
         for _ in range(effort.trials):
             trial = problem.step(postures, bands, gradient, damping)
