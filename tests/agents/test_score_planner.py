@@ -407,6 +407,29 @@ def test_windows_plan_what_the_whole_song_at_once_does(request: pytest.FixtureRe
 
 
 @pytest.mark.usefixtures("short_windows")
+def test_windows_begin_with_what_was_found_for_the_same_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begins, improved = [], []
+
+    def spied(*given: Any) -> np.ndarray:
+        guess, begin = given[4], given[8]
+        found = solve_postures(*given)
+        begins.append(begin - guess)
+        improved.append(found - guess)
+        return found
+
+    monkeypatch.setattr(nominal, "solve_postures", spied)
+    whole_plan(melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3))
+    assert len(begins) > 2
+    assert not begins[0].any()
+    overlap = 30  # steps
+    for begin, before in zip(begins[1:], improved, strict=False):
+        np.testing.assert_allclose(begin[1 : overlap + 1], before[-overlap:], atol=1e-12)
+        assert not begin[overlap + 1 :].any()
+
+
+@pytest.mark.usefixtures("short_windows")
 def test_a_long_song_is_planned_as_it_is_played() -> None:
     score = melody(*[60, 62, 64, 65, 67] * 5, length=0.3)
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
