@@ -433,7 +433,7 @@ def test_plays_at_sight_with_long_control_steps() -> None:
 
 @pytest.mark.parametrize(("look_ahead", "least"), [(0.5, 0.9), (2.0, 0.9)])
 def test_plays_at_sight(look_ahead: float, least: float) -> None:
-    score = load_score("ArpeggiosTwoHands").beginning(5.0)
+    score = load_score("CanonInDOpening").beginning(6.0)
     assert play(score, Generalist(GeneralistConfig(look_ahead=look_ahead)))["f1"] > least
 
 
