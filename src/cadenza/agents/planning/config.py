@@ -8,7 +8,7 @@ from typing import Literal
 from cadenza.configs import added
 
 ENOUGH = 8.0
-"""Effort of practice, in less than 20 times the time of the music, on two cores."""
+"""Effort of practice: about 25 times the music of one core, half of that on two."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ScorePlannerConfig:
     hands."""
     effort: float = 0.0
     """Effort of practice before playing: 1 is 100 simulated control steps for each control step of
-    the song and each hand. With 0, it plays at first sight."""
+    the song and each hand. With 0, it plays without practice."""
 
 
 @dataclass(frozen=True)
