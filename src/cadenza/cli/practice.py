@@ -133,7 +133,7 @@ def _where(practice: Practice) -> str:
     """What is worked on, and what remains."""
     passages = len(practice.passages())
     so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
-    how = "other fingers or jumps, " if practice.tries_other_ways else ""
+    how = "another take, " if practice.plays_another_take else ""
     left = f"{passages} passage{'s'[: passages != 1]} left"
     return f"{so_far}{how}{_places(practice, practice.at)}, {left}"
 

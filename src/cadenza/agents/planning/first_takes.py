@@ -1,6 +1,7 @@
-"""How a song is played at sight: as the planner does, then in other ways where it loses.
+"""The first takes of a song: as the planner plays it, then in other ways where it loses.
 
-The best of these takes is where practice begins.
+Of the takes with the best fingers, what each did best is then put together (`patchwork`), and
+followed, again and again. The best take of all is where practice begins.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from cadenza.tasks.goal_track import GoalTrack
 
 _CHUNK = 2.0  # [s] that are played at a time
 _LATER = (1, 2)  # steps later than usual that hands let go before a jump
+_FOLLOWED = 6  # times that hands follow the best of all takes, put together
 
 Parts = dict[str, dict[str, Any]]
 """Arrays by part and name."""
@@ -67,14 +69,14 @@ class FirstTakes:
         self._chunk = steps_in(_CHUNK, track.config.control_timestep)
         fingers = [partial(self._with_fingers_by, costs) for costs in OTHER_COSTS if found]
         jumps = [partial(self._letting_go, steps) for steps in _LATER]
-        self._trials: list[Callable[[], Way]] = [
+        self._ways: list[Callable[[], Way]] = [
             *fingers,
             self._best_of_each,
             *(trial for jump in jumps for trial in (jump, self._best_of_each)),
         ]
         self._tried = 0
         self._kept: tuple[Version, Take] | None = None
-        self._pieced = self._as_played()
+        self._pieced, self._patchwork = self._as_played(), self._take
 
     def _enter(self, version: Version) -> None:
         """Goes over to a version of which nothing has been played."""
@@ -92,23 +94,23 @@ class FirstTakes:
         return self.played < len(self._take.ctrl)
 
     @property
-    def tries_other_ways(self) -> bool:
-        """Whether the take is one in another way."""
+    def plays_another_take(self) -> bool:
+        """Whether the take is not the first one."""
         return self._kept is not None
 
     @property
     def over(self) -> bool:
         """Whether there is nothing left to try."""
-        return not self.is_playing and self._tried == len(self._trials)
+        return not self.is_playing and self._tried == len(self._ways) + _FOLLOWED
 
     def go_on(self) -> int:
-        """Plays two seconds, or chooses another way.
+        """Plays two seconds, or begins another take.
 
         Returns:
             How many control steps of a hand were simulated.
         """
         if not self.is_playing:
-            self._choose()
+            self._begin_another()
             return 0
         version, take, first = self._version, self._take, self.played
         last = min(first + self._chunk, len(take.ctrl))
@@ -131,25 +133,46 @@ class FirstTakes:
     def _compare(self) -> None:
         """Of the take that is over and the best before it, goes on with the better one."""
         if not self._kept:
-            self._pieced = self._as_played()
+            self._pieced, self._patchwork = self._as_played(), self._take
             return
         self._pieced = self._pieced.with_better(self._version.way, self._take.loss)
         version, take = self._kept
+        alike = np.array_equal(version.way.fingers, self._version.way.fingers)
+        if alike:
+            self._patchwork = self._version.patched(self._patchwork, self._take)
         if not self._version.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
             self._version, self._take = version, take
+        elif not alike:
+            self._patchwork = self._take
         self._kept = None
 
     def _as_played(self) -> Pieced:
         """The way of the take that is the best so far."""
         return Pieced(self._version.plan.track, self._version.way, self._take.loss.copy())
 
-    def _choose(self) -> None:
-        """Goes over to the next way to be tried, if it is another one."""
-        way = self._trials[self._tried]()
+    def _begin_another(self) -> None:
+        """Goes over to the next take, if it is to be another one than the best so far."""
         self._tried += 1
+        if self._is_following:
+            if self._patchwork.loss.sum() < self._take.loss.sum():
+                self._kept = self._version, self._take
+                self._follow(self._version)
+            return
+        way = self._ways[self._tried - 1]()
         if not way.is_like(self._version.way):
             self._kept = self._version, self._take
             self._enter(self._other(way))
+
+    @property
+    def _is_following(self) -> bool:
+        """Whether the last take that was begun is to be as the best of all."""
+        return self._tried > len(self._ways)
+
+    def _follow(self, version: Version) -> None:
+        """Has a version play the best of all takes, put together."""
+        self._enter(version)
+        rngs = np.random.default_rng((self.seed, self._tried)).spawn(len(version.parts))
+        version.follow(self._patchwork, 0, rngs)
 
     def _with_fingers_by(self, costs: Costs) -> Way:
         return self._pieced.with_fingers_by(costs)
@@ -186,6 +209,7 @@ class FirstTakes:
             parts["other"] = self._version.way._asdict() | self._take._asdict()
         _, way, loss = self._pieced
         parts["pieced"] = way._asdict() | {"loss": loss}
+        parts["patchwork"] = self._patchwork._asdict()
         return parts
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Take) -> None:
@@ -194,12 +218,15 @@ class FirstTakes:
         played, self._tried = first["numbers"].tolist()
         pieced = parts["pieced"]
         self._pieced = self._pieced._replace(way=_way_in(pieced), loss=pieced["loss"])
+        self._patchwork = Take(**parts["patchwork"])
         version = self._version_of(_way_in(first))
         if other := parts.get("other"):
             self._kept = version, best
-            version = self._version_of(_way_in(other))
             best = Take(**{name: other[name] for name in Take._fields})
-        self._enter(version)
+        if other and self._is_following:
+            self._follow(version)
+        else:
+            self._enter(self._version_of(_way_in(other)) if other else version)
         self._take, self.played = best, played
         if self.is_playing:
             self._go_back([Memory(**parts[side]) for side in version.plan.scene.sides])

@@ -1,15 +1,15 @@
 """Two hands practise a song: they play it, go back to what fails, and keep what is better.
 
 What they have played is a *take*: controls, and what came of them in the whole scene, step by
-step. The first is what the planner plays. The next ones are played at sight as well, but in other
-ways where something is lost (`other_ways`). From the best of them on, practice goes over the
-song again and again. A *sweep* works on two seconds after two seconds, from the beginning to the
-end: each hand picks a step that loses something and looks for something better to do
-(`hand_practice`), and what they have found is put into the take if that and the next seconds are
-better for it in the whole scene. The smallest change is felt for seconds, however feedback leads
-back to the take; therefore what follows is always played anew from where the hands have really come
-to, with a search where they would miss what they had, and a sweep that comes to a worse end is
-undone.
+step. The first is what the planner plays. The next ones are played as the planner plays, too, but
+in other ways where something is lost (`other_ways`), and then like the best of all of them, put
+together (`patchwork`). From the best take on, practice goes over the song again and again. A
+*sweep* works on two seconds after two seconds, from the beginning to the end: each hand picks a
+step that loses something and looks for something better to do (`hand_practice`), and what they
+have found is put into the take if that and the next seconds are better for it in the whole scene.
+The smallest change is felt for seconds, however feedback leads back to the take; therefore what
+follows is always played anew from where the hands have really come to, with a search where they
+would miss what they had, and a sweep that comes to a worse end is undone.
 
 Effort is counted in simulated control steps, so that the same effort comes to the same on every
 machine, by however many threads it is made.
@@ -52,7 +52,8 @@ _BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
 _WINDOW = 4  # times _BETWEEN are worked on at a time
 _ADVANCE = 3  # times it later begins the next window
 _AFTER = 2  # times it after a window must not suffer
-_ALWAYS = ("practice", "take", "first", "pieced")  # parts of a state that are never missing
+# Parts of a state that are never missing.
+_ALWAYS = ("practice", "take", "first", "pieced", "patchwork")
 _AROUND = 0.15  # [s] before and after a step that share its failures
 
 
@@ -126,9 +127,9 @@ class Practice:
         return self._version.hands
 
     @property
-    def tries_other_ways(self) -> bool:
-        """Whether the song is being played at sight in another way."""
-        return self._first.tries_other_ways
+    def plays_another_take(self) -> bool:
+        """Whether the song is being played from its beginning once more."""
+        return self._first.plays_another_take
 
     @property
     def effort(self) -> float:
@@ -172,13 +173,13 @@ class Practice:
         """Does one unit, a second of a core or so."""
         self._units += 1
         if not self._first.over:
-            self._play_at_sight()
+            self._play_a_take()
         elif self._sweep is None:
             self._begin_sweep()
         else:
             self._go_on(self._sweep)
 
-    def _play_at_sight(self) -> None:
+    def _play_a_take(self) -> None:
         if was_playing := self._first.is_playing:
             self.at = [self._first.played]
         simulated = self._first.go_on()
@@ -240,9 +241,7 @@ class Practice:
             self._put(first, *self._played(self.take, first, last))
             return
         version = self._version
-        rngs = [self._rng(i) for i in range(len(version.parts))]
-        parts = [part.holding(before.sounding) for part in version.parts]
-        version.searching.follow(version.stage.tracking(before), parts, first, rngs)
+        version.follow(before, first, [self._rng(i) for i in range(len(version.parts))])
         self._put(first, *self._played(self.take, first, last, version.searching.act))
         self.simulated += version.searching.simulated
 

@@ -1,4 +1,4 @@
-"""The hands of a song as they play it at sight, or a take from elsewhere than it has them."""
+"""The hands of a song as the planner plays it, or a take from elsewhere than it has them."""
 
 from __future__ import annotations
 
