@@ -14,7 +14,12 @@ import pytest
 from cadenza.cli import main
 from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
+from cadenza.demonstrations.dataset import open_dataset
 from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, STEPS, digest
+from cadenza.demonstrations.transitions import transitions
+from cadenza.errors import CadenzaError
+from cadenza.learning.config import ImitationConfig
+from cadenza.learning.imitation import Imitation
 
 
 def test_nothing_is_wrong(made: Path) -> None:
@@ -132,3 +137,50 @@ def test_an_episode_that_ends_earlier_than_it_did(
     lines = list(problems(copied, replays=2))
     assert len(lines) == 2
     assert all("played again it differs: the number of steps by" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("metrics", "steps", -5),
+        ("metrics", "steps", None),
+        ("metrics", "f1", 2.0),
+        ("drawn", "mirrored", 5),
+        ("task", "control_timestep", 0.0),
+        ("task", "initial_buffer_time", -1.0),
+    ],
+)
+def test_a_result_that_cannot_be_is_refused_by_all(
+    copied: Path, part: str, name: str, value: object
+) -> None:
+    path = next(copied.glob("runs/*/result.json"))
+    told = json.loads(path.read_text())
+    told[part][name] = value
+    path.write_text(json.dumps(told))
+    with pytest.raises(CadenzaError, match=rf"result.json: {name} .* cannot be"):
+        open_dataset(copied)
+    (said,) = problems(copied, 0)
+    assert said.startswith(f"{path}: {name}")
+    assert said.endswith("delete its folder and collect again")
+
+
+def test_hands_that_began_with_other_joints(copied: Path) -> None:
+    path = next(copied.glob("runs/*/result.json"))
+    told = json.loads(path.read_text())
+    told["start"].append(0.0)
+    path.write_text(json.dumps(told))
+    (said,) = problems(copied, 1)
+    assert said.startswith(f"{path}: start is not that of")
+
+
+def test_learners_and_exports_refuse_what_is_not_finite(copied: Path) -> None:
+    path = next(copied.glob("runs/*/steps.npy"))
+    steps = np.load(path)
+    steps["action"][3] = np.nan
+    np.save(path, steps)
+    dataset = open_dataset(copied)
+    number = [episode.folder for episode in dataset.episodes].index(path.parent)
+    with pytest.raises(CadenzaError, match=r"steps\.npy: action is not finite"):
+        transitions(dataset, number)
+    with pytest.raises(CadenzaError, match=r"steps\.npy: action is not finite"):
+        Imitation(ImitationConfig(held_out=0), copied, copied / "clone")

@@ -7,26 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.demonstrations.dataset import EPISODES, check_rows
+from cadenza.demonstrations.dataset import EPISODES, results_in, wrong_values
 from cadenza.demonstrations.recorded import (
     MAKE_AGAIN,
     PLAN,
-    RESULT,
     SCORE,
     STEPS,
-    Array,
     Recorded,
     about,
     digest,
-    plan_type,
-    steps_type,
 )
-from cadenza.demonstrations.replay import differences
+from cadenza.demonstrations.replay import check_start, differences
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
-
-_ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
 
 
 class _Scenes:
@@ -56,7 +50,7 @@ def problems(
     """
     if not (folder / EPISODES).is_dir():
         raise CadenzaError(f"{folder}: holds no demonstrations")
-    paths = sorted((folder / EPISODES).glob(f"*/{RESULT}"))
+    paths = results_in(folder / EPISODES)
     scenes, sound = _Scenes(), list[tuple[Recorded, Scene]]()
     for done, path in enumerate(paths, start=1):
         try:
@@ -68,14 +62,22 @@ def problems(
                 if not found:  # anew, as what is mapped holds an open file
                     sound.append((Recorded(path.parent, recorded.about), scene))
         except CadenzaError as error:
-            said = str(error)
-            yield said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
+            yield _of(path.parent, error)
         except OSError as error:
             yield f"{path.parent}: cannot be read ({error.strerror or error})"
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
     for i in chosen.tolist():
-        yield from _of_replay(*sound[i])
+        try:
+            yield from _of_replay(*sound[i])
+        except CadenzaError as error:
+            yield _of(sound[i][0].folder, error)
+
+
+def _of(folder: Path, error: CadenzaError) -> str:
+    """What is wrong with an episode, its folder, and what to do."""
+    said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+    return said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
 
 
 def _of_files(recorded: Recorded) -> Iterator[str]:
@@ -92,23 +94,10 @@ def _of_files(recorded: Recorded) -> Iterator[str]:
 
 def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
     """Whether the arrays have their shapes and sensible values, and the score its steps."""
-    steps, plan = recorded.steps, recorded.plan
-    check_rows(recorded, STEPS, steps, steps_type(scene))
-    check_rows(recorded, PLAN, plan, plan_type(scene))
-    for name, array in ((STEPS, steps), (PLAN, plan)):
-        for field in array.dtype.names or ():
-            if not np.isfinite(array[field]).all():
-                yield f"{recorded.folder / name}: {field} is not finite; {MAKE_AGAIN}"
-    for field in "action", "previous_action":
-        if _outside(steps[field][1:] if field == "previous_action" else steps[field][:-1], scene):
-            yield f"{recorded.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
+    yield from wrong_values(recorded, scene)
+    check_start(recorded, scene)
     if recorded.goals(scene).num_steps < recorded.about.num_steps:
         yield f"{recorded.folder / SCORE}: shorter than the episode; {MAKE_AGAIN}"
-
-
-def _outside(actions: Array, scene: Scene) -> bool:
-    low, high = scene.action_low - _ROUNDING, scene.action_high + _ROUNDING
-    return bool(((actions < low) | (actions > high)).any())
 
 
 def _of_replay(recorded: Recorded, scene: Scene) -> Iterator[str]:

@@ -8,7 +8,7 @@ batch = dataset.batch(dataset.sample(np.random.default_rng(0), 256), lookahead=1
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.recorded import (
+    MAKE_AGAIN,
     PLAN,
     RESULT,
     STEPS,
@@ -30,7 +31,7 @@ from cadenza.demonstrations.recorded import (
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals
-from cadenza.scene.scene import build_scene
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 
 Array = NDArray[Any]
@@ -39,6 +40,7 @@ Ids = NDArray[np.intp]
 
 LOOKAHEAD = TaskConfig.n_steps_lookahead  # control steps, as the environments show them
 EPISODES = "runs"  # the folder of the episodes' folders
+_ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m, rad]
 
 
 class Batch(NamedTuple):
@@ -233,8 +235,39 @@ def check_rows(episode: Recorded, name: str, array: Array, kind: np.dtype[np.voi
     if array.dtype != kind or array.shape != (episode.about.num_steps + 1,):
         raise CadenzaError(
             f"{episode.folder / name}: not the {episode.about.num_steps + 1} rows of this episode; "
-            "delete its folder and collect again"
+            f"{MAKE_AGAIN}"
         )
+
+
+def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
+    """What in its arrays cannot be, a line each.
+
+    Raises:
+        CadenzaError: an array has other rows than it should have.
+    """
+    for name, array, kind in (
+        (STEPS, episode.steps, steps_type(scene)),
+        (PLAN, episode.plan, plan_type(scene)),
+    ):
+        check_rows(episode, name, array, kind)
+        for field in array.dtype.names or ():
+            if not np.isfinite(array[field]).all():
+                yield f"{episode.folder / name}: {field} is not finite; {MAKE_AGAIN}"
+    chosen, played = episode.steps["action"][:-1], episode.steps["previous_action"][1:]
+    low, high = scene.action_low - _ROUNDING, scene.action_high + _ROUNDING
+    for field, actions in (("action", chosen), ("previous_action", played)):
+        if ((actions < low) | (actions > high)).any():
+            yield f"{episode.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
+
+
+def check_values(episode: Recorded, scene: Scene) -> None:
+    """Reads all of an episode's arrays.
+
+    Raises:
+        CadenzaError: what is in them cannot be.
+    """
+    for what in wrong_values(episode, scene):
+        raise CadenzaError(what)
 
 
 def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
@@ -279,7 +312,16 @@ def finished(folder: str | Path) -> list[tuple[Path, About]]:
         raise CadenzaError(
             f"{folder}: holds no demonstrations; make some with: cadenza dataset collect"
         )
-    return [(path.parent, about(path.parent)) for path in sorted(runs.glob(f"*/{RESULT}"))]
+    return [(path.parent, about(path.parent)) for path in results_in(runs)]
+
+
+def results_in(runs: Path) -> list[Path]:
+    """The result.json of each episode that is finished, by name.
+
+    Raises:
+        OSError: a folder cannot be read, which `Path.glob` would not say.
+    """
+    return [path for at in sorted(runs.iterdir()) if (path := at / RESULT).exists()]
 
 
 def open_dataset(folder: str | Path, wanted: Callable[[About], bool] = lambda _: True) -> Dataset:

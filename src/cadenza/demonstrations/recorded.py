@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -37,6 +38,7 @@ Array = NDArray[Any]
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
 STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
+_MOST_STEPS = 10**9  # far more than any song has
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
@@ -182,7 +184,26 @@ def about(folder: Path) -> About:
     Raises:
         CadenzaError: it is not finished, or the file is damaged.
     """
-    return read_json(folder / RESULT, About)
+    told = read_json(folder / RESULT, About)
+    if told.kept and (what := _unlikely(told)):
+        raise CadenzaError(f"{folder / RESULT}: {what} cannot be; {MAKE_AGAIN}")
+    return told
+
+
+def _unlikely(told: About) -> str | None:
+    """What of an episode that was kept others count on, and is not as it can be."""
+    steps, f1 = told.metrics.get("steps"), told.metrics.get("f1")
+    if type(steps) is not int or not 0 < steps < _MOST_STEPS:
+        return f"steps {steps!r:.30}"
+    if not isinstance(f1, float | int) or not 0 <= f1 <= 1:
+        return f"f1 {f1!r:.30}"
+    if not isinstance(mirrored := told.drawn.get("mirrored"), bool):
+        return f"mirrored {mirrored!r:.30}"
+    if not 0 < told.task.control_timestep < math.inf:
+        return f"control_timestep {told.task.control_timestep!r}"
+    if not 0 <= told.task.initial_buffer_time < math.inf:
+        return f"initial_buffer_time {told.task.initial_buffer_time!r}"
+    return None
 
 
 def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array]) -> None:

@@ -11,16 +11,27 @@ from numpy.typing import NDArray
 
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import EpisodeResult, play_episode
-from cadenza.demonstrations.recorded import Recorded, played_actions
+from cadenza.demonstrations.recorded import MAKE_AGAIN, RESULT, Recorded, played_actions
+from cadenza.errors import CadenzaError
 from cadenza.scene.scene import Scene
 from cadenza.tasks.piano_task import PianoTask
 
 _COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_qpos")
 
 
+def check_start(recorded: Recorded, scene: Scene) -> None:
+    """Raises: CadenzaError: the hands have not begun with all joints of the scene."""
+    start, joints = recorded.about.start, len(scene.hand_joint_names)
+    if len(start) != joints or not np.isfinite(start).all():
+        raise CadenzaError(
+            f"{recorded.folder / RESULT}: start is not that of {joints} joints; {MAKE_AGAIN}"
+        )
+
+
 @contextmanager
 def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
     """The task of an episode in its `scene`, with the hands where they began."""
+    check_start(recorded, scene)
     begun = replace(scene, hand_start=np.array(recorded.about.start))
     # Fingers are those of the score; looking for others would take longer than playing.
     config = replace(recorded.about.task, fingering="off")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats
+from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats, check_values
 from cadenza.tasks import reward
 from cadenza.tasks.view import from_range
 
@@ -51,6 +51,7 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
         CadenzaError: a file is not there, or is damaged.
     """
     scene, steps = dataset.scene, dataset.episodes[number].steps
+    check_values(dataset.episodes[number], scene)
     count = len(steps) - 1
     batch = dataset.batch(dataset.first[number] + np.arange(count), LOOKAHEAD)
     # After the last step, environments go on showing its goals.

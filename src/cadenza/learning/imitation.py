@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.demonstrations.dataset import Batch, Dataset, kept
+from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
 from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked, read_json, write_atomically, write_json
@@ -104,6 +104,8 @@ class Imitation:
         with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
+        for name in (*about.learnt_from, *about.held_out):
+            check_values(episodes[name], self._dataset.scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
@@ -151,6 +153,8 @@ class Imitation:
         examples = Examples._make(array.reshape(*shape, -1) for array in flat)
         self._state, metrics = self._learner.update(self._state, examples)
         self._errors = np.concatenate([self._errors, np.asarray(metrics["error"])])
+        if not np.isfinite(self._errors).all():  # before it is kept
+            raise CadenzaError("the error is no longer finite; choose a smaller --learning-rate")
         self.update += updates
 
     def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
