@@ -38,7 +38,7 @@ Array = NDArray[Any]
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
 STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
-_MOST_STEPS = 10**9  # far more than any song has
+_MOST_STEPS = 1_000_000_000  # far more than any song has
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
