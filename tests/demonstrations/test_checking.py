@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,9 +37,16 @@ def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> No
     array = np.load(first(folder) / name)
     change(array)
     np.save(first(folder) / name, array)
+    with changed_result(folder) as result:
+        result["files"][name] = digest(first(folder) / name)
+
+
+@contextmanager
+def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
+    """What result.json says, to be changed."""
     path = first(folder) / RESULT
     result = json.loads(path.read_text())
-    result["files"][name] = digest(first(folder) / name)
+    yield result
     path.write_text(json.dumps(result))
 
 
@@ -153,34 +162,28 @@ def test_an_episode_that_ends_earlier_than_it_did(
 def test_a_result_that_cannot_be_is_refused_by_all(
     copied: Path, part: str, name: str, value: object
 ) -> None:
-    path = next(copied.glob("runs/*/result.json"))
-    told = json.loads(path.read_text())
-    told[part][name] = value
-    path.write_text(json.dumps(told))
+    with changed_result(copied) as told:
+        told[part][name] = value
     with pytest.raises(CadenzaError, match=rf"result.json: {name} .* cannot be"):
         open_dataset(copied)
     (said,) = problems(copied, 0)
-    assert said.startswith(f"{path}: {name}")
+    assert said.startswith(f"{first(copied) / RESULT}: {name}")
     assert said.endswith("delete its folder and collect again")
 
 
 def test_hands_that_began_with_other_joints(copied: Path) -> None:
-    path = next(copied.glob("runs/*/result.json"))
-    told = json.loads(path.read_text())
-    told["start"].append(0.0)
-    path.write_text(json.dumps(told))
+    with changed_result(copied) as told:
+        told["start"].append(0.0)
     (said,) = problems(copied, 1)
-    assert said.startswith(f"{path}: start is not that of")
+    assert said.startswith(f"{first(copied) / RESULT}: start is not that of")
 
 
 def test_learners_and_exports_refuse_what_is_not_finite(copied: Path) -> None:
-    path = next(copied.glob("runs/*/steps.npy"))
-    steps = np.load(path)
-    steps["action"][3] = np.nan
-    np.save(path, steps)
-    dataset = open_dataset(copied)
-    number = [episode.folder for episode in dataset.episodes].index(path.parent)
+    def spoil(steps: np.ndarray) -> None:
+        steps["action"][3] = np.nan
+
+    changed(copied, STEPS, spoil)
     with pytest.raises(CadenzaError, match=r"steps\.npy: action is not finite"):
-        transitions(dataset, number)
+        transitions(open_dataset(copied), 0)
     with pytest.raises(CadenzaError, match=r"steps\.npy: action is not finite"):
         Imitation(ImitationConfig(held_out=0), copied, copied / "clone")

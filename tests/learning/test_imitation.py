@@ -69,6 +69,16 @@ def times(count: int) -> Callable[[], bool]:
     return lambda: next(asked, None) is not None
 
 
+def test_an_error_that_is_no_longer_finite_stops_it_before_it_is_kept(
+    demonstrations: Path, tmp_path: Path
+) -> None:
+    overflows = replace(CONFIG.learner, learning_rate=1e30, hidden_sizes=(32, 32, 32))
+    wild = replace(CONFIG, learner=overflows)
+    with pytest.raises(CadenzaError, match="no longer finite; choose a smaller --learning-rate"):
+        trained(wild, demonstrations, tmp_path / "run")
+    assert not (tmp_path / "run" / "checkpoint").exists()
+
+
 def test_the_error_falls(demonstrations: Path, tmp_path: Path) -> None:
     rows = trained(replace(CONFIG, log_interval=20), demonstrations, tmp_path / "run").rows
     assert [row["step"] for row in rows] == [20, 40, 60, 80, 100, 120]

@@ -17,7 +17,7 @@ from cadenza.demonstrations.recorded import (
     about,
     digest,
 )
-from cadenza.demonstrations.replay import check_start, differences
+from cadenza.demonstrations.replay import differences, wrong_start
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -95,7 +95,8 @@ def _of_files(recorded: Recorded) -> Iterator[str]:
 def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
     """Whether the arrays have their shapes and sensible values, and the score its steps."""
     yield from wrong_values(recorded, scene)
-    check_start(recorded, scene)
+    if wrong := wrong_start(recorded, scene):
+        yield wrong
     if recorded.goals(scene).num_steps < recorded.about.num_steps:
         yield f"{recorded.folder / SCORE}: shorter than the episode; {MAKE_AGAIN}"
 

@@ -19,19 +19,23 @@ from cadenza.tasks.piano_task import PianoTask
 _COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_qpos")
 
 
-def check_start(recorded: Recorded, scene: Scene) -> None:
-    """Raises: CadenzaError: the hands have not begun with all joints of the scene."""
+def wrong_start(recorded: Recorded, scene: Scene) -> str | None:
+    """That the hands have not begun with all joints of the scene, if so."""
     start, joints = recorded.about.start, len(scene.hand_joint_names)
-    if len(start) != joints or not np.isfinite(start).all():
-        raise CadenzaError(
-            f"{recorded.folder / RESULT}: start is not that of {joints} joints; {MAKE_AGAIN}"
-        )
+    if len(start) == joints and np.isfinite(start).all():
+        return None
+    return f"{recorded.folder / RESULT}: start is not that of {joints} joints; {MAKE_AGAIN}"
 
 
 @contextmanager
 def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
-    """The task of an episode in its `scene`, with the hands where they began."""
-    check_start(recorded, scene)
+    """The task of an episode in its `scene`, with the hands where they began.
+
+    Raises:
+        CadenzaError: they cannot begin there.
+    """
+    if wrong := wrong_start(recorded, scene):
+        raise CadenzaError(wrong)
     begun = replace(scene, hand_start=np.array(recorded.about.start))
     # Fingers are those of the score; looking for others would take longer than playing.
     config = replace(recorded.about.task, fingering="off")
