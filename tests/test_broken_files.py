@@ -15,7 +15,18 @@ import safetensors.numpy
 
 import mutations
 from cadenza.agents.agent import ZeroAgent
-from cadenza.agents.playback import check_options, load_plan, options_of, physics_of, save_plan
+from cadenza.agents.planning.other_ways import Way
+from cadenza.agents.planning.practised_planner import Practised
+from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.playback import (
+    check_options,
+    load_plan,
+    options_of,
+    physics_of,
+    practised_in,
+    practised_song,
+    save_plan,
+)
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
 from cadenza.fingers import Fingers
@@ -73,10 +84,17 @@ def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
     whole, path = tmp_path / "whole.npz", tmp_path / "plan.npz"
     options = options_of(TASK, SCENE, 0)
     hands = Fingers(per_hand=5)
-    save_plan(whole, performance.episode, performance.metrics, options, SONG, hands)
+    ctrl = performance.episode["action"][:, :-1]
+    expected, later = np.zeros((len(ctrl) + 1, ctrl.shape[1], 2)), np.zeros((len(ctrl), 1), np.int8)
+    practised = Practised(Tracking(ctrl, expected[1:], expected), Way(np.array([0, 1]), later))
+    save_plan(whole, performance.episode, performance.metrics, options, SONG, hands, practised)
+    read_back = practised_in(whole)
+    assert read_back is not None
+    assert read_back.way.is_like(Way(np.array([-1, -1]), later))
+    readers = load_plan, physics_of, practised_in, practised_song
     for _, rng in draws(number):
         path.write_bytes(other_npz(rng, whole))
-        for read in (load_plan, physics_of, lambda path: check_options(path, options)):
+        for read in (*readers, lambda path: check_options(path, options)):
             with mutations.at_most_refused():
                 read(path)
 

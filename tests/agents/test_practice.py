@@ -14,13 +14,14 @@ import pytest
 from numpy.typing import NDArray
 
 import cadenza
+from cadenza.agents.agent import silent
 from cadenza.agents.planning import practice as practice_of_hands
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.practice import Practice
-from cadenza.agents.planning.practised_planner import PractisedPlanner
+from cadenza.agents.planning.practised_planner import PractisedHands, PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.searching import SearchingHands
-from cadenza.agents.playback import Playback, load_plan, tracking_of
+from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
@@ -122,7 +123,7 @@ def test_the_first_take_is_what_the_planner_plays() -> None:
     task.reset([np.random.default_rng(0)], [0])
     take = Practice(task.view(), rng, ScorePlannerConfig(), 1)
     take.run(0.0)
-    np.testing.assert_array_equal(take.best().tracking.ctrl, played[:, :-1])
+    np.testing.assert_array_equal(take.best().practised.tracking.ctrl, played[:, :-1])
 
 
 def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
@@ -145,7 +146,7 @@ def test_more_practice_is_never_worse_and_plays_the_same_in_the_scene() -> None:
 
 def assert_plays_as_it_says(practised: Practice, score: Score) -> None:
     best = practised.best()
-    actions = np.append(best.tracking.ctrl, practised.plan.goals.sustain[:, None], axis=1)
+    actions = np.append(best.practised.tracking.ctrl, practised.plan.goals.sustain[:, None], axis=1)
     metrics = play_episode(PianoTask([score], QUICK), Playback(actions)).metrics
     assert (metrics["f1"], metrics["note_onset_f1"]) == (best.f1, best.note_onset_f1)
 
@@ -308,10 +309,11 @@ def test_the_planner_practises_before_it_plays() -> None:
 def off_plan_after_a_push(practised: Practice, score: Score) -> list[float]:
     """How far actions are off the practised ones, with a push in step 8."""
     rng, best = np.random.default_rng(0), practised.best()
-    player = PractisedPlanner(practised.plan, best, NO_SEARCH, rng, 1)
-    expected = best.tracking.ctrl
     task = PianoTask([score], QUICK)
     task.reset([rng], [0])
+    view, made = task.view(), best.practised
+    player = PractisedPlanner(view, made, NO_SEARCH, rng, 1, silent, practised.plan)
+    expected = made.tracking.ctrl
     off = []
     for step in range(len(expected)):
         action = player.act(task.view())
@@ -360,16 +362,34 @@ def test_a_practised_plan_plays_again_bit_for_bit(tmp_path: Path) -> None:
         for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
             np.testing.assert_array_equal(again[name], played[name])
     assert (folder / "report.html").exists()
-    # Whose hands start elsewhere comes nearer to the plan with feedback.
-    moved = TaskConfig(initial_buffer_time=0.4, random_hand_position=0.05)
-    off = [
-        np.abs(
-            play_episode(PianoTask([HARD], moved), player).episode["hand_qpos"]
-            - played["hand_qpos"]
-        )
-        for player in (Playback(actions, tracking_of(folder / "plan.npz")), Playback(actions))
-    ]
-    assert off[0].sum() < off[1].sum()
+
+
+def test_practised_hands_that_are_pushed_search_as_the_planner_does(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "--effort", "0.1")
+    noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.05)
+    pushed, actions = cadenza.play(folder, task=noisy), load_plan(folder / "plan.npz")
+    open_loop = play_episode(PianoTask([HARD], noisy), Playback(actions))
+    assert pushed.metrics["f1"] > open_loop.metrics["f1"]
+    undisturbed = cadenza.play(folder)
+    assert (pushed.misses is None, undisturbed.misses is None) == (False, True)  # it had to plan
+
+
+def test_another_song_than_the_practised_one_is_told(practised: Practice) -> None:
+    hands = PractisedHands(practised.best().practised, NO_SEARCH)
+    with pytest.raises(CadenzaError, match=r"was practised for .* another song or tempo"):
+        play_episode(PianoTask([EASY], QUICK), hands)
+    one_hand = PianoTask([HARD], QUICK, SceneConfig(hands="right"))
+    with pytest.raises(CadenzaError, match="with other hands"):
+        play_episode(one_hand, hands)
+
+
+def test_effort_is_refused_for_what_was_practised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, "--effort", "0")
+    with pytest.raises(SystemExit):
+        main(["play", str(folder), "--planner.effort", "1"])
+    assert "leave out --planner.effort" in capsys.readouterr().err
 
 
 def test_one_practice_at_a_time_in_a_folder(

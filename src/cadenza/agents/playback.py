@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Array
-from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.planning.other_ways import Way
+from cadenza.agents.planning.practised_planner import Practised
+from cadenza.agents.planning.tracking import Tracking
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     FLAGS,
     FLOATS,
+    INTEGERS,
     NUMBERS,
     TEXT,
     ArrayOf,
@@ -54,22 +57,20 @@ _ABOUT = {
     "sleeping_keys": ArrayOf(FLAGS),
     "options": ArrayOf(TEXT),
 }
-_TRACKING = {
+_PRACTISED = {
     "gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
-    "expected": ArrayOf(FLOATS, ("*", "servos", 2), finite=True),
+    "expected": ArrayOf(FLOATS, ("states", "servos", 2), finite=True),
+    "later": ArrayOf(INTEGERS, ("steps", "hands")),
+    "fingering": ArrayOf(FLOATS, ("notes", 3), finite=True),
 }
 _MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
 
 
 class Playback(Agent):
-    """Plays `plan` (T, A), actions in actuator units, the pedal last.
+    """Plays `plan` (T, A), actions in actuator units, the pedal last, wherever the hands are."""
 
-    With what was expected of it, feedback leads hands back that are elsewhere; where all is as
-    expected, the same actions are played.
-    """
-
-    def __init__(self, plan: Array, tracking: Tracking | None = None) -> None:
-        self._plan, self._tracking = plan, tracking
+    def __init__(self, plan: Array) -> None:
+        self._plan = plan
 
     def act(self, view: View) -> Array:
         """Raises:
@@ -86,12 +87,7 @@ class Playback(Agent):
                 f"the plan has {steps} steps, but the song has {others[0]}: "
                 "was it made for another song, tempo or initial silence?"
             )
-        rows = np.minimum(view.steps, steps - 1)
-        action = self._plan[rows]
-        if self._tracking is not None:
-            follower = Follower(view.task.scene, self._tracking)
-            action[:, :-1] = follower.ctrl(rows, view.state)
-        return action
+        return self._plan[np.minimum(view.steps, steps - 1)]
 
 
 def _other_space(task: TaskSpec) -> str:
@@ -153,24 +149,25 @@ def save_plan(
     options: Mapping[str, Any],
     fingered: Score,
     hands: Fingers,
-    tracking: Tracking | None = None,
+    practised: Practised | None = None,
 ) -> None:
     """Writes what `load_plan` and its like and `check_options` read, and what there is to know.
 
     action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
     fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none, by the
     numbers that fingers of these `hands` have in the episode's arrays. Of a practised plan also
-    gain and expected, see `Tracking`, and the song and its score as JSON.
+    gain and expected, see `Tracking`, later, see `Way`, and the song and its score as JSON.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
-    practised: dict[str, Any] = {}
-    if tracking is not None:
-        song = json.dumps(asdict(WrittenScore.of(fingered)))
-        practised = {"gain": tracking.gain, "expected": tracking.expected, "score": np.str_(song)}
+    more: dict[str, Any] = {}
+    if practised is not None:
+        (_, gain, expected), song = practised.tracking, asdict(WrittenScore.of(fingered))
+        more = {"gain": gain, "expected": expected, "later": practised.way.later}
+        more["score"] = np.str_(json.dumps(song))
     with write_atomically(path) as file:
         np.savez_compressed(
             file,
-            **practised,
+            **more,
             allow_pickle=False,
             action=episode["action"],
             physics=episode["physics"],
@@ -183,12 +180,21 @@ def save_plan(
         )
 
 
-def tracking_of(path: Path) -> Tracking | None:
-    """What leads back to a plan, where the file holds it."""
-    arrays = read_arrays(path, _ACTION | _TRACKING, _MOST)
-    if not _TRACKING.keys() <= arrays.keys():
+def practised_in(path: Path) -> Practised | None:
+    """How a song was practised, where the file holds it.
+
+    Raises:
+        CadenzaError: it is damaged.
+    """
+    arrays = read_arrays(path, _ACTION | _PRACTISED, _MOST)
+    if not _PRACTISED.keys() <= arrays.keys():
         return None
-    return Tracking(arrays["action"][:, :-1], arrays["gain"], arrays["expected"])
+    ctrl, expected = arrays["action"][:, :-1].astype(np.float64), arrays["expected"]
+    if expected.shape[:2] != (len(ctrl) + 1, ctrl.shape[1]) or (arrays["later"] < 0).any():
+        raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")
+    fingers = arrays["fingering"][:, 2].astype(np.int64)
+    tracking = Tracking(ctrl, arrays["gain"], expected)
+    return Practised(tracking, Way(fingers, arrays["later"]))
 
 
 class PractisedSong(NamedTuple):

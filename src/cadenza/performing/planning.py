@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.planning.practised_planner import Practised
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
@@ -36,8 +36,8 @@ class Plan:
     """What has to be the same for the plan to play the same."""
     hands: Fingers
     """How the fingers are numbered in arrays."""
-    tracking: Tracking | None = None
-    """What leads hands back to it that are elsewhere; of a practised plan."""
+    practised: Practised | None = None
+    """What leads hands back to it that are pushed off, if it was practised."""
 
     @property
     def actions(self) -> NDArray[np.float64]:
@@ -67,7 +67,7 @@ class Plan:
             self.options,
             self.score,
             self.hands,
-            self.tracking,
+            self.practised,
         )
         write_fingering(self.score, path.with_suffix(SUFFIX))
 

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.agents.agent import PlannerPerEnv, Progress, silent
+from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.practice import Practice
-from cadenza.agents.planning.practised_planner import PractisedPlanner
+from cadenza.agents.planning.practised_planner import PractisedHands
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.files import read_arrays, write_atomically
 from cadenza.performing.performance import perform
 from cadenza.performing.planning import Plan, plan_of
 from cadenza.performing.setup import Setup
-from cadenza.tasks.view import View
 
 STATE = "practice.npz"
 _MOST = 2**32  # bytes: hours of music
@@ -39,10 +38,10 @@ class Practising:
         """
         assert isinstance(setup.agent, ScorePlanner)
         self._setup, self._agent, self._path = setup, setup.agent, folder / STATE
-        task_rng, self._rng = np.random.default_rng(setup.seed).spawn(2)
+        task_rng, rng = np.random.default_rng(setup.seed).spawn(2)
         setup.task.reset([task_rng], [0])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
-        self.practice = Practice(setup.task.view(), self._rng, config, threads, progress)
+        self.practice = Practice(setup.task.view(), rng, config, threads, progress)
         if self._path.exists():
             arrays = read_arrays(self._path, self.practice.expected(), _MOST)
             self.practice.restore(arrays, self._path)
@@ -54,17 +53,8 @@ class Practising:
 
     def plan(self, progress: Progress = silent) -> Plan:
         """What is played best so far."""
-        best = self.practice.best()
-        config, threads = self._agent.config, self._agent.threads
-        player = PractisedPlanner(self.practice.plan, best, config, self._rng, threads)
-        setup = replace(self._setup, agent=_Practised(player))
-        return replace(plan_of(setup, perform(setup, progress)), tracking=best.tracking)
-
-
-class _Practised(PlannerPerEnv[PractisedPlanner]):
-    def __init__(self, player: PractisedPlanner) -> None:
-        super().__init__()
-        self._player = player
-
-    def begin(self, view: View, rng: np.random.Generator) -> PractisedPlanner:
-        return self._player
+        practised = self.practice.best().practised
+        hands = PractisedHands(practised, self._agent.config, self.practice.plan)
+        hands.num_threads = self._agent.num_threads
+        setup = replace(self._setup, agent=hands)
+        return replace(plan_of(setup, perform(setup, progress)), practised=practised)

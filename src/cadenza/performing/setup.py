@@ -14,14 +14,16 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, Progress, silent
+from cadenza.agents.planning.practised_planner import PractisedHands
+from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import (
     Playback,
     check_options,
     load_plan,
     options_of,
     physics_of,
+    practised_in,
     practised_song,
-    tracking_of,
 )
 from cadenza.agents.registry import (
     AGENTS,
@@ -178,7 +180,7 @@ def select(
         if plan is None and (practised := practised_plan(song)) is not None:
             made = practised_song(practised)
             own = {"task": made.task, "scene": made.scene, "arrangement": made.arrangement}
-            return _played_back(partial(selection, **own), practised)
+            return _played_back(partial(selection, **own), practised, configs)
         agent = song
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
@@ -191,7 +193,7 @@ def select(
         raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
     if plan is not None:
         scene = replace(SceneConfig(), **physics_of(Path(plan)))
-        return _played_back(partial(selection, scene=scene), Path(plan))
+        return _played_back(partial(selection, scene=scene), Path(plan), configs)
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     config, options = (configs or {}).get(name), agent_options(name)
@@ -199,9 +201,19 @@ def select(
     return selection(name=name, agent=make_agent(name, config), config=config)
 
 
-def _played_back(selection: Callable[..., Selection], plan: Path) -> Selection:
-    player = Playback(load_plan(plan), tracking_of(plan))
-    return selection(name=PLAYBACK, agent=player, plan=plan)
+def _played_back(
+    selection: Callable[..., Selection], plan: Path, configs: Mapping[str, Any] | None
+) -> Selection:
+    """Open loop, or as it was practised, with what the configuration of the planner searches."""
+    if (practised := practised_in(plan)) is None:
+        return selection(name=PLAYBACK, agent=Playback(load_plan(plan)), plan=plan)
+    config = ScorePlanner((configs or {}).get(PLANNER)).config
+    if config.effort:
+        raise CadenzaError(
+            f"{plan}: is played as it was practised; leave out --planner.effort, or practise more: "
+            "cadenza practice"
+        )
+    return selection(name=PLAYBACK, agent=PractisedHands(practised, config), plan=plan)
 
 
 def _policy(agent: str, song: str) -> LearntPolicy | None:

@@ -1,27 +1,41 @@
-"""Plays a song as it was practised."""
+"""Plays a song as it was practised, and what of it has to be kept."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.agents.agent import Array
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import ONSETS
+from cadenza.agents.planning.other_ways import Way
 from cadenza.agents.planning.searching import SearchingHands
-from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planning.song_plan import SongPlan, plan_song
 from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.errors import CadenzaError
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
+
+_PUSHED = 1e-4  # [m, rad] off the rehearsal; feedback alone leads back from less
+
+
+class Practised(NamedTuple):
+    """All that it takes to play a song as it was practised."""
+
+    tracking: Tracking
+    """What the hands do, and the feedback that leads them back to it."""
+    way: Way
+    """In which they play it."""
 
 
 class Rehearsal(NamedTuple):
     """How both hands have played a song of T steps in the whole scene."""
 
-    tracking: Tracking
-    """What they did, and the feedback that leads them back to it."""
+    practised: Practised
+    """What they did."""
     f1: float
     note_onset_f1: float
 
@@ -38,47 +52,100 @@ class Rehearsal(NamedTuple):
 class PractisedPlanner:
     """Plays one song as it was practised.
 
-    From the first step on before which the hands are not where they were in the rehearsal, it
-    searches as the planner does, around what was practised.
+    Feedback leads hands back to where they were in the rehearsal. Once they are pushed too far off
+    for that, it searches as the planner does, around what was practised.
 
     Attributes:
-        plan: before practice.
+        plan: before practice; None until a search needs it.
     """
 
     def __init__(
         self,
-        plan: SongPlan,
-        rehearsal: Rehearsal,
+        view: View,
+        practised: Practised,
         config: ScorePlannerConfig,
         rng: np.random.Generator,
         num_threads: int,
+        progress: Progress,
+        plan: SongPlan | None = None,
     ) -> None:
         """Args:
-        plan: before practice.
-        rehearsal: what is played.
-        config: how to search.
-        rng: what is random in it.
-        num_threads: that share it.
+            view: of the first step, of one environment.
+            practised: what is played.
+            config: how to search.
+            rng: what is random in it.
+            num_threads: that share it.
+            progress: is told of "postures" when the song is planned.
+            plan: if the song has been planned in this way.
+
+        Raises:
+            CadenzaError: another song was practised, or with other hands.
         """
-        self.plan, self._tracking = plan, rehearsal.tracking
-        self._posture = Follower(plan.scene, rehearsal.tracking).posture
+        (track,), scene = view.tracks, view.task.scene
+        self._tracking, self._way = practised
+        _check(practised, view)
+        self._follower = Follower(scene, self._tracking)
+        self._track, self._start, self._pedal = track, view.state.hand_qpos[0], track.goals.sustain
         self._config, self._rng, self._threads = config, rng, Threads(num_threads)
+        self._progress, self.plan = progress, plan
         self._searching: SearchingHands | None = None
 
     def act(self, view: View) -> Array:
         """(A,) the next action."""
         state, step = view.state, int(view.steps[0])
-        ctrl = self._tracking.ctrl[step]
         if not self._searching:
-            here = self._posture(state.hand_qpos[0], state.hand_qvel[0])
-            if not (here == self._tracking.expected[step]).all():
+            here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
+            off = np.abs(here - self._tracking.expected[step])[:, 0]
+            if off.max() > _PUSHED:
                 self._searching = self._searching_from(step)
         if self._searching:
             ctrl = self._searching.act(state)
-        return np.append(ctrl, self.plan.goals.sustain[step])
+        else:
+            ctrl = self._follower.ctrl(view.steps, state)[0]
+        return np.append(ctrl, self._pedal[step])
 
     def _searching_from(self, step: int) -> SearchingHands:
+        if self.plan is None:
+            track = replace(self._way.of(self._track), dropped=())  # has all fingers that it gets
+            self.plan = plan_song(track, self._start, self._progress, self._way.later)
         hands = SearchingHands(self.plan, self._config, self._rng, self._threads)
         parts = [HandPart(self.plan, side) for side in self.plan.scene.sides]
         hands.follow(self._tracking, parts, step, self._rng.spawn(len(parts)))
         return hands
+
+
+class PractisedHands(PlannerPerEnv[PractisedPlanner]):
+    """Play the song that was practised."""
+
+    def __init__(
+        self, practised: Practised, config: ScorePlannerConfig, plan: SongPlan | None = None
+    ) -> None:
+        """Args:
+        practised: what is played.
+        config: how to search where hands are pushed off it.
+        plan: if the song has been planned in this way.
+        """
+        super().__init__()
+        self._practised, self._config, self._plan = practised, config, plan
+
+    def begin(self, view: View, rng: np.random.Generator) -> PractisedPlanner:
+        """Raises:
+        CadenzaError: another song was practised, or with other hands.
+        """
+        return PractisedPlanner(
+            view, self._practised, self._config, rng, self.threads, self.progress, self._plan
+        )
+
+
+def _check(practised: Practised, view: View) -> None:
+    """Raises: CadenzaError: another song was practised, or with other hands."""
+    (steps, servos), hands = practised.tracking.ctrl.shape, practised.way.later.shape[1]
+    task, (track,) = view.task, view.tracks
+    if (servos + 1, hands) != (task.action_size, len(task.scene.sides)):
+        raise CadenzaError("was practised with other hands or another action space")
+    notes = len(practised.way.fingers)
+    if (steps, notes) != (view.num_steps[0], len(track.score.notes)):
+        raise CadenzaError(
+            f"was practised for {steps} steps with {notes} notes, but the song has "
+            f"{view.num_steps[0]} with {len(track.score.notes)}: another song or tempo?"
+        )

@@ -39,7 +39,15 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         """
         if self.config.effort:
             practice = self._practised(view, rng)
-            return PractisedPlanner(practice.plan, practice.best(), self.config, rng, self.threads)
+            return PractisedPlanner(
+                view,
+                practice.best().practised,
+                self.config,
+                rng,
+                self.threads,
+                self.progress,
+                practice.plan,
+            )
         return SongPlanner(view, rng, self.config, self.threads, self.progress)
 
     def _practised(self, view: View, rng: np.random.Generator) -> Practice:

@@ -14,7 +14,7 @@ from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import HandPractice
 from cadenza.agents.planning.other_ways import Way, fingers_in
 from cadenza.agents.planning.patchwork import patched
-from cadenza.agents.planning.practised_planner import Rehearsal
+from cadenza.agents.planning.practised_planner import Practised, Rehearsal
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.agents.planning.takes import Moments, Stage, Take, scene_before
@@ -103,7 +103,8 @@ class Version:
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.on_the_clock
         scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
-        return Rehearsal(self.stage.tracking(take), scores["f1"], scores["note_onset_f1"])
+        practised = Practised(self.stage.tracking(take), self.way)
+        return Rehearsal(practised, scores["f1"], scores["note_onset_f1"])
 
     def to_the_end(self, take: Take, first: int, moments: Moments) -> Take:
         """A take, played anew from the step `first` on, with feedback; `moments` are of before."""
