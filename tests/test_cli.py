@@ -337,11 +337,38 @@ def test_play_leaves_what_it_promises(
 
 def test_nothing_of_another_performance_stays(tune: Path, tmp_path: Path) -> None:
     folder = tmp_path / "played"
+    main(["play", str(tune), "--agent", "zero", "--no-video", "-o", str(folder)])
     for name in ("misses.json", "video.mp4", "episode-left.npz", "of-the-user.txt"):
         write_json(folder / name, "of before")
     main(["play", str(tune), "--agent", "zero", "--no-video", "-o", str(folder)])
     files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
     assert {path.name for path in folder.iterdir()} == files | {"of-the-user.txt"}
+
+
+@pytest.mark.parametrize("command", ["play", "practice"])
+@pytest.mark.parametrize("name", ["report.html", "settings.json", "episode.npz"])
+def test_what_somebody_else_has_written_stays(
+    command: str, name: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_json(tmp_path / "mine" / name, {"song": "of the user"})
+    before = (tmp_path / "mine" / name).read_bytes()
+    with pytest.raises(SystemExit):
+        main([command, str(tune), "--no-video", "-o", str(tmp_path / "mine")])
+    assert f"holds {name} from something else" in capsys.readouterr().err
+    assert (tmp_path / "mine" / name).read_bytes() == before
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == [name]
+
+
+@pytest.mark.parametrize("command", ["play", "practice"])
+def test_a_song_is_not_replaced_by_its_performance(
+    command: str, tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    song = tmp_path / "played.mid"
+    song.write_bytes(tune.read_bytes())
+    with pytest.raises(SystemExit):
+        main([command, str(song), "--no-video", "-o", str(tmp_path)])
+    assert "would be replaced" in capsys.readouterr().err
+    assert song.read_bytes() == tune.read_bytes()
 
 
 def test_the_episode_has_the_arrays_of_the_published_recordings(tune: Path, tmp_path: Path) -> None:

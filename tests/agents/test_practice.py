@@ -26,7 +26,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import locked, read_arrays
+from cadenza.files import ANY, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
@@ -390,6 +390,58 @@ def test_effort_is_refused_for_what_was_practised(
     with pytest.raises(SystemExit):
         main(["play", str(folder), "--planner.effort", "1"])
     assert "leave out --planner.effort" in capsys.readouterr().err
+
+
+def test_the_planner_practises_in_the_folder_of_what_it_plays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, "--effort", "0.1")
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
+    write_midi(HARD, tmp_path / "hard.mid")
+    effort = ["--planner.method", "none", "--planner.effort", "0.1"]
+    usual = ["--no-video", "-q", "--threads", "1", "--initial-buffer-time", "0.4"]
+    to = ["-o", str(tmp_path / "played")]
+    main(["play", str(tmp_path / "hard.mid"), *usual, *effort, *to])
+    assert [line for line in capsys.readouterr().out.splitlines() if line in said] == said
+    for name in ("practice.npz", "plan.npz", "episode.npz"):
+        ours, theirs = (read_arrays(f / name, ANY, 2**28) for f in (folder, tmp_path / "played"))
+        for array in ours.keys() - {"metrics", "song"}:
+            np.testing.assert_array_equal(ours[array], theirs[array])
+
+
+def test_practice_without_noise_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        folder_of(tmp_path, "--control-noise", "0.05")
+    assert "hands practise without" in capsys.readouterr().err
+
+
+def test_practice_that_was_killed_has_its_plan_after_the_first_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(self: Practice, effort: float, goes_on: Callable[[], bool]) -> bool:
+        run(self, effort, goes_on)
+        raise MemoryError
+
+    run = Practice.run
+    monkeypatch.setattr(Practice, "run", killed)
+    with pytest.raises(MemoryError):
+        folder_of(tmp_path, "--effort", "0.05")
+    folder = tmp_path / "practised"
+    assert not (folder / "report.html").exists()
+    assert cadenza.play(folder).metrics["f1"] > 0.5
+    (folder / "plan.npz").unlink()
+    with pytest.raises(CadenzaError, match="practice has not played the song to the end yet"):
+        cadenza.play(folder)
+
+
+def test_another_song_in_the_folder_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, "--effort", "0")
+    write_midi(EASY, tmp_path / "easy.mid")
+    with pytest.raises(SystemExit):
+        main(["practice", str(tmp_path / "easy.mid"), "-o", str(folder)])
+    assert "is the practice of another song" in capsys.readouterr().err
 
 
 def test_one_practice_at_a_time_in_a_folder(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -24,6 +25,7 @@ from cadenza.cli.performing import (
     setting_up,
     with_defaults_of,
 )
+from cadenza.cli.practising import practised
 from cadenza.cli.progress import stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.studio import need_server
@@ -65,7 +67,7 @@ class PlayCommand(Performing):
 
 
 def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
-    from cadenza.performing.performance import perform
+    from cadenza.performing.performance import check_replaceable, perform
     from cadenza.sim.render import Picture
 
     picture = Picture(*command.video_size, command.video_camera)
@@ -78,7 +80,9 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
     with ExitStack() as kept:
         with setting_up(selection, command, command.seed) as setup:
             check_writable(folder)
+            check_replaceable(folder, command.song)
             tell_how_long(setup)
+            setup, cut_short = kept.enter_context(_practised(setup, folder))
             page = kept.enter_context(_shown(setup)) if command.watch else None
             with stages("playing") as progress, asked_to_stop("this step") as stop:
                 performance = perform(setup, page.following(progress) if page else progress, stop)
@@ -90,10 +94,25 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
         if page and not stopped:
             print("Ctrl-C ends the page")
             page.stay()
+    if cut_short:
+        print(f"stopped practice; the same command goes on in {folder}", file=sys.stderr)
+        raise KeyboardInterrupt
     if stopped:
         part = f"{performance.seconds:.1f} of {length:.1f} s"
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
         raise KeyboardInterrupt
+
+
+@contextmanager
+def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
+    """Has the planner practise in the folder first, if it is to; and whether Ctrl-C stopped it."""
+    from cadenza.agents.planning.score_planner import ScorePlanner
+
+    if not isinstance(setup.agent, ScorePlanner) or not setup.agent.config.effort:
+        yield setup, False
+        return
+    with practised(setup, folder, setup.agent.config.effort) as (practising, stopped):
+        yield replace(setup, agent=practising.hands()), stopped
 
 
 def _shown(setup: Setup) -> AbstractContextManager[Showing]:

@@ -36,6 +36,18 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.setups import NamedSetup, setup_named
 
+RESULTS = (
+    "settings.json",
+    "metrics.json",
+    "episode.npz",
+    *(f"episode-{side}.npz" for side in SIDES),
+    "misses.json",
+    "played.mid",
+    "report.html",
+    "video.mp4",
+)
+"""Files that a performance leaves."""
+
 Loudness = Literal["struck", "score"]
 """Of a note that was played: as its key was struck, or as the score writes it."""
 
@@ -103,12 +115,12 @@ class Performance:
         if loudness == "score":
             played = with_loudness_of(played, self.goal)
         lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
+        write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
         self.episode.save(folder / "episode.npz")
         parts = parts_of(self.episode, self.scene)
         for side, part in parts.items():
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
-        write_json(folder / "settings.json", self.settings)
         if self.misses is not None:
             write_json(folder / "misses.json", lost)
         write_midi(played, folder / "played.mid")
@@ -149,6 +161,34 @@ class Performance:
 
             write_video(path, frames(), 1 / episode.dt, audio, SAMPLE_RATE)
         return True
+
+
+def check_replaceable(folder: Path, song: str | Path) -> None:
+    """Before a song is played whose results go to a folder.
+
+    Raises:
+        CadenzaError: they would replace the song, or files that no performance has left there.
+    """
+    there = [name for name in RESULTS if (folder / name).exists()]
+    for name in there:
+        if Path(song).exists() and (folder / name).samefile(song):
+            raise CadenzaError(
+                f"{song}: would be replaced by what is played; choose another folder with --output"
+            )
+    if there and not _are_results(folder):
+        raise CadenzaError(
+            f"{folder}: holds {', '.join(there)} from something else; choose another folder with "
+            "--output"
+        )
+
+
+def _are_results(folder: Path) -> bool:
+    """Whether a performance was saved in the folder."""
+    try:
+        settings = read_json(folder / "settings.json", dict[str, Any])
+    except CadenzaError:
+        return False
+    return {"song", "agent", "task", "scene"} <= settings.keys()
 
 
 def add_page(folder: Path, goal: Score) -> None:

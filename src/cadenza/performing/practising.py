@@ -8,16 +8,24 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.practice import Practice
-from cadenza.agents.planning.practised_planner import PractisedHands
+from cadenza.agents.planning.practice import OF, Practice
+from cadenza.agents.planning.practised_planner import Practised, PractisedHands
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically
 from cadenza.performing.performance import perform
-from cadenza.performing.planning import Plan, plan_of
-from cadenza.performing.setup import Setup
+from cadenza.performing.planning import plan_of
+from cadenza.performing.setup import PRACTICE, PRACTISED, Setup
 
-STATE = "practice.npz"
 _MOST = 2**32  # bytes: hours of music
+
+
+def check_is_practice(folder: Path) -> None:
+    """Raises: CadenzaError: the folder holds a plan that was made in another way."""
+    if (folder / PRACTISED).exists() and not (folder / PRACTICE).exists():
+        raise CadenzaError(
+            f"{folder}: holds {PRACTISED} from something else; choose another folder with --output"
+        )
 
 
 class Practising:
@@ -37,24 +45,42 @@ class Practising:
             CadenzaError: the folder holds practice of something else, or it cannot be read.
         """
         assert isinstance(setup.agent, ScorePlanner)
-        self._setup, self._agent, self._path = setup, setup.agent, folder / STATE
+        self._setup, self._agent, self._path = setup, setup.agent, folder / PRACTICE
         task_rng, rng = np.random.default_rng(setup.seed).spawn(2)
         setup.task.reset([task_rng], [0])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
         self.practice = Practice(setup.task.view(), rng, config, threads, progress)
         if self._path.exists():
+            self.practice.check_is_of(read_arrays(self._path, OF, _MOST), self._path)
             arrays = read_arrays(self._path, self.practice.expected(), _MOST)
             self.practice.restore(arrays, self._path)
 
     def save(self) -> None:
-        """Keeps in the folder how far practice has got."""
+        """Keeps in the folder how far practice has got, and what has been played best."""
         with write_atomically(self._path) as file:
             np.savez_compressed(file, allow_pickle=False, **self.practice.state())
+        if self.practice.history:
+            self.save_plan()
 
-    def plan(self, progress: Progress = silent) -> Plan:
-        """What is played best so far."""
+    def save_plan(self) -> None:
+        """Keeps in the folder what is played best so far, for `cadenza play`.
+
+        What ended early, because of a wrong key, is no plan; nor is what noise has changed.
+        """
+        task = self._setup.task.config
+        if task.control_noise or task.model_error:
+            return
         practised = self.practice.best().practised
+        performance = perform(replace(self._setup, agent=self._hands(practised)))
+        if performance.episode.num_steps == self._setup.num_steps:
+            plan = replace(plan_of(self._setup, performance), practised=practised)
+            plan.save(self._path.with_name(PRACTISED))
+
+    def hands(self) -> PractisedHands:
+        """Play what is played best so far."""
+        return self._hands(self.practice.best().practised)
+
+    def _hands(self, practised: Practised) -> PractisedHands:
         hands = PractisedHands(practised, self._agent.config, self.practice.plan)
         hands.num_threads = self._agent.num_threads
-        setup = replace(self._setup, agent=hands)
-        return replace(plan_of(setup, perform(setup, progress)), practised=practised)
+        return hands

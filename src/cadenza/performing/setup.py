@@ -51,6 +51,7 @@ from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import NamedSetup
 
 PRACTISED = "plan.npz"  # what the folder of a song that was practised holds
+PRACTICE = "practice.npz"  # how far it has been practised
 Song = str | Path | Score
 SomeAgent = str | Path | Agent
 
@@ -224,9 +225,22 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
 
 
 def practised_plan(song: str | Path) -> Path | None:
-    """The plan in the folder of a song that was practised; None if `song` is no such folder."""
-    path = Path(song) / PRACTISED
-    return path if is_own_folder(song) and path.is_file() else None
+    """The plan in the folder of a song that was practised; None if `song` is no such folder.
+
+    Raises:
+        CadenzaError: practice was killed before it had a plan.
+    """
+    folder = Path(song)
+    if not is_own_folder(song):
+        return None
+    if (folder / PRACTISED).is_file():
+        return folder / PRACTISED
+    if (folder / PRACTICE).is_file():
+        raise CadenzaError(
+            f"{song}: practice has not played the song to the end yet; run the same command again "
+            "that practised there"
+        )
+    return None
 
 
 def is_policy_folder(agent: str) -> bool:

@@ -16,6 +16,7 @@ from cadenza.files import write_atomically
 from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
 
 _SMALLEST = 16  # [px] that the encoder takes
+_THREADS = 2  # that encode; by default, x264 takes all cores
 
 
 def write_video(
@@ -50,6 +51,7 @@ def write_video(
         rate = Fraction(fps).limit_denominator(1001)
         video = container.add_stream("libx264", rate=rate, options={"crf": "20"})
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
+        video.thread_count = _THREADS
         layout = "mono" if audio.ndim == 1 else "stereo"
         sound = container.add_stream("aac", rate=sample_rate, layout=layout)
 

@@ -63,7 +63,7 @@ class _Session:
     """Practice from where it was left until all of it has been made."""
 
     def __init__(self, practising: Practising, folder: Path, send: Send) -> None:
-        self._practising, self._folder, self._send = practising, folder, send
+        self._practising, self._send = practising, send
         self._told, self._saved = 0.0, time.monotonic()
         known = practising.practice.history if (folder / PRACTISED).exists() else ()
         self._kept = len(known)  # attempts
@@ -83,7 +83,6 @@ class _Session:
     def _keep(self) -> None:
         self._kept = len(self._practising.practice.history)
         self._practising.save()
-        self._practising.plan().save(self._folder / PRACTISED)
 
     def _goes_on(self) -> bool:
         """Asked often."""

@@ -37,7 +37,7 @@ from cadenza.agents.planning.takes import Moments, Take, scene_before
 from cadenza.agents.playback import options_of
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, ArrayOf, Expected
+from cadenza.files import FLOATS, TEXT, ArrayOf, Expected
 from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
@@ -55,6 +55,8 @@ _AFTER = 2  # times it after a window must not suffer
 # Parts of a state that are never missing.
 _ALWAYS = ("practice", "take", "first", "pieced", "patchwork")
 _AROUND = 0.15  # [s] before and after a step that share its failures
+OF = {"practice/of": ArrayOf(TEXT, needed=True)}
+"""What a state says first: what was practised."""
 
 
 class _Sweep(NamedTuple):
@@ -150,9 +152,13 @@ class Practice:
             return True
         return self.effort < effort and bool(self.take.loss.any())
 
+    def losing(self) -> list[int]:
+        """The steps that lose something."""
+        return np.flatnonzero(self.take.loss.any(axis=1)).tolist()
+
     def passages(self) -> list[int]:
         """The steps at which passages begin that lose something."""
-        losing = np.flatnonzero(self.take.loss.any(axis=1))
+        losing = np.array(self.losing(), np.intp)
         apart = np.diff(losing, prepend=-self.num_steps) > self._apart
         return list(map(int, losing[apart]))
 
@@ -367,6 +373,14 @@ class Practice:
             for name, values in at_times.items()
         } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
+    def check_is_of(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
+        """Raises: CadenzaError: `arrays` of a `state`, if only `OF`, are of another practice."""
+        if str(arrays["practice/of"]) != self._about:
+            raise CadenzaError(
+                f"{where}: is the practice of another song, or with other options or another "
+                "version of Cadenza; choose another folder with --output"
+            )
+
     def restore(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
         """Goes on from the `state` of the same practice, as `expected`.
 
@@ -377,12 +391,8 @@ class Practice:
         for path, values in arrays.items():
             part, _, name = path.partition("/")
             parts[part][name] = values.copy()
+        self.check_is_of(arrays, where)
         practice = parts["practice"]
-        if str(practice["of"]) != self._about:
-            raise CadenzaError(
-                f"{where}: is the practice of another song, or with other options or another "
-                "version of Cadenza; choose another folder with --output"
-            )
         self.history = [tuple(row) for row in practice["history"].tolist()]
         self._units, self.simulated = practice["numbers"].tolist()
         self._tries = practice["tries"]

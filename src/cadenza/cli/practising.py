@@ -1,0 +1,113 @@
+"""Practising in a folder: how far it has got, what remains, Ctrl-C."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cadenza.cli.progress import progress, stages
+from cadenza.cli.stopping import asked_to_stop
+from cadenza.errors import CadenzaError
+from cadenza.files import locked
+from cadenza.music.bars import places
+
+if TYPE_CHECKING:
+    from cadenza.agents.planning.practice import Practice
+    from cadenza.performing.practising import Practising
+    from cadenza.performing.setup import Setup
+
+_BETWEEN = 20.0  # [s] at least between two times that practice is kept
+_LATE = 0.999  # of a step, so that a bar that begins within it has begun
+
+
+@contextmanager
+def practised(
+    setup: Setup, folder: Path, effort: float, minutes: float | None = None
+) -> Iterator[tuple[Practising, bool]]:
+    """Practises in a folder, which others keep out of for the block.
+
+    Args:
+        setup: of the planner.
+        folder: where practice is kept.
+        effort: how much in all, counting what was made before.
+        minutes: how long instead.
+
+    Yields:
+        What was practised, and whether it was stopped by Ctrl-C.
+    """
+    from cadenza.performing.practising import Practising, check_is_practice
+
+    check_is_practice(folder)
+    with locked(folder) as ours:
+        if not ours:
+            raise CadenzaError(
+                f"{folder}: somebody practises there; choose another folder with --output"
+            )
+        with stages("planning") as tell:
+            practising = Practising(setup, folder, tell)
+        with asked_to_stop("this passage") as stop:
+            _practise(practising, effort, minutes, stop)
+            stopped = stop()
+        practising.save()
+        if not practising.practice.history:
+            practising.save_plan()
+        yield practising, stopped
+
+
+def _practise(
+    practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
+) -> None:
+    """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
+    from cadenza.agents.planning.practice import MOST_EFFORT
+
+    practice, began = practising.practice, time.monotonic()
+    told, kept, saving = len(practice.history), began, 0.0
+    with progress("practising", "%" if minutes is None else "s") as advance:
+
+        def goes_on() -> bool:
+            nonlocal told, kept, saving
+            now = time.monotonic()
+            played_first = not told and bool(practice.history)
+            for row in practice.history[told:]:
+                print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
+            told = len(practice.history)
+            if minutes is None:
+                done, total = 100 * practice.share_made(effort), 100.0
+            else:
+                done, total = now - began, 60 * minutes
+            advance(int(min(done, total)), int(total), _where(practice))
+            if played_first or now - kept > max(_BETWEEN, 20 * saving):
+                practising.save()
+                kept = time.monotonic()
+                saving = kept - now
+            return not stop() and (minutes is None or done < total)
+
+        practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
+        goes_on()
+    if not practice.history:
+        print("stopped within the first take; what follows is played as planned, without a search")
+    elif left := practice.losing() if _has_bars(practice) else practice.passages():
+        print(f"not yet right: {_places(practice, left)}")
+
+
+def _where(practice: Practice) -> str:
+    """What is worked on, and what remains."""
+    passages = len(practice.passages())
+    so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
+    how = "another take, " if practice.plays_another_take else ""
+    left = f"{passages} passage{'s'[: passages != 1]} left"
+    return f"{so_far}{how}{_places(practice, practice.at)}, {left}"
+
+
+def _has_bars(practice: Practice) -> bool:
+    return bool(practice.plan.track.on_the_clock.bars)
+
+
+def _places(practice: Practice, steps: Iterable[int]) -> str:
+    """Such as "bars 3, 7-9"."""
+    track = practice.plan.track
+    dt = track.config.control_timestep
+    return places(track.on_the_clock, [dt * (step + _LATE) for step in steps])
