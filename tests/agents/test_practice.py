@@ -30,7 +30,7 @@ from cadenza.files import ANY, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.scene.config import SceneConfig
+from cadenza.scene.config import Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
@@ -353,11 +353,13 @@ def folder_of(tmp_path: Path, *options: str) -> Path:
     return folder
 
 
-def test_a_practised_plan_plays_again_bit_for_bit(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, "--effort", "0.1")
+@pytest.mark.parametrize("hands", ["both", "apart"])
+def test_a_practised_plan_plays_again_bit_for_bit(hands: Hands, tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "--effort", "0.1", "--hands", hands)
     played = load_episode(folder / "episode.npz")
     with_feedback = cadenza.play(folder)  # song and task are those of the folder
-    task, actions = PianoTask([HARD], QUICK), load_plan(folder / "plan.npz")
+    task = PianoTask([HARD], QUICK, SceneConfig(hands=hands))
+    actions = load_plan(folder / "plan.npz")
     for again in with_feedback.episode, play_episode(task, Playback(actions)).episode:
         for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
             np.testing.assert_array_equal(again[name], played[name])

@@ -11,9 +11,10 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.practice import OF, Practice
 from cadenza.agents.planning.practised_planner import Practised, PractisedHands
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically
-from cadenza.performing.performance import perform
+from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
 from cadenza.performing.setup import PRACTICE, PRACTISED, Setup
 
@@ -73,7 +74,8 @@ class Practising:
         practised = self.practice.best().practised
         performance = perform(replace(self._setup, agent=self._hands(practised)))
         if performance.episode.num_steps == self._setup.num_steps:
-            plan = replace(plan_of(self._setup, performance), practised=practised)
+            played = practised._replace(tracking=_played(practised.tracking, performance))
+            plan = replace(plan_of(self._setup, performance), practised=played)
             plan.save(self._path.with_name(PRACTISED))
 
     def hands(self) -> PractisedHands:
@@ -84,3 +86,13 @@ class Practising:
         hands = PractisedHands(practised, self._agent.config, self.practice.plan)
         hands.num_threads = self._agent.num_threads
         return hands
+
+
+def _played(tracking: Tracking, performance: Performance) -> Tracking:
+    """The same as it was performed, which differs from rehearsals where hands play apart."""
+    episode, beginning = performance.episode, tracking.expected[:1]
+    follower = Follower(performance.scene, tracking)
+    states = zip(episode["hand_qpos"], episode["hand_qvel"], strict=True)
+    # One by one, as they are compared: many at once may differ in the last bit.
+    expected = np.array([*beginning, *(follower.posture(*state) for state in states)])
+    return Tracking(episode["action"][:, :-1], tracking.gain, expected)
