@@ -295,6 +295,24 @@ def test_practice_with_other_options_is_refused(
         other.restore(practised.state(), "state")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("practice/numbers", -1),
+        ("practice/tries", -1.0),
+        ("first/numbers", -1),
+        ("first/numbers", 1000),
+        ("first/fingers", 10),
+        ("pieced/later", 9),
+    ],
+)
+def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: Practice) -> None:
+    state = practised.state()
+    state[name] = np.full_like(state[name], value)
+    with pytest.raises(CadenzaError, match=f"state: {name} is not within"):
+        practice().restore(state, "state")
+
+
 def test_the_planner_practises_before_it_plays() -> None:
     planner = ScorePlanner(replace(NO_SEARCH, effort=0.01))
     planner.num_threads = 1

@@ -21,6 +21,7 @@ from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.takes import Take, scene_before
 from cadenza.agents.planning.version import Version
 from cadenza.fingering.changes import Costs
+from cadenza.fingers import NO_FINGER
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
@@ -30,6 +31,9 @@ _FOLLOWED = 6  # times that hands follow the best of all takes, put together
 
 Parts = dict[str, dict[str, Any]]
 """Arrays by part and name."""
+
+Bounds = dict[str, tuple[Any, Any]]
+"""Least and most by "part/name", of which `*` stands for any."""
 
 
 class FirstTakes:
@@ -211,6 +215,17 @@ class FirstTakes:
         parts["pieced"] = way._asdict() | {"loss": loss}
         parts["patchwork"] = self._patchwork._asdict()
         return parts
+
+    @property
+    def bounds(self) -> Bounds:
+        """Between which values what is kept of them lies."""
+        counts = [len(self._take.ctrl), len(self._ways) + _FOLLOWED]
+        last = self._version.plan.scene.fingers.count - 1
+        return {
+            "first/numbers": ([0, 0], counts),
+            "*/fingers": (NO_FINGER, last),
+            "*/later": (0, len(_LATER)),
+        }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Take) -> None:
         """Goes on from the `parts` of the same takes, of which `best` was the best."""

@@ -21,6 +21,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.first_takes import FirstTakes, Parts
+from cadenza.agents.planning.first_takes import Bounds, FirstTakes, Parts
 from cadenza.agents.planning.hand_practice import Attempt, Change, HandPractice
 from cadenza.agents.planning.practised_planner import Rehearsal
 from cadenza.agents.planning.song_plan import SongPlan
@@ -373,6 +374,15 @@ class Practice:
             for name, values in at_times.items()
         } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
+    @property
+    def _bounds(self) -> Bounds:
+        most = np.iinfo(np.int64).max
+        return {
+            "practice/numbers": (0, most),
+            "practice/tries": (0, most),
+            "sweep/first": (0, self.num_steps - 1),
+        }
+
     def check_is_of(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
         """Raises: CadenzaError: `arrays` of a `state`, if only `OF`, are of another practice."""
         if str(arrays["practice/of"]) != self._about:
@@ -392,6 +402,7 @@ class Practice:
             part, _, name = path.partition("/")
             parts[part][name] = values.copy()
         self.check_is_of(arrays, where)
+        _check_bounds(arrays, self._bounds | self._first.bounds, where)
         practice = parts["practice"]
         self.history = [tuple(row) for row in practice["history"].tolist()]
         self._units, self.simulated = practice["numbers"].tolist()
@@ -415,6 +426,16 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
         for part, values in parts.items()
         for name, value in values.items()
     }
+
+
+def _check_bounds(arrays: Mapping[str, NDArray[Any]], bounds: Bounds, where: object) -> None:
+    for path, values in arrays.items():
+        for name, (least, most) in bounds.items():
+            if fnmatchcase(path, name) and not ((values >= least) & (values <= most)).all():
+                raise CadenzaError(
+                    f"{where}: {path} is not within {least} and {most}; it is damaged, modified or "
+                    "from another version; choose another folder with --output"
+                )
 
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: ScorePlannerConfig) -> str:
