@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,9 +44,10 @@ def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> No
 
 @contextmanager
 def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
-    """What result.json says, to be changed."""
+    """What result.json says, to be changed, as one of those that have no checksum."""
     path = first(folder) / RESULT
     result = json.loads(path.read_text())
+    del result["seal"]
     yield result
     path.write_text(json.dumps(result))
 
@@ -88,11 +90,47 @@ def test_values_that_cannot_be(copied: Path) -> None:
 def test_rows_that_are_missing(copied: Path) -> None:
     path = first(copied) / STEPS
     np.save(path, np.load(path)[:-3])
-    result = json.loads((first(copied) / RESULT).read_text())
-    result["files"][STEPS] = digest(path)
-    (first(copied) / RESULT).write_text(json.dumps(result))
+    with changed_result(copied) as result:
+        result["files"][STEPS] = digest(path)
     (line,) = problems(copied, replays=0)
     assert f"{path}: not the" in line
+
+
+def test_facts_that_were_changed_are_noticed_by_all(copied: Path) -> None:
+    path = first(copied) / RESULT
+    path.write_text(path.read_text().replace('"noise": 0', '"noise": 1'))
+    (line,) = problems(copied, replays=0)
+    assert line.startswith(f"{path}: its checksum is another")
+    with pytest.raises(CadenzaError, match="its checksum is another"):
+        open_dataset(copied)
+
+
+def test_a_copied_episode_is_noticed(copied: Path) -> None:
+    copy = first(copied).with_name("copy of it")
+    shutil.copytree(first(copied), copy)
+    (line,) = problems(copied, replays=0)
+    assert line.startswith(f"{copy / RESULT}: its checksum is another")
+
+
+def test_a_score_that_is_too_short(copied: Path) -> None:
+    path = first(copied) / SCORE
+    score = json.loads(path.read_text())
+    path.write_text(json.dumps(score | {"notes": score["notes"][:1]}))
+    with changed_result(copied) as result:
+        result["files"][SCORE] = digest(path)
+    (line,) = problems(copied, replays=0)
+    assert line == f"{path}: shorter than the episode; delete its folder and collect again"
+    with pytest.raises(CadenzaError, match="shorter than the episode"):
+        open_dataset(copied).batch(np.array([0]))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name")
+def test_a_pipe_is_not_waited_for(copied: Path) -> None:
+    path = first(copied) / STEPS
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(CadenzaError, match="no regular file"):
+        open_dataset(copied).batch(np.array([0]))
 
 
 def test_what_was_not_played_so(copied: Path) -> None:

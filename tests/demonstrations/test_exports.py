@@ -66,6 +66,13 @@ def test_minari_loads_what_was_recorded(
         np.testing.assert_array_equal(episode.actions, ours.played[1:])
         np.testing.assert_array_equal(episode.infos["chosen_action"][:-1], ours.chosen)
         assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
+        (told,) = loaded.storage.get_episode_metadata([number])
+        about = dataset.episodes[number].about
+        assert (told["seed"], told["options"]["f1"]) == (about.job["seed"], about.f1)
+        assert told["options"]["song"] == about.song
+    environment = loaded.recover_environment()
+    assert environment.observation_space == loaded.observation_space
+    assert environment.action_space == loaded.action_space
 
 
 def test_lerobot_files_hold_what_was_recorded(

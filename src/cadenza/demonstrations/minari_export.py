@@ -11,16 +11,21 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
-from cadenza.demonstrations.dataset import Dataset
+from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
+from cadenza.demonstrations.recorded import About
 from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import extra_packages
-from cadenza.files import new_folder
+from cadenza.files import new_folder, plain
 
 NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
@@ -46,7 +51,8 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
         warnings.simplefilter("ignore", UserWarning)  # that it has no author
         made = minari.create_dataset_from_buffers(
             NAME,
-            [_buffer(EpisodeBuffer, first)],
+            [_buffer(EpisodeBuffer, first, dataset.episodes[0].about)],
+            env=_environment(dataset),
             observation_space=spaces.Box(low, high, dtype=np.float32),
             action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
             algorithm_name=str(dataset.episodes[0].about.job["agent"]),
@@ -57,12 +63,25 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
         count = len(dataset.episodes)
         for some in _batched(range(1, count), _AT_ONCE):
             made.update_dataset_from_buffer(
-                [_buffer(EpisodeBuffer, transitions(dataset, number)) for number in some]
+                [
+                    _buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i].about)
+                    for i in some
+                ]
             )
             advance(some[-1] + 1, count)
 
 
-def _buffer(kind: Any, made: Transitions) -> Any:
+def _environment(dataset: Dataset) -> EnvSpec:
+    """What `recover_environment` of Minari makes, with all the songs."""
+    abouts = [episode.about for episode in dataset.episodes]
+    spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
+    task = asdict(abouts[0].task) | {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
+    songs = list(dict.fromkeys(about.song for about in abouts))
+    spec.kwargs = plain({"song": songs} | task | asdict(abouts[0].scene))
+    return spec
+
+
+def _buffer(kind: Any, made: Transitions, about: About) -> Any:
     count = len(made.chosen)
     # Minari has as many infos as observations.
     chosen = np.concatenate([made.chosen, np.zeros_like(made.chosen[:1])])
@@ -73,6 +92,8 @@ def _buffer(kind: Any, made: Transitions) -> Any:
         terminations=np.zeros(count, bool),
         truncations=np.arange(count) == count - 1,
         infos={"chosen_action": chosen},
+        seed=about.job["seed"],
+        options={"song": about.song, "f1": about.f1, **about.drawn},
     )
 
 

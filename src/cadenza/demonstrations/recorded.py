@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import opened, plain, read_json, write_atomically, write_json
+from cadenza.files import checked, opened, plain, read_json, write_atomically, write_json
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.goals import Goals
 from cadenza.music.score import Score
@@ -38,6 +38,7 @@ Array = NDArray[Any]
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
 STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
+_SEAL = "seal"  # what result.json calls its own checksum; the first version had none
 _MOST_STEPS = 1_000_000_000  # far more than any song has
 
 
@@ -144,12 +145,28 @@ class Recorded:
 
     @cached_property
     def score(self) -> Score:
-        """What was to be played, without the silence before it."""
-        return read_json(self.folder / SCORE, WrittenScore).score
+        """What was to be played, without the silence before it.
+
+        Raises:
+            CadenzaError: the file is not there, or is damaged.
+        """
+        path = self.folder / SCORE
+        try:
+            return read_json(path, WrittenScore).score
+        except CadenzaError as error:
+            said = str(error) if str(path) in str(error) else f"{path}: {error}"
+            raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
 
     def goals(self, scene: Scene) -> Goals:
-        """Keys, fingers and pedal per control step, rebuilt from the score."""
-        return GoalTrack(self.score, (), self.about.task, scene).goals
+        """Keys, fingers and pedal per control step, rebuilt from the score.
+
+        Raises:
+            CadenzaError: the file of the score is not there, is damaged, or is too short.
+        """
+        goals = GoalTrack(self.score, (), self.about.task, scene).goals
+        if goals.num_steps < self.about.num_steps:
+            raise CadenzaError(f"{self.folder / SCORE}: shorter than the episode; {MAKE_AGAIN}")
+        return goals
 
 
 def played_actions(steps: Array) -> NDArray[np.float64]:
@@ -164,6 +181,8 @@ def mapped(path: Path) -> Array:
         CadenzaError: the file is not there, or is no such file.
         OSError: the system cannot open or map it.
     """
+    if path.exists() and not path.is_file():  # such as a pipe that nobody writes to
+        raise CadenzaError(f"{path}: no regular file; {MAKE_AGAIN}")
     try:
         # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
@@ -184,7 +203,14 @@ def about(folder: Path) -> About:
     Raises:
         CadenzaError: it is not finished, or the file is damaged.
     """
-    told = read_json(folder / RESULT, About)
+    facts = read_json(folder / RESULT, dict[str, Any])
+    sealed = facts.pop(_SEAL, None)
+    told = checked(facts, About, folder / RESULT)
+    if sealed not in (None, _seal(folder, facts)):
+        raise CadenzaError(
+            f"{folder / RESULT}: its checksum is another, as it was changed or its folder renamed "
+            f"or copied; {MAKE_AGAIN}"
+        )
     if told.kept and (what := _unlikely(told)):
         raise CadenzaError(f"{folder / RESULT}: {what} cannot be; {MAKE_AGAIN}")
     return told
@@ -227,7 +253,14 @@ def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array])
 
 def write_about(folder: Path, about: About) -> None:
     """Writes that an episode is finished; alone, that it was not good enough."""
-    write_json(folder / RESULT, asdict(about))
+    facts = plain(asdict(about))
+    write_json(folder / RESULT, facts | {_SEAL: _seal(folder, facts)})
+
+
+def _seal(folder: Path, facts: Mapping[str, Any]) -> str:
+    """The SHA-256 of what result.json says, and of which folder."""
+    content = json.dumps([folder.name, facts], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def digest(path: Path) -> str:
