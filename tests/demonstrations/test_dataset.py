@@ -47,6 +47,14 @@ def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
             }
 
 
+@pytest.mark.parametrize("step", [-1, "num_steps"])
+def test_steps_that_there_are_not(step: int | str, made: Path) -> None:
+    dataset = open_dataset(made)
+    number = dataset.num_steps if isinstance(step, str) else step
+    with pytest.raises(CadenzaError, match="choose from 0 to"):
+        dataset.batch(np.array([0, number]))
+
+
 def test_chunks_of_actions_end_with_the_episode(made: Path) -> None:
     dataset = open_dataset(made)
     last = int(dataset.first[1]) - 1

@@ -123,7 +123,15 @@ class Dataset:
         return rng.integers(self.num_steps, size=count)
 
     def place(self, steps: Ids) -> tuple[Ids, Ids]:
-        """(B,) and (B,) the episodes of these steps (B,), and which steps of those they are."""
+        """(B,) and (B,) the episodes of these steps (B,), and which steps of those they are.
+
+        Raises:
+            CadenzaError: there is no such step.
+        """
+        if steps.size and not 0 <= steps.min() <= steps.max() < self.num_steps:
+            raise CadenzaError(
+                f"steps {steps.min()} to {steps.max()}: choose from 0 to {self.num_steps - 1}"
+            )
         episode = np.searchsorted(self.first, steps, side="right") - 1
         return episode, steps - self.first[episode]
 
@@ -131,13 +139,13 @@ class Dataset:
         """What there is to learn from `steps` (B,).
 
         Args:
-            steps: their numbers, 0 to `num_steps`.
+            steps: their numbers, from 0 up to `num_steps`.
             lookahead: L, for how many steps after the next there are goals.
             ahead: of which states there are references: 0 for the one before the step, 1 for the
                 one after it, and so on; past the end of the song, its last.
 
         Raises:
-            CadenzaError: a file is not there, or is damaged.
+            CadenzaError: there is no such step, or a file is not there, or is damaged.
         """
         episode, step = self.place(steps)
         rows = _gathered(self._steps, episode, step[:, None])[:, 0]

@@ -118,7 +118,8 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
     if is_own_folder(song):
         if arrangement.chosen:
             raise CadenzaError(
-                f"{song}: plays its song as it was trained; leave out --tracks and --reduce"
+                f"{song}: plays its song as it was trained or practised; leave out --tracks, "
+                "--reduce and --first-seconds"
             )
         practised = practised_plan(song)
         return _own_song(Path(song)) if practised is None else practised_song(practised).score
