@@ -223,6 +223,7 @@ class DatasetPlay:
 def play(command: DatasetPlay) -> None:
     from cadenza.cli.play import keep
     from cadenza.demonstrations.dataset import kept
+    from cadenza.performing.performance import check_replaceable
     from cadenza.performing.replaying import play_again
 
     episodes = kept(command.folder)
@@ -231,6 +232,7 @@ def play(command: DatasetPlay) -> None:
         raise CadenzaError(f"{command.folder}: no episode was kept")
     folder = command.output or Path("played") / command.folder.resolve().name / str(number)
     check_writable(folder)
+    check_replaceable(folder)
     with stages("playing") as told:
         performance = play_again(episodes[number], told)
     print(f"{episodes[number].about.song}, {episodes[number].folder.name}")

@@ -163,7 +163,7 @@ class Performance:
         return True
 
 
-def check_replaceable(folder: Path, song: str | Path) -> None:
+def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
     """Before a song is played whose results go to a folder.
 
     Raises:
@@ -171,7 +171,7 @@ def check_replaceable(folder: Path, song: str | Path) -> None:
     """
     there = [name for name in RESULTS if (folder / name).exists()]
     for name in there:
-        if Path(song).exists() and (folder / name).samefile(song):
+        if song is not None and Path(song).exists() and (folder / name).samefile(song):
             raise CadenzaError(
                 f"{song}: would be replaced by what is played; choose another folder with --output"
             )
