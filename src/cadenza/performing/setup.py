@@ -206,7 +206,10 @@ def select(
 def _played_back(
     selection: Callable[..., Selection], plan: Path, configs: Mapping[str, Any] | None
 ) -> Selection:
-    """Open loop, or as it was practised, with what the configuration of the planner searches."""
+    """Who plays a plan: open loop or, if it was practised, with feedback and a search.
+
+    `configs` has the options of the planner that hold for the search.
+    """
     if (practised := practised_in(plan)) is None:
         return selection(name=PLAYBACK, agent=Playback(load_plan(plan)), plan=plan)
     config = ScorePlanner((configs or {}).get(PLANNER)).config

@@ -85,7 +85,8 @@ class PractisedPlanner:
         self._tracking, self._way = practised
         _check(practised, view)
         self._follower = Follower(scene, self._tracking)
-        self._track, self._start, self._pedal = track, view.state.hand_qpos[0], track.goals.sustain
+        self._track, self._start = track, view.state.hand_qpos[0].copy()
+        self._pedal = track.goals.sustain
         self._config, self._rng, self._threads = config, rng, Threads(num_threads)
         self._progress, self.plan = progress, plan
         self._searching: SearchingHands | None = None
