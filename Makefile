@@ -33,8 +33,9 @@ play: $(VENV)/installed
 studio: $(VENV)/installed
 	$(BIN)/cadenza studio
 
+# In two processes of 2 to 3 GB each. Tests of one file stay together, as they share what they set up.
 test: $(VENV)/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 check: $(VENV)/installed
 	$(BIN)/ruff check

@@ -29,7 +29,11 @@ def line(error: pytest.ExceptionInfo[CadenzaError]) -> str:
 
 
 @pytest.mark.parametrize(("kind", "name"), OPTIONS)
-@pytest.mark.parametrize("value", ["x", b"1", object(), np.array([1, 2]), [None]], ids=repr)
+@pytest.mark.parametrize(
+    "value",
+    ["x", b"1", object(), np.array([1, 2]), [None]],
+    ids=["text", "bytes", "object", "array", "list"],
+)
 def test_an_option_of_another_type(kind: type, name: str, value: Any) -> None:
     if name in NAMES and isinstance(value, str):
         pytest.skip("text is what it should be")

@@ -415,10 +415,10 @@ def test_effort_is_refused_for_what_was_practised(
 def test_the_planner_practises_in_the_folder_of_what_it_plays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = folder_of(tmp_path, "--effort", "0.1")
+    folder = folder_of(tmp_path, "--effort", "0.01")
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
     write_midi(HARD, tmp_path / "hard.mid")
-    effort = ["--planner.method", "none", "--planner.effort", "0.1"]
+    effort = ["--planner.method", "none", "--planner.effort", "0.01"]
     usual = ["--no-video", "-q", "--threads", "1", "--initial-buffer-time", "0.4"]
     to = ["-o", str(tmp_path / "played")]
     main(["play", str(tmp_path / "hard.mid"), *usual, *effort, *to])
