@@ -254,7 +254,9 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
-    with_search = ScorePlannerConfig(fingering="score")
+    with_search = ScorePlannerConfig(  # a short one, which leaves something to practise
+        fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
+    )
     straight = practice(score=LONG, config=with_search, seed=1)
     follow, followed = SearchingHands.follow, list[Any]()
     monkeypatch.setattr(
