@@ -52,8 +52,7 @@ def practised(
             _practise(practising, effort, minutes, stop)
             stopped = stop()
         practising.save()
-        if not practising.practice.history:
-            practising.save_plan()
+        practising.save_plan()
         yield practising, stopped
 
 
@@ -81,6 +80,8 @@ def _practise(
             advance(int(min(done, total)), int(total), _where(practice))
             if played_first or now - kept > max(_BETWEEN, 20 * saving):
                 practising.save()
+                if practice.history:
+                    practising.save_plan()
                 kept = time.monotonic()
                 saving = kept - now
             return not stop() and (minutes is None or done < total)

@@ -57,14 +57,12 @@ class Practising:
             self.practice.restore(arrays, self._path)
 
     def save(self) -> None:
-        """Keeps in the folder how far practice has got, and what has been played best."""
+        """Keeps in the folder how far practice has got."""
         with write_atomically(self._path) as file:
             np.savez_compressed(file, allow_pickle=False, **self.practice.state())
-        if self.practice.history:
-            self.save_plan()
 
     def save_plan(self) -> None:
-        """Keeps in the folder what is played best so far, for `cadenza play`.
+        """Keeps in the folder what is played best so far, for `cadenza play`; it is performed.
 
         What ended early, because of a wrong key, is no plan; nor is what noise has changed.
         """

@@ -83,6 +83,7 @@ class _Session:
     def _keep(self) -> None:
         self._kept = len(self._practising.practice.history)
         self._practising.save()
+        self._practising.save_plan()
 
     def _goes_on(self) -> bool:
         """Asked often."""

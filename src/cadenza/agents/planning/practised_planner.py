@@ -94,16 +94,15 @@ class PractisedPlanner:
     def act(self, view: View) -> Array:
         """(A,) the next action."""
         state, step = view.state, int(view.steps[0])
-        here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
-        off = np.abs(here - self._tracking.expected[step])[:, 0].max()
-        if not self._searching and off > _PUSHED:
+        if not self._searching:
+            here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
+            off = np.abs(here - self._tracking.expected[step])[:, 0].max()
+            if off <= _PUSHED:
+                feedback = self._tracking.feedback(step, here)
+                ctrl = self._follower.clip(self._tracking.ctrl[step] - feedback)
+                return np.append(ctrl, self._pedal[step])
             self._searching = self._searching_from(step)
-        if self._searching:
-            ctrl = self._searching.act(state)
-        else:
-            feedback = self._tracking.feedback(step, here)
-            ctrl = self._follower.clip(self._tracking.ctrl[step] - feedback)
-        return np.append(ctrl, self._pedal[step])
+        return np.append(self._searching.act(state), self._pedal[step])
 
     def _searching_from(self, step: int) -> SearchingHands:
         if self.plan is None:
