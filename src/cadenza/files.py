@@ -243,6 +243,8 @@ class ArrayOf(NamedTuple):
     shape."""
     needed: bool = False
     finite: bool = False
+    within: tuple[Any, Any] | None = None
+    """Least and most of its values: numbers, or arrays that broadcast with it."""
 
     def __str__(self) -> str:
         sizes = "" if self.shape is None else f" of shape ({', '.join(map(str, self.shape))})"
@@ -307,6 +309,10 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
             )
         if form.finite and not np.isfinite(array).all():
             raise CadenzaError(f"{where}: {name} holds numbers that are not finite; {_ANOTHER}")
+        if form.within is not None:
+            least, most = form.within
+            if not ((array >= least) & (array <= most)).all():
+                raise CadenzaError(f"{where}: {name} is not within {least} and {most}; {_ANOTHER}")
 
 
 def _stream(source: Path | bytes) -> AbstractContextManager[IO[bytes]]:

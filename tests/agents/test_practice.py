@@ -26,7 +26,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import ANY, locked, read_arrays
+from cadenza.files import ANY, check_arrays, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
@@ -164,7 +164,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
     for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
         assert not left.run(EFFORT, on_and_off(units))
         again = practice()
-        again.restore(as_read(left), "state")
+        again.restore(as_read(left))
         left = again
     assert left.run(EFFORT)
     assert_same(left, practised)
@@ -236,7 +236,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     left, of_best = practice(2, score=score, config=config), set[bool]()
     while not left.run(effort, on_and_off(2)):  # before, within and after takes
         state, left = as_read(left), practice(2, score=score, config=config)
-        left.restore(state, "state")
+        left.restore(state)
         if "other/later" in state:
             of_best.add(all((state[f"other/{of}"] == state[f"first/{of}"]).all() for of in WAY))
     assert of_best == {False, follows}  # others, and those that follow the best of all takes
@@ -269,7 +269,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     while not done:
         done = left.run(0.3, on_and_off(6))
         again = practice(2, score=LONG, config=with_search, seed=1)
-        again.restore(as_read(left), "state")
+        again.restore(as_read(left))
         left = again
     assert_same(left, straight)
 
@@ -277,7 +277,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
 def test_practice_of_something_else_is_refused(practised: Practice) -> None:
     other = practice(seed=1)
     with pytest.raises(CadenzaError, match="state: is the practice of another song"):
-        other.restore(practised.state(), "state")
+        other.check_is_of(practised.state(), "state")
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_practice_with_other_options_is_refused(
     task.reset([np.random.default_rng(0)], [0])
     other = Practice(task.view(), np.random.default_rng(0), GIVEN_FINGERS, 1)
     with pytest.raises(CadenzaError, match="state: is the practice of another song"):
-        other.restore(practised.state(), "state")
+        other.check_is_of(practised.state(), "state")
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: 
     state = practised.state()
     state[name] = np.full_like(state[name], value)
     with pytest.raises(CadenzaError, match=f"state: {name} is not within"):
-        practice().restore(state, "state")
+        check_arrays(state, practice().expected(), "state")
 
 
 def test_the_planner_practises_before_it_plays() -> None:
@@ -398,10 +398,10 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(tmp_path: Pa
 
 def test_another_song_than_the_practised_one_is_told(practised: Practice) -> None:
     hands = PractisedHands(practised.best().practised, NO_SEARCH)
-    with pytest.raises(CadenzaError, match=r"was practised for .* another song or tempo"):
+    with pytest.raises(CadenzaError, match=r"the plan has .* another song"):
         play_episode(PianoTask([EASY], QUICK), hands)
     one_hand = PianoTask([HARD], QUICK, SceneConfig(hands="right"))
-    with pytest.raises(CadenzaError, match="with other hands"):
+    with pytest.raises(CadenzaError, match="for other hands"):
         play_episode(one_hand, hands)
 
 

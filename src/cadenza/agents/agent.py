@@ -9,6 +9,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.errors import CadenzaError
 from cadenza.sim.threads import default_threads
 from cadenza.tasks.view import View
 
@@ -54,6 +55,25 @@ class Agent(ABC):
 
     def close(self) -> None:  # noqa: B027 - nor to end
         """Lets go of what the episodes needed, such as threads. A reset may follow."""
+
+
+def check_planned_for(view: View, steps: int, width: int) -> None:
+    """For what plays `steps` actions of `width` each that were planned before.
+
+    Raises:
+        CadenzaError: they are not as wide as the actions or not as many as an episode has.
+    """
+    if width != view.task.action_size:
+        flag = "no-reduced" if view.task.scene.config.reduced_action_space else "reduced"
+        raise CadenzaError(
+            f"the plan has {width} actions per step, but this task has {view.task.action_size}: "
+            f"was it made for other hands or the other action space (--{flag}-action-space)?"
+        )
+    if len(others := view.num_steps[view.num_steps != steps]):
+        raise CadenzaError(
+            f"the plan has {steps} steps, but the song has {others[0]}: "
+            "was it made for another song, tempo or initial silence?"
+        )
 
 
 class EpisodePlanner(Protocol):

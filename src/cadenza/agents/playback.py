@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.agent import Agent, Array
+from cadenza.agents.agent import Agent, Array, check_planned_for
 from cadenza.agents.planning.other_ways import Way
 from cadenza.agents.planning.practised_planner import Practised
 from cadenza.agents.planning.tracking import Tracking
@@ -35,7 +35,7 @@ from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.scene.config import Physics, SceneConfig, check_modules
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.view import TaskSpec, View
+from cadenza.tasks.view import View
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ _ABOUT = {
 _PRACTISED = {
     "gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
     "expected": ArrayOf(FLOATS, ("states", "servos", 2), finite=True),
-    "later": ArrayOf(INTEGERS, ("steps", "hands")),
+    "later": ArrayOf(INTEGERS, ("steps", "hands"), within=(0, np.inf)),
     "fingering": ArrayOf(FLOATS, ("notes", 3), finite=True),
 }
 _MOST = 2**28  # bytes: an hour of both whole hands at 100 steps a second takes half of it
@@ -77,22 +77,8 @@ class Playback(Agent):
         CadenzaError: the plan is not as wide as the actions or not as long as an episode.
         """
         steps, width = self._plan.shape
-        if width != view.task.action_size:
-            raise CadenzaError(
-                f"the plan has {width} actions per step, but this task has "
-                f"{view.task.action_size}: {_other_space(view.task)}"
-            )
-        if len(others := view.num_steps[view.num_steps != steps]):
-            raise CadenzaError(
-                f"the plan has {steps} steps, but the song has {others[0]}: "
-                "was it made for another song, tempo or initial silence?"
-            )
+        check_planned_for(view, steps, width)
         return self._plan[np.minimum(view.steps, steps - 1)]
-
-
-def _other_space(task: TaskSpec) -> str:
-    flag = "no-reduced" if task.scene.config.reduced_action_space else "reduced"
-    return f"was it made for other hands or the other action space (--{flag}-action-space)?"
 
 
 def physics_of(path: Path) -> dict[str, Any]:
@@ -190,7 +176,7 @@ def practised_in(path: Path) -> Practised | None:
     if not _PRACTISED.keys() <= arrays.keys():
         return None
     ctrl, expected = arrays["action"][:, :-1].astype(np.float64), arrays["expected"]
-    if expected.shape[:2] != (len(ctrl) + 1, ctrl.shape[1]) or (arrays["later"] < 0).any():
+    if expected.shape[:2] != (len(ctrl) + 1, ctrl.shape[1]):
         raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")
     fingers = arrays["fingering"][:, 2].astype(np.int64)
     tracking = Tracking(ctrl, arrays["gain"], expected)

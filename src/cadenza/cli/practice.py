@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -46,7 +46,7 @@ class PracticeCommand(Performing):
 
 def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
     from cadenza.agents.planning.config import ENOUGH
-    from cadenza.performing.performance import check_replaceable, perform
+    from cadenza.performing.performance import check_replaceable
 
     _check(command)
     selection = selected(command, PLANNER)
@@ -58,8 +58,8 @@ def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
         setting_up(selection, command, command.seed) as setup,
         practised(setup, folder, effort, command.minutes) as (practising, stopped),
     ):
-        performance = perform(replace(setup, agent=practising.hands()))
-        keep(performance, folder, command.video)
+        assert practising.performance is not None
+        keep(practising.performance, folder, command.video)
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)
         raise KeyboardInterrupt

@@ -34,6 +34,7 @@ class Practising:
 
     Attributes:
         practice: how far it has got.
+        performance: of the plan that was kept last.
     """
 
     def __init__(self, setup: Setup, folder: Path, progress: Progress = silent) -> None:
@@ -47,6 +48,7 @@ class Practising:
         """
         assert isinstance(setup.agent, ScorePlanner)
         self._setup, self._agent, self._path = setup, setup.agent, folder / PRACTICE
+        self.performance: Performance | None = None
         task_rng, rng = np.random.default_rng(setup.seed).spawn(2)
         setup.task.reset([task_rng], [0])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
@@ -54,7 +56,7 @@ class Practising:
         if self._path.exists():
             self.practice.check_is_of(read_arrays(self._path, OF, _MOST), self._path)
             arrays = read_arrays(self._path, self.practice.expected(), _MOST)
-            self.practice.restore(arrays, self._path)
+            self.practice.restore(arrays)
 
     def save(self) -> None:
         """Keeps in the folder how far practice has got."""
@@ -70,7 +72,7 @@ class Practising:
         if task.control_noise or task.model_error:
             return
         practised = self.practice.best().practised
-        performance = perform(replace(self._setup, agent=self._hands(practised)))
+        self.performance = performance = perform(replace(self._setup, agent=self._hands(practised)))
         if performance.episode.num_steps == self._setup.num_steps:
             played = practised._replace(tracking=_played(practised.tracking, performance))
             plan = replace(plan_of(self._setup, performance), practised=played)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress, check_planned_for
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.losses import ONSETS
@@ -139,13 +139,12 @@ class PractisedHands(PlannerPerEnv[PractisedPlanner]):
 
 def _check(practised: Practised, view: View) -> None:
     """Raises: CadenzaError: another song was practised, or with other hands."""
-    (steps, servos), hands = practised.tracking.ctrl.shape, practised.way.later.shape[1]
-    task, (track,) = view.task, view.tracks
-    if (servos + 1, hands) != (task.action_size, len(task.scene.sides)):
-        raise CadenzaError("was practised with other hands or another action space")
-    notes = len(practised.way.fingers)
-    if (steps, notes) != (view.num_steps[0], len(track.score.notes)):
+    steps, servos = practised.tracking.ctrl.shape
+    check_planned_for(view, steps, servos + 1)
+    hands, notes = practised.way.later.shape[1], len(practised.way.fingers)
+    (track,) = view.tracks
+    if (hands, notes) != (there := (len(view.task.scene.sides), len(track.score.notes))):
         raise CadenzaError(
-            f"was practised for {steps} steps with {notes} notes, but the song has "
-            f"{view.num_steps[0]} with {len(track.score.notes)}: another song or tempo?"
+            "the plan has {} hands and {} notes, but this task has {} and {}: was another song "
+            "practised?".format(hands, notes, *there)
         )
