@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 from rl_examples import melody
 
 from cadenza.cli import main
+from cadenza.errors import CadenzaError
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
 from cadenza.learning.policy_folder import load_policy
@@ -292,5 +293,6 @@ def test_a_run_of_a_learner_that_is_not_installed_says_so(
 
 
 def test_the_options_of_every_learner_are_checked() -> None:
-    with pytest.raises(Exception, match="batch_size 0: choose 1 or more"):
-        LearnerConfig(batch_size=0).check()
+    for size in 0, 10**8:
+        with pytest.raises(CadenzaError, match=f"batch_size {size}: choose 1 to 65536"):
+            LearnerConfig(batch_size=size).check()

@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
-from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.registry import Entry, Registry, module_of
 
@@ -75,6 +75,9 @@ class Learner(Protocol[State]):
         """
 
 
+MOST_BATCH = 2**16  # transitions, which fit into the memory of a small machine
+
+
 @dataclass(frozen=True)
 class LearnerConfig:
     """What every learner's configuration has. That of a learner adds its own, and makes it."""
@@ -89,7 +92,7 @@ class LearnerConfig:
 
     def check(self) -> None:
         """Raises: CadenzaError: an option makes no sense."""
-        check_ranges(self, {"batch_size": (1, MOST_COUNT)})
+        check_ranges(self, {"batch_size": (1, MOST_BATCH)})
 
     def make(self, inputs: Inputs, action_size: int, ends: Ends) -> Learner[Any]:
         """The learner.

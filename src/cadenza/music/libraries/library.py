@@ -73,7 +73,7 @@ def open_library(spec: str | Path) -> Library:
             is damaged.
     """
     text = str(spec)
-    name, _, split = text.partition(":")
+    name, colon, split = text.partition(":")
     if text.startswith(f"{ETUDES}:"):
         from cadenza.music.etudes.library import etude_library
 
@@ -81,7 +81,7 @@ def open_library(spec: str | Path) -> Library:
     if not isinstance(spec, Path) and _is_library(name):
         library = _named(name)
     elif os.path.isdir(text):
-        library, split = folder_library(Path(text)), ""
+        library, colon = folder_library(Path(text)), ""
     elif os.path.isdir(path := text.rpartition(":")[0]):
         library, split = folder_library(Path(path)), text[len(path) + 1 :]
     else:
@@ -91,7 +91,7 @@ def open_library(spec: str | Path) -> Library:
             f"no song library {text!r}: {hint}run `cadenza libraries` for all names, or give the "
             "path of a folder"
         )
-    return library.of_split(split) if split else library
+    return library.of_split(split) if colon else library
 
 
 def find_song(name_or_path: str | Path) -> Song:
