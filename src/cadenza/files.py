@@ -275,7 +275,7 @@ def read_arrays(
     try:
         with _stream(source) as stream, zipfile.ZipFile(stream) as file:
             size = stream.seek(0, os.SEEK_END)
-            members = {name: m for name, m in _members(file) if _of(name, expected)}
+            members = {name: m for name, m in _members(file) if first_fitting(name, expected)}
             total = sum(member.file_size for member in members.values())
             if total > (limit := size if most is None else most):
                 raise CadenzaError(
@@ -300,7 +300,7 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
             raise CadenzaError(f"{where}: holds no array named {name}, {form}; {_ANOTHER}")
     sizes: dict[str, int] = {}
     for name, array in arrays.items():
-        form = _of(name, expected) or ArrayOf("")
+        form = first_fitting(name, expected) or ArrayOf("")
         if array.dtype.kind not in form.kinds or not _fits(array.shape, form.shape, sizes):
             known = [f"{n} {sizes[n]}" for n in form.shape or () if n in sizes]
             raise CadenzaError(
@@ -341,8 +341,9 @@ def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
         yield member.filename.removesuffix(".npy"), member
 
 
-def _of(name: str, expected: Expected) -> ArrayOf | None:
-    return next((form for known, form in expected.items() if fnmatchcase(name, known)), None)
+def first_fitting(name: str, by_pattern: Mapping[str, T]) -> T | None:
+    """What is known of the first pattern that fits a name; `*` stands for any part of one."""
+    return next((of for known, of in by_pattern.items() if fnmatchcase(name, known)), None)
 
 
 def _fits(

@@ -21,7 +21,6 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ from cadenza.agents.planning.takes import Moments, Take, scene_before
 from cadenza.agents.playback import options_of
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, TEXT, ArrayOf, Expected
+from cadenza.files import FLOATS, TEXT, ArrayOf, Expected, first_fitting
 from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
@@ -364,25 +363,22 @@ class Practice:
         """What `state` holds, for whoever reads it from a file."""
         sweep = _Sweep(0, np.zeros(self.num_steps), self.take)
         at_times = _named(self._parts(sweep) | self._first.parts(everything=True))
-        return {
-            name: ArrayOf(
-                kind := values.dtype.kind,
-                values.shape,
-                needed=name.partition("/")[0] in _ALWAYS,
-                finite=kind in FLOATS,
-                within=self._bounds_of(name),
-            )
-            for name, values in at_times.items()
-        } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
-
-    def _bounds_of(self, name: str) -> tuple[Any, Any] | None:
         bounds: Bounds = {
             "practice/numbers": (0, np.inf),
             "practice/tries": (0, np.inf),
             "sweep/first": (0, self.num_steps - 1),
             **self._first.bounds,
         }
-        return next((known for of, known in bounds.items() if fnmatchcase(name, of)), None)
+        return {
+            name: ArrayOf(
+                kind := values.dtype.kind,
+                values.shape,
+                needed=name.partition("/")[0] in _ALWAYS,
+                finite=kind in FLOATS,
+                within=first_fitting(name, bounds),
+            )
+            for name, values in at_times.items()
+        } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
 
     def check_is_of(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
         """Raises: CadenzaError: `arrays` of a `state`, if only `OF`, are of another practice."""
