@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cadenza.agents.planning.other_ways import Passage, Pieced, Way, passages_of
+from cadenza.agents.planning.takes import Take
 from cadenza.fingering.changes import Costs
 from cadenza.fingers import Finger
 from cadenza.music.score import Note, Score
@@ -36,6 +39,30 @@ def lost(where: slice, much: float = 1.0) -> np.ndarray:
     return loss
 
 
+class Part:
+    """What a hand has to do: every other key."""
+
+    def __init__(self, hand: int) -> None:
+        self.mine = np.zeros((STEPS, 88), bool)
+        self.mine[:, hand::2] = True
+
+
+SERVOS = [TRACK.scene.servos_on(side) for side in TRACK.scene.sides]
+PARTS: Any = [Part(0), Part(1)]
+
+
+def take(loss: np.ndarray, ctrl: float = 0.0) -> Take:
+    """That loses this; its servos have all the same controls."""
+    servos = SERVOS[-1].stop
+    return Take(
+        np.full((STEPS, servos), ctrl),
+        np.zeros((STEPS, servos, 2)),
+        np.zeros((STEPS, 88), bool),
+        loss,
+        np.zeros(STEPS),
+    )
+
+
 def judged(passages: list[Passage], hand: int) -> list[int]:
     """The steps in which a hand is."""
     return [
@@ -58,25 +85,48 @@ def test_of_each_passage_the_fingers_are_kept_that_lose_less() -> None:
     early, late = passages_of(TRACK, USUAL, other)
     loss, other_loss = lost(EVERYTHING, 0.1), lost(EVERYTHING, 0.1)
     other_loss[early], other_loss[late] = 0.2, 0.0
-    pieced = Pieced(TRACK, USUAL, loss).with_better(other, other_loss)
+    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss, 1.0), PARTS)
     assert pieced.way.is_like(with_index(12))
-    assert pieced.loss.sum() == pytest.approx(loss.sum() - loss[late].sum())
+    assert pieced.take.loss.sum() == pytest.approx(loss.sum() - loss[late].sum())
+    theirs = np.zeros(STEPS, bool)
+    theirs[late[0]] = True
+    assert (pieced.take.ctrl == theirs[:, None]).all()
     assert loss.all()  # is as it was
+
+
+def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_less() -> None:
+    other = with_index(6)
+    ((unlike, _),) = passages_of(TRACK, USUAL, other)
+    loss = lost(EVERYTHING, 0.1)
+    for hand in (0, 1):
+        other_loss = lost(EVERYTHING, 0.2)
+        other_loss[:, hand] = 0.0
+        pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss, 1.0), PARTS)
+        assert pieced.way.is_like(USUAL)  # as both hands together lose more
+        same = (pieced.take.loss[:, hand] > 0).nonzero()[0]
+        # Fingers are those of the right hand.
+        assert same.size == 0 if hand else set(range(STEPS)[unlike]) <= set(same.tolist())
+        assert len(same) < STEPS // 2
+        np.testing.assert_array_equal(pieced.take.loss[:, 1 - hand], loss[:, 1 - hand])
+        theirs = pieced.take.loss[:, hand] == 0
+        assert (pieced.take.ctrl[:, SERVOS[hand]] == theirs[:, None]).all()
 
 
 def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
     other_costs = Costs(way=64.0, same_finger=0.0)
-    assert Pieced(TRACK, USUAL, lost(slice(0))).with_fingers_by(other_costs).is_like(USUAL)
-    everywhere = Pieced(TRACK, USUAL, lost(EVERYTHING)).with_fingers_by(other_costs)
+    nowhere = Pieced(TRACK, USUAL, take(lost(slice(0))))
+    assert nowhere.with_fingers_by(other_costs).is_like(USUAL)
+    everywhere = Pieced(TRACK, USUAL, take(lost(EVERYTHING))).with_fingers_by(other_costs)
     assert not everywhere.is_like(USUAL)
-    at_the_end = Pieced(TRACK, USUAL, lost(slice(STEPS - 3, STEPS)))
+    at_the_end = Pieced(TRACK, USUAL, take(lost(slice(STEPS - 3, STEPS))))
     changed = at_the_end.with_fingers_by(other_costs)
-    assert all(at_the_end.loss[passage].any() for passage in passages_of(TRACK, USUAL, changed))
+    loss = at_the_end.take.loss
+    assert all(loss[passage].any() for passage in passages_of(TRACK, USUAL, changed))
 
 
 def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     loss = lost(EVERYTHING, 0.1)
-    later = Pieced(TRACK, USUAL, loss).letting_go(1)
+    later = Pieced(TRACK, USUAL, take(loss)).letting_go(1)
     assert (later.later[STRIKES, 0] == 1).all()
     assert not later.later[:, 1].any()  # which plays nothing
     passages = passages_of(TRACK, USUAL, later)
@@ -84,14 +134,14 @@ def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     other_loss = loss.copy()
     other_loss[passages[3]] = 0.0
     other_loss[passages[4]] = 0.2
-    pieced = Pieced(TRACK, USUAL, loss).with_better(later, other_loss)
+    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(later, take(other_loss), PARTS)
     assert np.flatnonzero(pieced.way.later[STRIKES, 0]).tolist() == [3]
     assert pieced.letting_go(2).is_like(pieced.way)  # nothing is lost there any more
 
 
 def test_a_hand_lets_go_later_only_where_it_loses_something() -> None:
     third = slice(STRIKES[3] - 1, STRIKES[3] + 1)
-    pieced = Pieced(TRACK, USUAL, lost(third))
+    pieced = Pieced(TRACK, USUAL, take(lost(third)))
     assert np.flatnonzero(pieced.letting_go(1).later[STRIKES, 0]).tolist() == [3]
     assert pieced.letting_go(2).is_like(USUAL)  # one step has not been tried
     other_hand = USUAL._replace(fingers=np.full(len(SONG.notes), LEFT_THUMB))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.patchwork import patched
+from cadenza.agents.planning.patchwork import better_windows, patched
 from cadenza.agents.planning.takes import Take
 
 STEPS, KEYS, WINDOW = 23, 5, 4
@@ -40,12 +40,14 @@ def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
     rng = np.random.default_rng(seed)
     one, other = take(rng), take(rng)
     before = one.part(0, STEPS)
-    best = patched(one, other, PARTS, SERVOS, WINDOW)
+    unlike = rng.random((STEPS, 2)) < 0.05
+    where = better_windows(one, other, unlike, WINDOW)
+    best = patched(one, other, where, PARTS, SERVOS)
     for begin in range(0, STEPS, WINDOW):
         rows = slice(begin, begin + WINDOW)
         for hand, servos in enumerate(SERVOS):
             theirs = other.loss[rows, hand].sum() < one.loss[rows, hand].sum()
-            kept = other if theirs else one
+            kept = other if theirs and not unlike[rows, hand].any() else one
             for name in ("ctrl", "expected"):
                 there, wanted = (getattr(each, name)[rows, servos] for each in (best, kept))
                 np.testing.assert_array_equal(there, wanted)

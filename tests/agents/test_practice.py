@@ -17,6 +17,7 @@ import cadenza
 from cadenza.agents.agent import silent
 from cadenza.agents.planning import practice as practice_of_hands
 from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.first_takes import FirstTakes
 from cadenza.agents.planning.practice import Practice
 from cadenza.agents.planning.practised_planner import PractisedHands, PractisedPlanner
 from cadenza.agents.planning.score_planner import ScorePlanner
@@ -221,7 +222,7 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
 
 @pytest.mark.parametrize(
     ("score", "config", "effort", "follows"),
-    [(LONG, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.07, True)],
+    [(LONG, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     score: Score, config: ScorePlannerConfig, effort: float, follows: bool
@@ -233,14 +234,34 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     assert (later_f1, later_onsets) > (f1, onsets)
     assert straight.plan.nominal.presses != at_sight.nominal.presses
     assert_plays_as_it_says(straight, score)
-    left, of_best = practice(2, score=score, config=config), set[bool]()
+    left, follow = practice(2, score=score, config=config), set[bool]()
     while not left.run(effort, on_and_off(2)):  # before, within and after takes
         state, left = as_read(left), practice(2, score=score, config=config)
         left.restore(state)
-        if "other/later" in state:
-            of_best.add(all((state[f"other/{of}"] == state[f"first/{of}"]).all() for of in WAY))
-    assert of_best == {False, follows}  # others, and those that follow the best of all takes
+        if "other/later" in state:  # within one
+            follow.add(all((state[f"other/{of}"] == state[f"pieced/{of}"]).all() for of in WAY))
+    assert follow == {False, follows}  # others, and those that follow what was put together
     assert_same(left, straight)
+
+
+@pytest.mark.parametrize(("lost", "costs"), [(np.inf, [3.0, 1.0, 2.0, 4.0]), (0.0, [3.0])])
+def test_hands_that_follow_try_a_second_again_unless_it_is_as_good(
+    lost: float, costs: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play, made = FirstTakes._play, list[float]()
+
+    def with_cost(takes: FirstTakes, first: int, last: int) -> Any:
+        played = play(takes, first, last)
+        if takes._follows:
+            made.append(costs[len(made)])
+            played.take.cost[:], played.take.loss[:] = made[-1], lost
+        return played
+
+    monkeypatch.setattr(FirstTakes, "_play", with_cost)
+    one = practice(score=JUMPS)
+    one.run(np.inf, lambda: not made)
+    assert made == costs
+    np.testing.assert_array_equal(one._first._take.cost[: one._first.played], min(costs))
 
 
 def test_fingers_of_the_score_are_kept() -> None:

@@ -20,6 +20,13 @@ class Arrangement:
     first_seconds: float | None = None
     """Play only what begins within this time from the first note on [s]."""
 
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: `first_seconds` is not a positive number."""
+        if self.first_seconds is not None:
+            from cadenza.music.score import check_beginning
+
+            check_beginning(self.first_seconds)
+
     def score(self, song: str) -> Score:
         """The bundled song or the file `song`, so arranged.
 

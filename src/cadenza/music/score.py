@@ -207,8 +207,7 @@ class Score:
         Raises:
             CadenzaError: `seconds` is not a positive number.
         """
-        if not 0 < seconds < float("inf"):
-            raise CadenzaError(f"the first {seconds} s: give a positive number")
+        check_beginning(seconds)
         return self.until(round(min((n.start for n in self.notes), default=0.0) + seconds, 9))
 
     def _shifted(self, seconds: float) -> Score:
@@ -237,6 +236,14 @@ def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
         chord.append(note)
     if chord:
         yield chord
+
+
+def check_beginning(seconds: float) -> None:
+    """Raises:
+    CadenzaError: a score has no such first seconds.
+    """
+    if not 0 < seconds < float("inf"):
+        raise CadenzaError(f"the first {seconds} s: give a positive number")
 
 
 def check_length(seconds: float, what: str) -> None:

@@ -1,14 +1,14 @@
 """The first takes of a song: as the planner plays it, then in other ways where it loses.
 
-Of the takes with the best fingers, what each did best is then put together (`patchwork`), and
-followed, again and again. The best take of all is where practice begins.
+In between, what each take did best is put together (`patchwork`), and hands follow that. The best
+take of all is where practice begins.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,22 +18,31 @@ from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.memory import Memory
 from cadenza.agents.planning.other_ways import OTHER_COSTS, Pieced, Way
 from cadenza.agents.planning.practised_planner import Rehearsal
-from cadenza.agents.planning.takes import Take, scene_before
+from cadenza.agents.planning.takes import Moments, Take, scene_before
 from cadenza.agents.planning.version import Version
 from cadenza.fingering.changes import Costs
 from cadenza.fingers import NO_FINGER
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
-_CHUNK = 2.0  # [s] that are played at a time
+_CHUNK = 1.0  # [s] that are played at a time
 _LATER = (1, 2)  # steps later than usual that hands let go before a jump
-_FOLLOWED = 6  # times that hands follow the best of all takes, put together
+_TRIES = 4  # for each second, of hands that follow the best of all takes, put together
 
 Parts = dict[str, dict[str, Any]]
 """Arrays by part and name."""
 
 Bounds = dict[str, tuple[Any, Any]]
 """Least and most by "part/name", of which `*` stands for any."""
+
+
+class _Played(NamedTuple):
+    """What came of some steps."""
+
+    take: Take
+    moments: Moments
+    simulated: int
+    """Control steps of a hand."""
 
 
 class FirstTakes:
@@ -75,12 +84,13 @@ class FirstTakes:
         jumps = [partial(self._letting_go, steps) for steps in _LATER]
         self._ways: list[Callable[[], Way]] = [
             *fingers,
-            self._best_of_each,
-            *(trial for jump in jumps for trial in (jump, self._best_of_each)),
+            self._put_together,
+            *(trial for jump in jumps for trial in (jump, self._put_together)),
+            self._put_together,
         ]
         self._tried = 0
         self._kept: tuple[Version, Take] | None = None
-        self._pieced, self._patchwork = self._as_played(), self._take
+        self._pieced = self._as_played()
 
     def _enter(self, version: Version) -> None:
         """Goes over to a version of which nothing has been played."""
@@ -105,10 +115,10 @@ class FirstTakes:
     @property
     def over(self) -> bool:
         """Whether there is nothing left to try."""
-        return not self.is_playing and self._tried == len(self._ways) + _FOLLOWED
+        return not self.is_playing and self._tried == len(self._ways)
 
     def go_on(self) -> int:
-        """Plays two seconds, or begins another take.
+        """Plays a second, or begins another take.
 
         Returns:
             How many control steps of a hand were simulated.
@@ -116,80 +126,80 @@ class FirstTakes:
         if not self.is_playing:
             self._begin_another()
             return 0
-        version, take, first = self._version, self._take, self.played
-        last = min(first + self._chunk, len(take.ctrl))
-        before = version.searching.simulated
-        played, moments = version.stage.play(
-            scene_before(first, take, self._moments),
-            first,
-            take.part(first, last),
-            take.heard(first),
-            self._chunk,
-            version.searching.act,
-        )
-        take.put(first, played)
-        self.played = last
-        self._moments = {step: moment for step, moment in moments.items() if step == last}
+        first = self.played
+        last = self.played = min(first + self._chunk, len(self._take.ctrl))
+        tries = self._followed(first, last) if self._follows else [self._play(first, last)]
+        best = min(tries, key=lambda each: float(each.take.cost.sum()))
+        self._take.put(first, best.take)
+        self._moments = {step: moment for step, moment in best.moments.items() if step == last}
         if not self.is_playing:
             self._compare()
-        return version.searching.simulated - before + (last - first) * len(version.parts)
+        return sum(each.simulated for each in tries)
+
+    def _play(self, first: int, last: int) -> _Played:
+        """Plays from one step to another."""
+        version, take = self._version, self._take
+        simulation, before = scene_before(first, take, self._moments), version.searching.simulated
+        part, heard, act = take.part(first, last), take.heard(first), version.searching.act
+        played = version.stage.play(simulation, first, part, heard, self._chunk, act)
+        simulated = version.searching.simulated - before + part.loss.size
+        return _Played(*played, simulated)
+
+    def _followed(self, first: int, last: int) -> list[_Played]:
+        """Follows what was put together, until it loses no more than that."""
+        version, pieced, tries = self._version, self._pieced.take, list[_Played]()
+        wanted = pieced.loss[first:last].sum()
+        while len(tries) < _TRIES and all(each.take.loss.sum() > wanted for each in tries):
+            rng = np.random.default_rng((self.seed, self._tried, first, len(tries)))
+            version.follow(pieced, first, rng.spawn(len(version.parts)))
+            tries.append(self._play(first, last))
+        return tries
 
     def _compare(self) -> None:
         """Of the take that is over and the best before it, goes on with the better one."""
         if not self._kept:
-            self._pieced, self._patchwork = self._as_played(), self._take
+            self._pieced = self._as_played()
             return
-        self._pieced = self._pieced.with_better(self._version.way, self._take.loss)
-        version, take = self._kept
-        alike = np.array_equal(version.way.fingers, self._version.way.fingers)
-        if alike:
-            self._patchwork = self._version.patched(self._patchwork, self._take)
-        if not self._version.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
+        now, (version, take) = self._version, self._kept
+        self._pieced = self._pieced.with_better(now.way, self._take, now.parts)
+        if not now.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
             self._version, self._take = version, take
-        elif not alike:
-            self._patchwork = self._take
         self._kept = None
 
     def _as_played(self) -> Pieced:
-        """The way of the take that is the best so far."""
-        return Pieced(self._version.plan.track, self._version.way, self._take.loss.copy())
+        """The take that is the best so far."""
+        return Pieced(self._version.plan.track, self._version.way, self._take)
 
     def _begin_another(self) -> None:
         """Goes over to the next take, if it is to be another one than the best so far."""
         self._tried += 1
-        if self._is_following:
-            if self._patchwork.loss.sum() < self._take.loss.sum():
-                self._kept = self._version, self._take
-                self._follow(self._version)
-            return
         way = self._ways[self._tried - 1]()
-        if not way.is_like(self._version.way):
+        if self._follows:
+            differs = self._pieced.take.loss.sum() < self._take.loss.sum()
+        else:
+            differs = not way.is_like(self._version.way)
+        if differs:
             self._kept = self._version, self._take
-            self._enter(self._other(way))
+            self._enter(self._version_in(way))
 
     @property
-    def _is_following(self) -> bool:
-        """Whether the last take that was begun is to be as the best of all."""
-        return self._tried > len(self._ways)
-
-    def _follow(self, version: Version) -> None:
-        """Has a version play the best of all takes, put together."""
-        self._enter(version)
-        rngs = np.random.default_rng((self.seed, self._tried)).spawn(len(version.parts))
-        version.follow(self._patchwork, 0, rngs)
+    def _follows(self) -> bool:
+        """Whether the last take that was begun is to be as the best of all, put together."""
+        return self._tried > 0 and self._ways[self._tried - 1] == self._put_together
 
     def _with_fingers_by(self, costs: Costs) -> Way:
         return self._pieced.with_fingers_by(costs)
 
     def _letting_go(self, later: int) -> Way:
-        """As in the best take, but so many steps later before jumps."""
-        self._pieced = self._as_played()
         return self._pieced.letting_go(later)
 
-    def _best_of_each(self) -> Way:
+    def _put_together(self) -> Way:
         return self._pieced.way
 
-    def _other(self, way: Way) -> Version:
+    def _version_in(self, way: Way) -> Version:
+        """The one that is there, if that is its way."""
+        if way.is_like(self._version.way):
+            return self._version
         rng, track = np.random.default_rng((self.seed, self._tried)), self._version.plan.track
         return Version(track, self._start, self._config, rng, self._threads, way=way)
 
@@ -211,15 +221,13 @@ class FirstTakes:
                 parts[side] = memory._asdict()
         if self._kept or everything:
             parts["other"] = self._version.way._asdict() | self._take._asdict()
-        _, way, loss = self._pieced
-        parts["pieced"] = way._asdict() | {"loss": loss}
-        parts["patchwork"] = self._patchwork._asdict()
+        parts["pieced"] = self._pieced.way._asdict() | self._pieced.take._asdict()
         return parts
 
     @property
     def bounds(self) -> Bounds:
         """Between which values what is kept of them lies."""
-        counts = [len(self._take.ctrl), len(self._ways) + _FOLLOWED]
+        counts = [len(self._take.ctrl), len(self._ways)]
         last = self._version.plan.scene.fingers.count - 1
         return {
             "first/numbers": ([0, 0], counts),
@@ -232,23 +240,17 @@ class FirstTakes:
         first = parts["first"]
         played, self._tried = first["numbers"].tolist()
         pieced = parts["pieced"]
-        self._pieced = self._pieced._replace(way=_way_in(pieced), loss=pieced["loss"])
-        self._patchwork = Take(**parts["patchwork"])
-        version = self._version_of(_way_in(first))
+        self._pieced = self._pieced._replace(way=_way_in(pieced), take=_take_in(pieced))
+        self._enter(self._version_in(_way_in(first)))
+        self._take = best
         if other := parts.get("other"):
-            self._kept = version, best
-            best = Take(**{name: other[name] for name in Take._fields})
-        if other and self._is_following:
-            self._follow(version)
-        else:
-            self._enter(self._version_of(_way_in(other)) if other else version)
-        self._take, self.played = best, played
+            self._kept = self._version, best
+            self._enter(self._version_in(_way_in(other)))
+            self._take = _take_in(other)
+        self.played = played
         if self.is_playing:
-            self._go_back([Memory(**parts[side]) for side in version.plan.scene.sides])
-
-    def _version_of(self, way: Way) -> Version:
-        """The first one, if that is its way."""
-        return self._version if way.is_like(self._version.way) else self._other(way)
+            sides = self._version.plan.scene.sides
+            self._go_back([Memory(**parts[side]) for side in sides])
 
     def _go_back(self, memories: list[Memory]) -> None:
         """To where the take was left."""
@@ -263,3 +265,7 @@ class FirstTakes:
 
 def _way_in(part: Mapping[str, Any]) -> Way:
     return Way(**{name: part[name] for name in Way._fields})
+
+
+def _take_in(part: Mapping[str, Any]) -> Take:
+    return Take(**{name: part[name] for name in Take._fields})

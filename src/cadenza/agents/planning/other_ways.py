@@ -7,7 +7,7 @@ are only tried where something is lost, and kept where they lose less.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,12 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
+from cadenza.agents.planning.hand_part import HandPart
+from cadenza.agents.planning.patchwork import better_windows, patched
+from cadenza.agents.planning.takes import Take
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import SIDES
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
-Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 OTHER_COSTS = (
     Costs(way=32.0, same_finger=1.0, crossing=3.0),
@@ -33,6 +36,7 @@ OTHER_COSTS = (
 _BEFORE, _AFTER = 0.2, 0.5  # [s] before and after other fingers by which they are judged
 _APART = _BEFORE + _AFTER  # [s] between passages, so that no step is judged twice
 _JUMP = 0.15  # [s] before a hand strikes in which a jump there begins
+_WINDOW = 1.0  # [s] of a hand of which the better of two takes is kept, with the same fingers
 
 Passage = tuple[slice, slice]
 """Steps, and the hands that are judged by them."""
@@ -59,39 +63,48 @@ class Way(NamedTuple):
 
 
 class Pieced(NamedTuple):
-    """The way to play a song that is, of each passage, the best that was tried."""
+    """A song, put together of the best of all takes, and the way in which it is played so."""
 
     track: GoalTrack
     """The song, with any fingers."""
     way: Way
-    loss: Array
-    """(T, H) of each step and hand."""
+    take: Take
+    """Which no hands have played like that."""
 
     def with_fingers_by(self, costs: Costs) -> Way:
         """With the fingers that these `costs` choose where something is lost."""
         bare = self.track.score.without_fingers()
         found, _ = find_fingering(bare, players_of(self.track.scene), costs=costs)
         other = self.way._replace(fingers=fingers_in(replace(self.track, score=found)))
-        way, _ = self._with(other, lambda passage: bool(self.loss[passage].any()))
+        way, _ = self._with(other, lambda passage: bool(self.take.loss[passage].any()))
         return way
 
     def letting_go(self, later: int) -> Way:
         """So many steps later than usual before jumps, where a step less loses something."""
         changed = self.way.later.copy()
         for passage in _strikes(self.track, self.way):
-            if self.loss[passage].any() and (changed[passage] == later - 1).all():
+            if self.take.loss[passage].any() and (changed[passage] == later - 1).all():
                 changed[passage] = later
         return self.way._replace(later=changed)
 
-    def with_better(self, other: Way, loss: Array) -> Pieced:
-        """With the passages of another way that lose less; its `loss` is (T, H)."""
+    def with_better(self, other: Way, take: Take, parts: Sequence[HandPart]) -> Pieced:
+        """With what loses less in a take in another way, of which `parts` are the hands'.
+
+        That are passages that are played in different ways and, where hands play with the same
+        fingers, windows of a second of each hand.
+        """
+        track, kept, scene = self.track, self.take, self.track.scene
         way, passages = self._with(
-            other, lambda passage: bool(loss[passage].sum() < self.loss[passage].sum())
+            other, lambda passage: bool(take.loss[passage].sum() < kept.loss[passage].sum())
         )
-        pieced = self.loss.copy()
+        where = np.zeros(take.loss.shape, bool)
         for passage in passages:
-            pieced[passage] = loss[passage]
-        return self._replace(way=way, loss=pieced)
+            where[passage] = True
+        servos = [scene.servos_on(side) for side in scene.sides]
+        kept = patched(kept, take, where, parts, servos)
+        window = steps_in(_WINDOW, track.config.control_timestep)
+        better = better_windows(kept, take, _unlike(track, way, other), window)
+        return Pieced(track, way, patched(kept, take, better, parts, servos))
 
     def _with(self, other: Way, taken: Callable[[Passage], bool]) -> tuple[Way, list[Passage]]:
         """With those passages of another way that are taken, and which they are."""
@@ -131,6 +144,21 @@ def _refingered(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
         last = max(last, first + steps_in(note.end - note.start, dt))
         passages.append((slice(begin, last + after), slice(None)))
     return passages
+
+
+def _unlike(track: GoalTrack, way: Way, other: Way) -> Mask:
+    """(T, H) where each hand plays with other fingers, and a little before and after."""
+    dt, sides, fingers = track.config.control_timestep, track.scene.sides, track.scene.fingers
+    before, after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
+    unlike = np.zeros(way.later.shape, bool)
+    for i in np.flatnonzero(way.fingers != other.fingers):
+        note = track.score.notes[i]
+        first = track.first_step(note)
+        last = first + steps_in(note.end - note.start, dt) + after
+        for finger in (way.fingers[i], other.fingers[i]):
+            hand = sides.index(SIDES[fingers.hand_of(finger)])
+            unlike[max(first - before, 0) : last, hand] = True
+    return unlike
 
 
 def _strikes(track: GoalTrack, way: Way) -> list[Passage]:

@@ -1,4 +1,4 @@
-"""The best of several takes, window by window and hand by hand, as one take.
+"""The best of several takes, hand by hand, as one take.
 
 No hands have played it like that. Those that follow it, with feedback, come near it, and search
 where less would sound.
@@ -9,34 +9,49 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.takes import Take
 
+Mask = NDArray[np.bool_]
+
 
 def patched(
-    take: Take, other: Take, parts: Sequence[HandPart], servos: Sequence[slice], window: int
+    take: Take, other: Take, where: Mask, parts: Sequence[HandPart], servos: Sequence[slice]
 ) -> Take:
-    """A take with those windows of each hand from another take in which that one loses less.
+    """A take with some steps of each hand from another take.
 
     Its costs are those of the first: costs are of all hands at once.
 
     Args:
         take: T steps.
-        other: of the same song, with the same fingers.
-        parts: of the H hands.
+        other: of the same song.
+        where: (T, H) the steps of each hand that come from there.
+        parts: of the H hands in the other take.
         servos: which of all are each hand's.
-        window: in steps.
     """
-    begins = np.arange(0, len(take.loss), window)
-    loss, others = (np.add.reduceat(each.loss, begins) for each in (take, other))
-    better = np.repeat(others < loss, window, axis=0)[: len(take.loss)]  # (T, H)
     result = take.part(0, len(take.loss))
     for hand, (part, own) in enumerate(zip(parts, servos, strict=True)):
-        rows = better[:, hand]
+        rows = where[:, hand]
         result.ctrl[rows, own] = other.ctrl[rows, own]
         result.expected[rows, own] = other.expected[rows, own]
         result.loss[rows, hand] = other.loss[rows, hand]
         keys = part.mine & rows[:, None]
         result.sounding[keys] = other.sounding[keys]
     return result
+
+
+def better_windows(take: Take, other: Take, unlike: Mask, window: int) -> Mask:
+    """(T, H) the windows of each hand in which another take loses less.
+
+    Args:
+        take: T steps.
+        other: of the same song.
+        unlike: (T, H) where hands play with other fingers; windows with such a step stay.
+        window: in steps.
+    """
+    begins = np.arange(0, len(take.loss), window)
+    loss, others = (np.add.reduceat(each.loss, begins) for each in (take, other))
+    better = (others < loss) & ~np.logical_or.reduceat(unlike, begins)
+    return np.repeat(better, window, axis=0)[: len(take.loss)]

@@ -53,7 +53,7 @@ _WINDOW = 4  # times _BETWEEN are worked on at a time
 _ADVANCE = 3  # times it later begins the next window
 _AFTER = 2  # times it after a window must not suffer
 # Parts of a state that are never missing.
-_ALWAYS = ("practice", "take", "first", "pieced", "patchwork")
+_ALWAYS = ("practice", "take", "first", "pieced")
 _AROUND = 0.15  # [s] before and after a step that share its failures
 OF = {"practice/of": ArrayOf(TEXT, needed=True)}
 """What a state says first: what was practised."""

@@ -9,11 +9,9 @@ import numpy as np
 
 from cadenza.agents.agent import Array, Progress, silent
 from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.control_steps import steps_in
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.hand_practice import HandPractice
 from cadenza.agents.planning.other_ways import Way, fingers_in
-from cadenza.agents.planning.patchwork import patched
 from cadenza.agents.planning.practised_planner import Practised, Rehearsal
 from cadenza.agents.planning.searching import SearchingHands
 from cadenza.agents.planning.song_plan import plan_song
@@ -21,8 +19,6 @@ from cadenza.agents.planning.takes import Moments, Stage, Take, scene_before
 from cadenza.music.metrics import playing_metrics
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
-
-_WINDOW = 1.0  # [s] of which the better of two takes is kept
 
 
 class Version:
@@ -82,12 +78,6 @@ class Version:
         return Take.to_come(
             plan.nominal.tracking, plan.scene.keyboard.num_keys, len(plan.scene.sides)
         )
-
-    def patched(self, take: Take, other: Take) -> Take:
-        """The better of two takes in each window, see `patchwork`."""
-        scene, dt = self.plan.scene, self.plan.track.config.control_timestep
-        servos = [scene.servos_on(side) for side in scene.sides]
-        return patched(take, other, self.parts, servos, steps_in(_WINDOW, dt))
 
     def follow(self, take: Take, step: int, rngs: Sequence[np.random.Generator]) -> None:
         """From a step on, its hands follow a take, and search where less of it would sound.
