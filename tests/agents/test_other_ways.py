@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cadenza.agents.planning.other_ways import Passage, Pieced, Way, passages_of
 from cadenza.agents.planning.takes import Take
 from cadenza.fingering.changes import Costs
-from cadenza.fingers import Finger
+from cadenza.fingers import NO_FINGER, Finger
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.config import TaskConfig
@@ -110,6 +110,19 @@ def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_les
         np.testing.assert_array_equal(pieced.take.loss[:, 1 - hand], loss[:, 1 - hand])
         theirs = pieced.take.loss[:, hand] == 0
         assert (pieced.take.ctrl[:, SERVOS[hand]] == theirs[:, None]).all()
+
+
+def test_a_note_without_a_finger_is_of_no_hand() -> None:
+    other, loss = USUAL._replace(fingers=USUAL.fingers.copy()), lost(EVERYTHING, 0.1)
+    other.fingers[6] = NO_FINGER
+    ((steps, _),) = passages_of(TRACK, USUAL, other)
+    other_loss = lost(EVERYTHING, 0.0)
+    other_loss[steps] = 1.0
+    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
+    assert (pieced.take.loss[steps, 0] == 0.1).all()  # of the hand that plays it otherwise
+    other_loss[steps] = [1.0, 0.0]
+    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
+    assert not pieced.take.loss[:, 1].any()
 
 
 def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:

@@ -168,7 +168,8 @@ class FirstTakes:
 
     def _as_played(self) -> Pieced:
         """The take that is the best so far."""
-        return Pieced(self._version.plan.track, self._version.way, self._take)
+        take = self._take.part(0, len(self._take.ctrl))
+        return Pieced(self._version.plan.track, self._version.way, take)
 
     def _begin_another(self) -> None:
         """Goes over to the next take, if it is to be another one than the best so far."""

@@ -90,8 +90,8 @@ class Pieced(NamedTuple):
     def with_better(self, other: Way, take: Take, parts: Sequence[HandPart]) -> Pieced:
         """With what loses less in a take in another way, of which `parts` are the hands'.
 
-        That are passages that are played in different ways and, where hands play with the same
-        fingers, windows of a second of each hand.
+        It is compared passage by passage where ways differ, and second by second and hand by hand
+        where fingers are the same.
         """
         track, kept, scene = self.track, self.take, self.track.scene
         way, passages = self._with(
@@ -148,16 +148,15 @@ def _refingered(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
 
 def _unlike(track: GoalTrack, way: Way, other: Way) -> Mask:
     """(T, H) where each hand plays with other fingers, and a little before and after."""
-    dt, sides, fingers = track.config.control_timestep, track.scene.sides, track.scene.fingers
+    dt, sides = track.config.control_timestep, [SIDES.index(side) for side in track.scene.sides]
     before, after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
+    hands = track.scene.fingers.hand_of(np.array([way.fingers, other.fingers]))  # (2, N)
     unlike = np.zeros(way.later.shape, bool)
     for i in np.flatnonzero(way.fingers != other.fingers):
         note = track.score.notes[i]
         first = track.first_step(note)
         last = first + steps_in(note.end - note.start, dt) + after
-        for finger in (way.fingers[i], other.fingers[i]):
-            hand = sides.index(SIDES[fingers.hand_of(finger)])
-            unlike[max(first - before, 0) : last, hand] = True
+        unlike[max(first - before, 0) : last, np.isin(sides, hands[:, i])] = True
     return unlike
 
 
