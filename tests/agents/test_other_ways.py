@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,16 +40,8 @@ def lost(where: slice, much: float = 1.0) -> np.ndarray:
     return loss
 
 
-class Part:
-    """What a hand has to do: every other key."""
-
-    def __init__(self, hand: int) -> None:
-        self.mine = np.zeros((STEPS, 88), bool)
-        self.mine[:, hand::2] = True
-
-
 SERVOS = [TRACK.scene.servos_on(side) for side in TRACK.scene.sides]
-PARTS: Any = [Part(0), Part(1)]
+PARTS: Any = [SimpleNamespace(mine=np.zeros((STEPS, 88), bool))] * 2
 
 
 def take(loss: np.ndarray, ctrl: float = 0.0) -> Take:

@@ -41,7 +41,7 @@ def test_each_hand_keeps_the_better_of_each_window(seed: int) -> None:
     one, other = take(rng), take(rng)
     before = one.part(0, STEPS)
     unlike = rng.random((STEPS, 2)) < 0.05
-    where = better_windows(one, other, unlike, WINDOW)
+    where = better_windows(one.loss, other.loss, unlike, WINDOW)
     best = patched(one, other, where, PARTS, SERVOS)
     for begin in range(0, STEPS, WINDOW):
         rows = slice(begin, begin + WINDOW)

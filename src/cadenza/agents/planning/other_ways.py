@@ -7,7 +7,7 @@ are only tried where something is lost, and kept where they lose less.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -100,11 +100,11 @@ class Pieced(NamedTuple):
         where = np.zeros(take.loss.shape, bool)
         for passage in passages:
             where[passage] = True
-        servos = [scene.servos_on(side) for side in scene.sides]
-        kept = patched(kept, take, where, parts, servos)
+        loss = np.where(where, take.loss, kept.loss)
         window = steps_in(_WINDOW, track.config.control_timestep)
-        better = better_windows(kept, take, _unlike(track, way, other), window)
-        return Pieced(track, way, patched(kept, take, better, parts, servos))
+        where |= better_windows(loss, take.loss, _unlike(track, way, other), window)
+        servos = [scene.servos_on(side) for side in scene.sides]
+        return Pieced(track, way, patched(kept, take, where, parts, servos))
 
     def _with(self, other: Way, taken: Callable[[Passage], bool]) -> tuple[Way, list[Passage]]:
         """With those passages of another way that are taken, and which they are."""
@@ -137,11 +137,9 @@ def _refingered(track: GoalTrack, way: Way, other: Way) -> list[Passage]:
     before, after, apart = (steps_in(seconds, dt) for seconds in (_BEFORE, _AFTER, _APART))
     passages: list[Passage] = []
     last = -apart - 1
-    for i in np.flatnonzero(way.fingers != other.fingers):
-        note = track.score.notes[i]
-        first = track.first_step(note)
+    for _, first, end in _with_other_fingers(track, way, other):
         begin = max(first - before, 0) if first > last + apart else passages.pop()[0].start
-        last = max(last, first + steps_in(note.end - note.start, dt))
+        last = max(last, end)
         passages.append((slice(begin, last + after), slice(None)))
     return passages
 
@@ -152,12 +150,17 @@ def _unlike(track: GoalTrack, way: Way, other: Way) -> Mask:
     before, after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)
     hands = track.scene.fingers.hand_of(np.array([way.fingers, other.fingers]))  # (2, N)
     unlike = np.zeros(way.later.shape, bool)
-    for i in np.flatnonzero(way.fingers != other.fingers):
+    for i, first, end in _with_other_fingers(track, way, other):
+        unlike[max(first - before, 0) : end + after, np.isin(sides, hands[:, i])] = True
+    return unlike
+
+
+def _with_other_fingers(track: GoalTrack, way: Way, other: Way) -> Iterator[tuple[int, int, int]]:
+    """Each note with another finger: its number, its first step and the one after its last."""
+    for i in np.flatnonzero(way.fingers != other.fingers).tolist():
         note = track.score.notes[i]
         first = track.first_step(note)
-        last = first + steps_in(note.end - note.start, dt) + after
-        unlike[max(first - before, 0) : last, np.isin(sides, hands[:, i])] = True
-    return unlike
+        yield i, first, first + steps_in(note.end - note.start, track.config.control_timestep)
 
 
 def _strikes(track: GoalTrack, way: Way) -> list[Passage]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.takes import Take
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
@@ -42,16 +43,16 @@ def patched(
     return result
 
 
-def better_windows(take: Take, other: Take, unlike: Mask, window: int) -> Mask:
+def better_windows(loss: Array, other: Array, unlike: Mask, window: int) -> Mask:
     """(T, H) the windows of each hand in which another take loses less.
 
     Args:
-        take: T steps.
-        other: of the same song.
+        loss: (T, H) of a take.
+        other: (T, H) loss of the other one.
         unlike: (T, H) where hands play with other fingers; windows with such a step stay.
         window: in steps.
     """
-    begins = np.arange(0, len(take.loss), window)
-    loss, others = (np.add.reduceat(each.loss, begins) for each in (take, other))
-    better = (others < loss) & ~np.logical_or.reduceat(unlike, begins)
-    return np.repeat(better, window, axis=0)[: len(take.loss)]
+    begins = np.arange(0, len(loss), window)
+    mine, others = (np.add.reduceat(each, begins) for each in (loss, other))
+    better = (others < mine) & ~np.logical_or.reduceat(unlike, begins)
+    return np.repeat(better, window, axis=0)[: len(loss)]
