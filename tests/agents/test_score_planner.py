@@ -767,25 +767,29 @@ def test_links_keep_apart_by_their_radii() -> None:
     rng = np.random.default_rng(0)
     postures = rng.uniform(servos.low, servos.high, (20, len(servos.low)))
     kinematics = Kinematics(scene, servos)
-    points, jacobian = kinematics.fingers(postures)
-    links = LinkCollisions(scene.hand).of_hand
-    overlap, nearby, slopes = links.overlaps(points, jacobian)
-    row, pair = np.argwhere(overlap < -0.002)[0]
-    (fa, la), (fb, lb) = ((link[0][pair], link[1][pair]) for link in (links._a, links._b))
-    a, b = points[row, fa, la : la + 2], points[row, fb, lb : lb + 2]
-    nearest = minimize(
-        lambda x: np.sum((a[0] + x[0] * (a[1] - a[0]) - b[0] - x[1] * (b[1] - b[0])) ** 2) * 1e4,
-        [0.5, 0.5],
-        bounds=[(0, 1), (0, 1)],
-    )
-    assert np.sqrt(nearest.fun / 1e4) - links._least[pair] == pytest.approx(
-        overlap[row, pair], abs=1e-5
-    )
+    links, pairs = kinematics.links(postures), LinkCollisions(scene.hand).of_hand
+    overlaps = pairs.overlaps(links.points[:, 0])
     step = 1e-6 * rng.standard_normal(len(servos.low))
-    moved, *_ = links.overlaps(*kinematics.fingers(postures + step))
-    change = (moved - overlap)[row, pair]
-    (slope,) = slopes[(np.transpose(nearby) == (row, pair)).all(axis=1)]
-    assert change == pytest.approx((slope @ step).sum(), rel=1e-2)
+    moved = pairs.overlaps(kinematics.links(postures + step).points[:, 0])
+    deep = np.flatnonzero(overlaps.depth < -0.002)
+    assert len(deep) > 5
+    for i in deep:
+        row, pair = overlaps.row[i], overlaps.pair[i]
+        finger, link = overlaps.finger[:, i], overlaps.link[:, i]
+        ends = tuple(links.points[row, 0, f, k : k + 2] for f, k in zip(finger, link, strict=True))
+        nearest = minimize(distance_of_segments, [0.5, 0.5], ends, bounds=[(0, 1), (0, 1)])
+        distance = np.sqrt(nearest.fun / 1e4)
+        assert distance - pairs._least[pair] == pytest.approx(overlaps.depth[i], abs=1e-4)
+        slope = links.along(row, finger, link, overlaps.at[:, i], overlaps.away[:, i]).sum(axis=0)
+        there = (moved.row == row) & (moved.pair == pair)
+        assert moved.depth[there] - overlaps.depth[i] == pytest.approx(slope @ step, rel=0.02)
+
+
+def distance_of_segments(x: np.ndarray, *ends: np.ndarray) -> float:
+    """Of points part of the way along two segments, squared [cm^2]."""
+    a, b = ends
+    gap = a[0] + x[0] * (a[1] - a[0]) - b[0] - x[1] * (b[1] - b[0])
+    return float(1e4 * np.sum(gap**2))
 
 
 def close_hands(right: float, left: float) -> tuple[_Problem, np.ndarray]:
@@ -810,13 +814,11 @@ def _exactly(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
     """Of postures that interlock, against finite differences of what they cost."""
     problem, here = close_hands(-0.08, 0.1)
-    points, jacobian = (
-        values[1:].reshape(3, 2, -1, *values.shape[2:])
-        for values in problem._kinematics.fingers(here)
-    )
-    links, forearms = problem._between_hands(points, jacobian, here[1:].reshape(3, 2, -1))
-    assert len(links[0]) > 3
-    assert len(forearms[0]) == 3
+    links = problem._kinematics.links(here[1:])
+    close, residual, _ = problem._between_hands(links, links.points, here[1:].reshape(3, 2, -1))
+    assert close.tolist() == [0, 1, 2]
+    assert residual[:, -1].all()  # the forearms
+    assert np.count_nonzero(residual[:, :-1]) > 3
     _, gradient = problem.normal_equations(here, problem.linearise(here))
     change = np.random.default_rng(4).standard_normal((3, here.shape[1]))
     moved = [

@@ -12,7 +12,7 @@ from cadenza.demonstrations.dataset import kept
 from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest
 from cadenza.demonstrations.replay import differences
 from cadenza.evaluation.at_work import locked
-from cadenza.evaluation.collecting.episode import _drawn, is_complete, record
+from cadenza.evaluation.collecting.episode import _drawn, excerpt, is_complete, record
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.results import FAILED, RUNS
 from cadenza.keyboards.piano import PIANO
@@ -131,3 +131,25 @@ def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
         assert played.notes[0].pitch == 60 + how["since"]
         begin.add(how["since"])
     assert {0.0, 15.0} <= begin <= set(map(float, range(16)))
+
+
+def test_work_for_an_excerpt_is_proportional_to_the_length_of_the_song(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """How often all of a score's notes are gone through does not depend on how many there are."""
+    looks = 0
+    last = Score.total_time.fget
+    assert last is not None
+
+    def noted(score: Score) -> float:
+        nonlocal looks
+        looks += 1
+        return last(score)
+
+    monkeypatch.setattr(Score, "total_time", property(noted))
+    found = []
+    for count in (20, 400):
+        looks = 0
+        excerpt(Score(tuple(Note(i / 2, i / 2 + 0.5, 60) for i in range(count))), 4.0, 0.5)
+        found.append(looks)
+    assert found[0] == found[1] > 0

@@ -38,6 +38,30 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
             np.testing.assert_allclose(here, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "config",
+    [*CONFIGS, SceneConfig(hand="allegro"), SceneConfig(hand="arm-allegro")],
+    ids=["both", "left", "full", "allegro", "arm"],
+)
+def test_points_on_links_move_as_those_at_their_ends(config: SceneConfig) -> None:
+    scene = build_scene(config)
+    servos, rng = servos_of(scene), np.random.default_rng(2)
+    kinematics = Kinematics(scene, servos)
+    postures = rng.uniform(servos.low, servos.high, (5, len(servos.low)))
+    points, jacobian = kinematics.fingers(postures)
+    links, tips = kinematics.links(postures), jacobian[:, :, TIP]
+    np.testing.assert_array_equal(links.points.reshape(points.shape), points)
+    np.testing.assert_array_equal(links.tips.reshape(tips.shape), tips)
+    ends = (5, points.shape[1], points.shape[2] - 1)
+    posture, finger, link = rng.integers(ends, size=(99, 3)).T
+    share, direction = rng.uniform(size=99), rng.standard_normal((99, 3))
+    begin, end = (posture, finger, link), (posture, finger, link + 1)
+    at = points[begin] + share[:, None] * (points[end] - points[begin])
+    slope = jacobian[begin] + share[:, None, None] * (jacobian[end] - jacobian[begin])
+    along = links.along(posture, finger, link, at, direction)
+    np.testing.assert_allclose(along, np.einsum("mk,mka->ma", direction, slope), atol=1e-12)
+
+
 def test_links_are_where_their_bodies_are() -> None:
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)

@@ -36,6 +36,43 @@ class _Moves(NamedTuple):
     """Whether earlier ones have the same servos and points."""
 
 
+class Links(NamedTuple):
+    """The links of F fingers of each of H hands in S postures, and how they move.
+
+    It is the A servos of a finger's own hand that move it. J joints are those of a hand.
+    """
+
+    points: Array
+    """(S, H, F, P, 3), see `Kinematics` [m]."""
+    tips: Array
+    """(S, H, F, 3, A) the Jacobian of the tips."""
+    screws: Array
+    """(S, H, J, 6) of joints: their axes, and the velocity that they give to the origin."""
+    carried: NDArray[np.bool_]
+    """(F, P, J) whether a joint moves the link that begins at a point."""
+    shares: Array
+    """(J, A) what a unit of a servo's coordinate adds to each joint."""
+
+    def along(self, posture: Ids, finger: Ids, link: Ids, at: Array, direction: Array) -> Array:
+        """(..., A) how fast points on links go in a direction, by the servos.
+
+        That is the product of the screws of joints and the wrench of a unit force at the point
+        (Murray, Li & Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, 2.5).
+
+        Args:
+            posture: (...)
+            finger: (...) of the right hand, or counted on from these of the left.
+            link: (...) of the finger.
+            at: (..., 3) where the point is [m].
+            direction: (..., 3) of length 1.
+        """
+        hand, own = np.divmod(finger, len(self.carried))
+        wrench = np.concatenate([_cross(at.T, direction.T).T, direction], axis=-1)
+        of_joints = (self.screws[posture, hand] @ wrench[..., None])[..., 0]
+        slopes: Array = (of_joints * self.carried[own, link]) @ self.shares
+        return slopes
+
+
 class Kinematics:
     """Forward kinematics of the F fingers of a scene, by MuJoCo. Joints without a servo stay at 0.
 
@@ -45,7 +82,7 @@ class Kinematics:
     def __init__(self, scene: Scene, servos: Servos) -> None:
         model = self._model = hand_on_keys(scene, range(0), ())
         self._servos, self._data = servos, mujoco.MjData(model)
-        self._num_servos = len(servos.low) // len(scene.sides)
+        self._hands, self._num_servos = len(scene.sides), len(servos.low) // len(scene.sides)
         bodies = [
             model.body(prefix(side) + link).id
             for side in scene.sides
@@ -57,6 +94,28 @@ class Kinematics:
         self._of_points, self._of_tips = (
             _moves(model, servos.joints, some, self._num_servos)
             for some in (bodies, bodies[self._num_points - 1 :: self._num_points])
+        )
+        joints = model.njnt // self._hands
+        self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+        self._shares = servos.joints[: self._num_servos, :joints].T
+        chains = [_chain(model, body) for body in bodies[: len(bodies) // self._hands]]
+        carried = [np.isin(model.jnt_bodyid[:joints], list(chain)) for chain in chains]
+        self._carried = np.array(carried).reshape(-1, self._num_points, joints)
+
+    def links(self, postures: Array) -> Links:
+        """Those of postures (S, A)."""
+        points, axes, anchors = self._there(postures)
+        tips = points[:, :, self._num_points - 1 :: self._num_points]
+        jacobian = self._jacobian(tips, axes, anchors, self._of_tips)
+        linear = np.where(self._hinges, _cross(anchors, axes), axes)
+        screws = np.concatenate([axes * self._hinges, linear])
+        shape = len(postures), self._hands, len(self._carried)
+        return Links(
+            np.moveaxis(points, 0, 2).reshape(*shape, self._num_points, 3),
+            jacobian.reshape(*shape, 3, -1),
+            np.moveaxis(screws, 0, 2).reshape(*shape[:2], -1, 6),
+            self._carried,
+            self._shares,
         )
 
     def fingers(self, postures: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import mujoco
@@ -143,8 +144,9 @@ class HandAlone(NamedTuple):
     """Its joints among those of both."""
 
 
+@lru_cache(maxsize=8)  # all that play a plan ask for it, and it takes long to build
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
-    """Takes the hand on one side by itself."""
+    """Takes the hand on one side by itself. Nobody changes its scene."""
     alone = build_scene(replace(scene.config, hands=side))
     return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
 

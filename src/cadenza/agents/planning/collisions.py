@@ -1,9 +1,10 @@
-"""Keeps fingers out of each other: how far their links overlap, and how that changes."""
+"""Keeps fingers out of each other: where and how far their links overlap."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,46 +18,59 @@ Ids = NDArray[np.intp]
 _CLEARANCE = 0.0015  # [m]
 
 
+class Overlaps(NamedTuple):
+    """M times that two links are nearer to each other than allowed: the first and the second."""
+
+    row: Ids
+    """(M,) in which of N postures."""
+    pair: Ids
+    """(M,) which pair of links."""
+    depth: Array
+    """(M,) by how much, as negative lengths [m]."""
+    finger: Ids
+    """(2, M) on which the links are."""
+    link: Ids
+    """(2, M) of the finger."""
+    at: Array
+    """(2, M, 3) where they are nearest to each other [m]."""
+    away: Array
+    """(2, M, 3) the directions away from each other."""
+
+    @property
+    def columns(self) -> tuple[int, Ids]:
+        """How many different pairs these are, and (M,) which of them."""
+        met = np.bincount(self.pair) > 0
+        return int(np.count_nonzero(met)), (met.cumsum() - 1)[self.pair]
+
+
 class _Pairs:
     """C pairs of links, each of a finger and its number on it."""
 
     def __init__(self, pairs: list[tuple[tuple[int, int], tuple[int, int]]], radii: Array) -> None:
         """`radii` are (F, links) [m]."""
         table = np.array(pairs, np.intp).reshape(-1, 2, 2)  # (C, 2, 2)
-        self._a, self._b = (table[:, 0, 0], table[:, 0, 1]), (table[:, 1, 0], table[:, 1, 1])
-        # (4, C) the ends of the first and the second link, as points of all fingers in a row.
-        points = table[..., 0] * (radii.shape[1] + 1) + table[..., 1]
-        self._ends = np.stack([points[:, 0], points[:, 0] + 1, points[:, 1], points[:, 1] + 1])
-        self._least = np.float32(radii[self._a] + radii[self._b] + _CLEARANCE)  # of any precision
+        self._finger, self._link = table[:, :, 0].T, table[:, :, 1].T  # (2, C)
+        begin = self._finger * (radii.shape[1] + 1) + self._link  # as points of all in a row
+        self._ends = np.stack([begin, begin + 1])  # (2, 2, C)
+        least = radii[self._finger, self._link].sum(axis=0) + _CLEARANCE
+        self._least = least.astype(np.float32)  # of any precision
 
-    def overlaps(self, points: Array, jacobian: Array) -> tuple[Array, tuple[Ids, Ids], Array]:
-        """How much nearer than allowed links are, as negative lengths, and zero where they are not.
-
-        Args:
-            points: (N, F, P, 3) of the fingers [m], see `Kinematics`.
-            jacobian: (N, F, P, 3, A).
-
-        Returns:
-            (N, C) [m]; the M places in it where that is not zero, (M,) and (M,); and how it changes
-            there as the first link of the pair moves, and the second, (M, 2, A).
-        """
-        in_a_row = points.reshape(len(points), -1, 3)
-        a0, a1, b0, b1 = np.moveaxis(in_a_row.take(self._ends, axis=1), 1, 0)
-        s, t = _closest(a0, a1, b0, b1)
-        gap = a0 + s[..., None] * (a1 - a0) - b0 - t[..., None] * (b1 - b0)
-        distance = np.sqrt((gap**2).sum(axis=-1)) + 1e-9
-        overlap = np.minimum(distance - self._least, 0.0)
-        row, pair = np.nonzero(overlap)
-        normal = gap[row, pair] / distance[row, pair, None]
-
-        def moves(finger: Ids, link: Ids, along: Array) -> Array:
-            """(M, 3, A) the Jacobian of points part of the way along their links."""
-            part = along[row, pair, None, None]
-            here, there = (jacobian[row, finger[pair], link[pair] + k] for k in (0, 1))
-            return (1 - part) * here + part * there
-
-        approach = np.stack([moves(*self._a, s), -moves(*self._b, t)], axis=1)
-        return overlap, (row, pair), np.einsum("mk,mika->mia", normal, approach)
+    def overlaps(self, points: Array) -> Overlaps:
+        """Those of fingers in N postures; points are (N, F, P, 3) [m], see `Kinematics`."""
+        count, fingers, each, _ = points.shape
+        in_a_row = points.reshape(count, fingers * each, 3)
+        begin, end = np.moveaxis(in_a_row.take(self._ends, axis=1), 0, 2)  # (2, N, C, 3)
+        along = end - begin
+        share = _closest(begin[0] - begin[1], *along)
+        at = begin + share[..., None] * along
+        gap = at[0] - at[1]
+        distance = np.sqrt(np.vecdot(gap, gap)) + 1e-9
+        depth = distance - self._least
+        row, pair = np.nonzero(depth < 0.0)
+        away = gap[row, pair] / distance[row, pair, None]
+        links = self._finger[:, pair], self._link[:, pair]
+        where = at[:, row, pair], np.stack([away, -away])
+        return Overlaps(row, pair, depth[row, pair], *links, *where)
 
 
 class LinkCollisions:
@@ -95,25 +109,32 @@ class LinkCollisions:
         self.of_hand, self.of_both = _Pairs(of_one, radii), _Pairs(between, np.tile(radii, (2, 1)))
         self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
-    def hands_near(self, points: Array) -> Ids:
-        """In which of N postures pairs of both hands could overlap; points are (N, 2, F, P, 3)."""
+    def hands_near(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether pairs of both of H hands could overlap; points are (N, H, F, P, 3)."""
+        if points.shape[1] == 1:
+            return np.zeros(len(points), bool)
         along = points[:, :, : self._inner, :, 1]
         low, high = along.min(axis=(2, 3)), along.max(axis=(2, 3))
-        return np.flatnonzero((low - high[:, ::-1]).max(axis=1) < self._most)
+        near: NDArray[np.bool_] = (low - high[:, ::-1]).max(axis=1) < self._most
+        return near
 
 
 link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short ask again and again
 
 
-def _closest(a0: Array, a1: Array, b0: Array, b1: Array) -> tuple[Array, Array]:
-    """Where segments are nearest to each other, as fractions (...) of their lengths.
+def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
+    """(2, M) where segments are nearest to each other, as fractions of their lengths.
 
     Ericson, Real-Time Collision Detection (2005), 5.1.9; parallel ones anywhere.
+
+    Args:
+        between: (M, 3) from where the second begins to where the first does.
+        along_a: (M, 3) the first.
+        along_b: (M, 3) the second.
     """
-    along_a, along_b, between = a1 - a0, b1 - b0, a0 - b0
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)
     da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
     s = within((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, 1e-12), 0.0, 1.0)
     t = within((ab * s + db) / bb, 0.0, 1.0)
-    return within((ab * t - da) / aa, 0.0, 1.0), t
+    return np.stack([within((ab * t - da) / aa, 0.0, 1.0), t])

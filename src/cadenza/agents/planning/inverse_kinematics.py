@@ -12,7 +12,6 @@ International Journal of Robotics Research 31, 2012).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -23,9 +22,8 @@ from scipy.linalg import LinAlgError, lapack
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planning.collisions import link_collisions
 from cadenza.agents.planning.targets import Targets, by_hand, pressing
-from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
-from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.kinematics import TIP, Kinematics, Links
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import Servos, within
 
@@ -41,6 +39,7 @@ _FOREARMS_SIGMA = 0.002  # [m]; with 0.005, close hands are planned 2 cm into ea
 _LEAST = 6  # iterations: one of the first may gain little because it is damped a lot
 _MOVED = 0.05  # of a servo's stride by which a posture moves until it is linearised anew
 _REAL = np.float32  # less time than double precision, and the same costs within a hundredth
+_BLOCKED = 68  # diagonals from which on LAPACK works in blocks: with zeros it takes half the time
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 
 
@@ -156,7 +155,7 @@ class _Postures(NamedTuple):
     pressed: Array
     """(N, H, A) how much further controls are to press keys."""
     close: Ids
-    """(M,) which of them residuals between hands are of. None where hands are apart."""
+    """(M,) those of them in which hands are close to each other."""
     between: Array
     """(M, A, A) the products of derivatives of these, by the right hand and the left."""
 
@@ -177,8 +176,8 @@ class _Postures(NamedTuple):
         more = (self.blocks @ off[..., None])[..., 0]
         if len(self.close):
             right, left = np.moveaxis(off[self.close], 1, 0)
-            np.add.at(more[:, 0], self.close, np.einsum("mrl,ml->mr", self.between, left))
-            np.add.at(more[:, 1], self.close, np.einsum("mrl,mr->ml", self.between, right))
+            more[self.close, 0] += np.einsum("mrl,ml->mr", self.between, left)
+            more[self.close, 1] += np.einsum("mrl,mr->ml", self.between, right)
         return more
 
 
@@ -294,7 +293,7 @@ class _Problem:
         self._stiffness, self._inertia, self._stride, self._lead, self._limit, *ends = weights
         self._least, self._most, self._per_force = ends
         self._mounted_apart = scene.config.hand_spacing
-        self._slides = servos.along_keyboard[:1]  # as the other hand's
+        self._slides = servos.along_keyboard[: self._hands - 1]  # of the first of two hands
         # The first of the second differences is with the posture before the problem begins.
         self._constant = _SECOND_DIFFERENCE.squares(self._inertia + np.zeros_like(self._rest))
         self._constant[0] += self._stiffness
@@ -332,85 +331,95 @@ class _Problem:
         squares, pull = np.zeros(count, _REAL), np.zeros(at.shape, _REAL)
         blocks = np.zeros((*at.shape, size), _REAL)
         pressed = np.zeros(at.shape, _REAL)
-        close = [np.zeros(0, np.intp)]
-        between = [np.zeros((0, size, size), _REAL)]
+        close, between = [], []
         for first in range(0, count, _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            points, jacobian = map(self._by_hand, self._kinematics.fingers(postures[some]))
-            residual, slope = self._of_one_hand(points, jacobian, rows[some])
+            links = self._kinematics.links(postures[some])
+            points: Array = links.points.astype(_REAL)
+            tips: Array = links.tips.astype(_REAL)
+            residual, slope = self._of_one_hand(links, points, tips, rows[some])
             squares[some] = (residual**2).sum(axis=(1, 2))
             pull[some] = (residual[:, :, None] @ slope)[:, :, 0]
             blocks[some] = slope.swapaxes(2, 3) @ slope
-            for row, residual, slope in self._between_hands(points, jacobian, at[some]):
-                np.add.at(squares[some], row, residual**2)
-                np.add.at(pull[some], row, residual[:, None, None] * slope)
-                np.add.at(blocks[some], row, slope[..., None] * slope[..., None, :])
-                close.append(rows[some][row])
-                between.append(slope[:, 0, :, None] * slope[:, 1, None])
+            near, residual, slope = self._between_hands(links, points, at[some])
+            squares[some][near] += (residual**2).sum(axis=1)
+            pull[some][near] += (residual[:, None, None] @ slope)[:, :, 0]
+            blocks[some][near] += slope.swapaxes(2, 3) @ slope
+            close.append(rows[some][near])
+            between.append(slope[:, 0].swapaxes(1, 2) @ slope[:, -1])
             force = self._force[rows[some]]
-            pressed[some] = pressing(jacobian[:, :, :, TIP, 2], force) * self._per_force
+            pressed[some] = pressing(tips[:, :, :, 2], force) * self._per_force
         both = np.concatenate(close), np.concatenate(between)
         return _Postures(at, squares, pull, blocks, pressed, *both)
 
-    def _of_one_hand(self, points: Array, jacobian: Array, rows: Ids) -> tuple[Array, Array]:
+    def _of_one_hand(
+        self, links: Links, points: Array, tips: Array, rows: Ids
+    ) -> tuple[Array, Array]:
         """(N, H, R) residuals of each hand by itself in N postures, and derivatives (N, H, R, A).
 
         Args:
-            points: (N, H, F, P, 3), see `Kinematics`.
-            jacobian: (N, H, F, P, 3, A).
+            links: of the postures.
+            points: (N, H, F, P, 3), see `Links`.
+            tips: (N, H, F, 3, A) likewise.
             rows: (N,) which of all postures they are.
         """
         low, high, sigma = self._low[rows], self._high[rows], self._sigma[rows]
-        tips, tip = points[:, :, :, TIP], jacobian[:, :, :, TIP]
-        count, hands, fingers, size = *tips.shape[:3], jacobian.shape[-1]
-        outside = (tips - within(tips, low, high)) / sigma
-        into_wall = np.minimum(tips[..., 0] - self._wall[rows], 0.0) / _WALL
-        overlap, (row, pair), overlap_slope = self._links.of_hand.overlaps(
-            *(values.reshape(count * hands, *values.shape[2:]) for values in (points, jacobian))
-        )
-        overlap = overlap.reshape(count, hands, -1)
-        walls, links = 3 * fingers, 4 * fingers
-        residual = np.concatenate(
-            [outside.reshape(count, hands, walls), into_wall, overlap / _OVERLAP], axis=2
-        )
-        slope = np.zeros((count * hands, residual.shape[2], size), _REAL)
-        slope[row, links + pair] = overlap_slope.sum(axis=1) / _OVERLAP
-        slope = slope.reshape(*residual.shape, size)
-        pulled = slope[:, :, :walls].reshape(tip.shape)
-        np.multiply(tip, ((outside != 0) / sigma)[..., None], out=pulled)
-        walled = slope[:, :, walls:links]
-        np.multiply(tip[..., 0, :], ((into_wall < 0) / _WALL)[..., None], out=walled)
+        at, (count, hands, fingers, _, size) = points[:, :, :, TIP], tips.shape
+        outside = (at - within(at, low, high)) / sigma
+        into_wall = np.minimum(at[..., 0] - self._wall[rows], 0.0) / _WALL
+        overlaps = self._links.of_hand.overlaps(points.reshape(count * hands, *points.shape[2:]))
+        posture, hand = np.divmod(overlaps.row, hands)
+        met, column = overlaps.columns
+        walls, others = 3 * fingers, 4 * fingers
+        residual = np.zeros((count, hands, others + met), _REAL)
+        residual[:, :, :walls] = outside.reshape(count, hands, walls)
+        residual[:, :, walls:others] = into_wall
+        residual[posture, hand, others + column] = overlaps.depth / _OVERLAP
+        slope = np.zeros((*residual.shape, size), _REAL)
+        pulled = slope[:, :, :walls].reshape(tips.shape)
+        np.multiply(tips, ((outside != 0) / sigma)[..., None], out=pulled)
+        walled = slope[:, :, walls:others]
+        np.multiply(tips[..., 0, :], ((into_wall < 0) / _WALL)[..., None], out=walled)
+        finger = hand * fingers + overlaps.finger
+        apart = links.along(posture, finger, overlaps.link, overlaps.at, overlaps.away)
+        slope[posture, hand, others + column] = apart.sum(axis=0) / _OVERLAP
         return residual, slope
 
     def _between_hands(
-        self, points: Array, jacobian: Array, postures: Array
-    ) -> Iterator[tuple[Ids, Array, Array]]:
-        """Those residuals between both hands that are not zero, where there are any.
+        self, links: Links, points: Array, postures: Array
+    ) -> tuple[Ids, Array, Array]:
+        """Which M of N postures have hands close to each other; residuals (M, R) of both hands.
+
+        And their derivatives (M, 2, R, A).
 
         Args:
-            points: (N, H, F, P, 3), see `Kinematics`.
-            jacobian: (N, H, F, P, 3, A).
+            links: of the postures.
+            points: (N, H, F, P, 3), see `Links`.
             postures: (N, H, A).
-
-        Yields:
-            Of which posture they are, (M,), residuals (M,), and their derivatives (M, 2, A).
         """
-        if self._hands < len(SIDES):
-            return
-        near = self._links.hands_near(points)
-        if len(near):
-            overlap, (row, pair), slope = self._links.of_both.overlaps(
-                *(np.concatenate(v[near].swapaxes(0, 1), axis=1) for v in (points, jacobian))
-            )
-            if len(row):
-                yield near[row], overlap[row, pair] / _OVERLAP, slope / _OVERLAP
+        count, hands, size = postures.shape
+        forearms = np.zeros((count, len(self._slides)), _REAL)
         for slide in self._slides:
-            distance = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
-            near = np.flatnonzero(distance < _FOREARMS_APART)
-            if len(near):
-                slope = np.zeros((len(near), *postures.shape[1:]), _REAL)
-                slope[:, :, slide] = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
-                yield near, (distance[near] - _FOREARMS_APART) / _FOREARMS_SIGMA, slope
+            apart = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
+            forearms[:, 0] = np.minimum(apart - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
+        could = self._links.hands_near(points) | forearms.any(axis=1)
+        near = np.flatnonzero(could)
+        if not len(near):
+            return near, np.zeros((0, 0), _REAL), np.zeros((0, hands, 0, size), _REAL)
+        some = points[near]
+        overlaps = self._links.of_both.overlaps(some.reshape(len(near), -1, *some.shape[3:]))
+        met, column = overlaps.columns
+        residual = np.zeros((len(near), met), _REAL)
+        residual[overlaps.row, column] = overlaps.depth / _OVERLAP
+        residual = np.concatenate([residual, forearms[near]], axis=1)
+        slope = np.zeros((len(near), hands, residual.shape[1], size), _REAL)
+        away = overlaps.finger, overlaps.link, overlaps.at, overlaps.away
+        slope[overlaps.row, [[0], [1]], column] = links.along(near[overlaps.row], *away) / _OVERLAP
+        for slide in self._slides:
+            sign = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
+            slope[:, :, met, slide] = sign * (residual[:, met:] < 0)
+        close = residual.any(axis=1)
+        return near[close], residual[close], slope[close]
 
     def normal_equations(self, postures: Array, at: _Linearised) -> tuple[Array, Array]:
         """The banded matrices, see `_banded`, and the gradient (S - 1, H, A).
@@ -461,7 +470,7 @@ def _banded(diagonals: Array, at: _Postures) -> Array:
     """
     blocks = _of_both(at) if len(at.close) else at.blocks
     count, parts, size = blocks.shape[:3]
-    bands = np.zeros((parts, count, size, 2 * size + 1), blocks.dtype)
+    bands = np.zeros((parts, count, size, max(2 * size, _BLOCKED) + 1), blocks.dtype)
     row, column = _upper(size)
     bands[:, :, column, row - column - 1] = blocks.swapaxes(0, 1)[:, :, row, column]
     in_a_row = diagonals.reshape(3, count, parts, size).swapaxes(1, 2)
@@ -479,5 +488,5 @@ def _of_both(at: _Postures) -> Array:
     blocks = np.zeros((count, hands, size, hands, size), at.blocks.dtype)
     for hand in range(hands):
         blocks[:, hand, :, hand] = at.blocks[:, hand]
-    np.add.at(blocks[:, 0, :, 1], at.close, at.between)
+    blocks[at.close, 0, :, 1] = at.between
     return blocks.reshape(count, 1, hands * size, hands * size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -82,9 +82,16 @@ def song_plans(
 def scene_planned_with(track: GoalTrack) -> Scene:
     """The one that the task's configuration describes: if the task's was changed, no plan knows.
 
+    It is the same for the same task, and nobody changes it.
+
     Raises:
         CadenzaError: there are no hands in it.
     """
     if not track.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
-    return build_scene(track.scene.config)
+    return _as_described(track.scene)
+
+
+@lru_cache(maxsize=8)  # the same plan asks more than once, and other songs of the task do, too
+def _as_described(scene: Scene) -> Scene:
+    return build_scene(scene.config)

@@ -203,8 +203,8 @@ def _drawn(
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
     """So many seconds from a note on, and when that begins; `where` is 0 to 1."""
-    starts = sorted({note.start for note in score.notes})
-    possible = [start for start in starts if start <= score.total_time - seconds] or starts[:1]
+    starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
+    possible = [start for start in starts if start <= last] or starts[:1]
     since = possible[int(where * len(possible))]
     notes = tuple(note for note in score.notes if note.start >= since)
     return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since

@@ -8,7 +8,9 @@ from pathlib import Path
 
 def printable(text: str) -> str:
     """`text` on one line and without what cannot be printed."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(text.split())
 
 
 def title_of(path: Path) -> str:

@@ -7,7 +7,6 @@ that what is learnt serves both hands and every place on the keyboard.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +81,6 @@ class About(NamedTuple):
         return cls(*(np.concatenate(arrays) for arrays in (finger, private, previous)))
 
 
-@lru_cache(maxsize=8)  # a scene with one hand has to be built to tell
 def sizes_of(scene: Scene) -> tuple[int, int]:
     """Of what is told of each hand of a scene, and of the answer."""
     alone = hand_alone(scene, scene.sides[0]).scene
