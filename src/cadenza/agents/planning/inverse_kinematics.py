@@ -287,7 +287,7 @@ class _Problem:
             self._by_hand(values[1:, there])
             for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
         )
-        self._links = link_collisions(scene.hand)
+        self._collisions = link_collisions(scene.hand)
         self._rest, self._before = map(self._by_hand, (guess[1:], before[None]))
         weights = _weights(servos, self._hands, dt)
         self._stiffness, self._inertia, self._stride, self._lead, self._limit, *ends = weights
@@ -367,7 +367,9 @@ class _Problem:
         at, (count, hands, fingers, _, size) = points[:, :, :, TIP], tips.shape
         outside = (at - within(at, low, high)) / sigma
         into_wall = np.minimum(at[..., 0] - self._wall[rows], 0.0) / _WALL
-        overlaps = self._links.of_hand.overlaps(points.reshape(count * hands, *points.shape[2:]))
+        overlaps = self._collisions.of_hand.overlaps(
+            points.reshape(count * hands, *points.shape[2:])
+        )
         posture, hand = np.divmod(overlaps.row, hands)
         met, column = overlaps.columns
         walls, others = 3 * fingers, 4 * fingers
@@ -402,12 +404,12 @@ class _Problem:
         for slide in self._slides:
             apart = self._mounted_apart + postures[:, 0, slide] - postures[:, 1, slide]
             forearms[:, 0] = np.minimum(apart - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
-        could = self._links.hands_near(points) | forearms.any(axis=1)
+        could = self._collisions.hands_near(points) | forearms.any(axis=1)
         near = np.flatnonzero(could)
         if not len(near):
             return near, np.zeros((0, 0), _REAL), np.zeros((0, hands, 0, size), _REAL)
         some = points[near]
-        overlaps = self._links.of_both.overlaps(some.reshape(len(near), -1, *some.shape[3:]))
+        overlaps = self._collisions.of_both.overlaps(some.reshape(len(near), -1, *some.shape[3:]))
         met, column = overlaps.columns
         residual = np.zeros((len(near), met), _REAL)
         residual[overlaps.row, column] = overlaps.depth / _OVERLAP
