@@ -779,10 +779,10 @@ def test_links_keep_apart_by_their_radii() -> None:
         ends = tuple(links.points[row, 0, f, k : k + 2] for f, k in zip(finger, link, strict=True))
         nearest = minimize(distance_of_segments, [0.5, 0.5], ends, bounds=[(0, 1), (0, 1)])
         distance = np.sqrt(nearest.fun / 1e4)
-        assert distance - pairs._least[pair] == pytest.approx(overlaps.depth[i], abs=1e-4)
+        assert distance - pairs._least[pair] == pytest.approx(overlaps.depth[i], abs=1e-5)
         slope = links.along(row, finger, link, overlaps.at[:, i], overlaps.away[:, i]).sum(axis=0)
         there = (moved.row == row) & (moved.pair == pair)
-        assert moved.depth[there] - overlaps.depth[i] == pytest.approx(slope @ step, rel=0.02)
+        assert moved.depth[there] - overlaps.depth[i] == pytest.approx(slope @ step, rel=1e-2)
 
 
 def distance_of_segments(x: np.ndarray, *ends: np.ndarray) -> float:

@@ -91,15 +91,16 @@ class Kinematics:
         ]
         self._bodies, self._num_points = _ids(bodies), len(scene.hand.fingers[0].links) + 1
         self._tips = _ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
+        chains = [_chain(model, body) for body in bodies]
         self._of_points, self._of_tips = (
             _moves(model, servos.joints, some, self._num_servos)
-            for some in (bodies, bodies[self._num_points - 1 :: self._num_points])
+            for some in (chains, chains[self._num_points - 1 :: self._num_points])
         )
         joints = model.njnt // self._hands
         self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self._shares = servos.joints[: self._num_servos, :joints].T
-        chains = [_chain(model, body) for body in bodies[: len(bodies) // self._hands]]
-        carried = [np.isin(model.jnt_bodyid[:joints], list(chain)) for chain in chains]
+        of_one = chains[: len(chains) // self._hands]
+        carried = [np.isin(model.jnt_bodyid[:joints], list(chain)) for chain in of_one]
         self._carried = np.array(carried).reshape(-1, self._num_points, joints)
 
     def links(self, postures: Array) -> Links:
@@ -171,15 +172,14 @@ class Kinematics:
 
 
 def _moves(
-    model: mujoco.MjModel, joints: Array, bodies: list[int], servos_of_hand: int
+    model: mujoco.MjModel, joints: Array, chains: list[set[int]], servos_of_hand: int
 ) -> list[_Moves]:
-    """Of points on bodies of a model of hands, which servos move as `joints` (A, J) says.
+    """Of points in a model of hands, by their `_chain`, which servos move as `joints` (A, J) says.
 
     A joint that moves with a servo that has moved the point already is apart.
     """
     pairs: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
     times = Counter[tuple[int, int]]()
-    chains = [_chain(model, body) for body in bodies]
     for joint, shares in enumerate(joints.T):
         if not shares.any():
             continue

@@ -123,14 +123,14 @@ link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short a
 
 
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
-    """(2, M) where segments are nearest to each other, as fractions of their lengths.
+    """(2, ...) where segments are nearest to each other, as fractions of their lengths.
 
     Ericson, Real-Time Collision Detection (2005), 5.1.9; parallel ones anywhere.
 
     Args:
-        between: (M, 3) from where the second begins to where the first does.
-        along_a: (M, 3) the first.
-        along_b: (M, 3) the second.
+        between: (..., 3) from where the second begins to where the first does.
+        along_a: (..., 3) the first.
+        along_b: (..., 3) the second.
     """
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)

@@ -415,8 +415,9 @@ class _Problem:
         residual[overlaps.row, column] = overlaps.depth / _OVERLAP
         residual = np.concatenate([residual, forearms[near]], axis=1)
         slope = np.zeros((len(near), hands, residual.shape[1], size), _REAL)
-        away = overlaps.finger, overlaps.link, overlaps.at, overlaps.away
-        slope[overlaps.row, [[0], [1]], column] = links.along(near[overlaps.row], *away) / _OVERLAP
+        posture, finger = near[overlaps.row], overlaps.finger
+        away = links.along(posture, finger, overlaps.link, overlaps.at, overlaps.away)
+        slope[overlaps.row, [[0], [1]], column] = away / _OVERLAP
         for slide in self._slides:
             sign = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
             slope[:, :, met, slide] = sign * (residual[:, met:] < 0)
