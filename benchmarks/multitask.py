@@ -1,11 +1,12 @@
 """One network for n songs, cloned from the planner: F1 on songs that it has learnt and on others.
 
-    python -m benchmarks.multitask -o multitask
+    python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 64 --more LIBRARY]
 
 The experiment of the paper (Zakka et al., CoRL 2023) on multitask behaviour cloning, with the
 planner as the expert. The songs are the beginnings of the bundled pieces, in an order that is drawn
-once and begins with Für Elise; sets of songs grow, so that a larger one holds the smaller ones. The
-last eight are never learnt from. All that is finished is kept: the same command goes on.
+once and begins with Für Elise. The last eight are never learnt from. After the other sixteen come
+pieces of another library, also in an order that is drawn once. Sets of songs grow, so that a larger
+one holds the smaller ones. All that is finished is kept: the same command goes on.
 
 The folder then holds multitask.csv, a row for each policy and song, and multitask.svg.
 """
@@ -25,6 +26,7 @@ import numpy as np
 
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main as cadenza
+from cadenza.errors import CadenzaError
 from cadenza.evaluation.statistics import mean_interval
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig
@@ -32,7 +34,7 @@ from cadenza.learning.imitation import Imitation
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.bundled import songs
-from cadenza.music.libraries.library import load_score
+from cadenza.music.libraries.library import load_score, open_library
 from cadenza.tasks.piano_task import PianoTask
 
 FIRST = "FurEliseOpening"
@@ -52,15 +54,36 @@ class Policy(NamedTuple):
 
 
 def order() -> list[str]:
-    """The bundled pieces as they are learnt, one after the other."""
-    others = [piece.name for piece in songs() if piece.name != FIRST]
-    return [FIRST, *np.random.default_rng(0).permutation(others).tolist()]
+    """The bundled pieces as they are learnt, one after the other; the last are not learnt from."""
+    return [FIRST, *shuffled([piece.name for piece in songs() if piece.name != FIRST])]
 
 
-def write_songs(folder: Path, names: Sequence[str]) -> None:
-    """Writes the beginnings of these pieces."""
-    for name in names:
-        write_midi(load_score(name).beginning(SECONDS), folder / f"{name}.mid")
+def to_learn(most: int, more: str | None) -> list[str]:
+    """The songs from which the policy of `most` songs learns; smaller sets are their beginning.
+
+    Raises:
+        CadenzaError: there are not so many.
+    """
+    names = order()[:-NOT_LEARNT]
+    if more is not None:
+        names += shuffled([song.name for song in open_library(more).songs])
+    if most > len(names):
+        raise CadenzaError(f"{most} songs to learn, but there are {len(names)}: add some by --more")
+    return names[:most]
+
+
+def shuffled(names: Sequence[str]) -> list[str]:
+    """In an order that is always the same."""
+    shuffled: list[str] = np.random.default_rng(0).permutation(names).tolist()
+    return shuffled
+
+
+def write_songs(folder: Path, names: Sequence[str]) -> list[str]:
+    """Writes the beginnings of these pieces, and returns what they are called there."""
+    scores = {Path(name).name: load_score(name).beginning(SECONDS) for name in names}
+    for name, score in scores.items():
+        write_midi(score, folder / f"{name}.mid")
+    return list(scores)
 
 
 def train(folder: Path, config: ImitationConfig) -> Policy:
@@ -76,7 +99,7 @@ def play(folder: Path, song: str, policies: Sequence[Policy]) -> Iterator[dict[s
     first = policies[0].learnt
     (file,) = (folder / "songs").rglob(f"{song}.mid")
     score = load_score(file)
-    nobody_learns = song in order()[-NOT_LEARNT:]
+    nobody_learns = file.parent.name == "unseen"
     with closing(PianoTask([score], first.task, first.scene)) as task:
         for policy in policies:
             if not nobody_learns and song not in policy.learnt_from:
@@ -170,15 +193,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))
     parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
+    parser.add_argument("--more", metavar="LIBRARY", help="of songs after the bundled ones")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--episodes", type=int, default=6, help="demonstrations of each song")
     parser.add_argument("--updates", type=int, default=625, help="for each song")
     parser.add_argument("--least-updates", type=int, default=3_000)
     options = parser.parse_args()
-    folder, names = options.output, order()
-    to_learn = names[:-NOT_LEARNT]
-    write_songs(folder / "songs" / "seen", to_learn)
-    write_songs(folder / "songs" / "unseen", names[-NOT_LEARNT:])
+    folder = options.output
+    seen = write_songs(folder / "songs" / "seen", to_learn(max(options.songs), options.more))
+    unseen = write_songs(folder / "songs" / "unseen", order()[-NOT_LEARNT:])
     demonstrations = ["-o", str(folder / "demonstrations"), "--episodes", str(options.episodes)]
     cadenza(["dataset", "collect", "--songs", str(folder / "songs/seen"), *demonstrations, *HOW])
     policies = [
@@ -186,7 +209,7 @@ def main() -> None:
             folder,
             ImitationConfig(
                 learner=CloningConfig(),
-                songs=tuple(to_learn[:count]),
+                songs=tuple(seen[:count]),
                 num_updates=max(options.updates * count, options.least_updates),
                 held_out=0,
                 seed=seed,
@@ -195,7 +218,7 @@ def main() -> None:
         for seed in options.seeds
         for count in options.songs
     ]
-    rows = [row for song in names for row in play(folder, song, policies)]
+    rows = [row for song in (*seen, *unseen) for row in play(folder, song, policies)]
     summed_up(folder, rows)
 
 

@@ -1,0 +1,57 @@
+"""The songs of the experiment on multitask cloning, and its picture."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from benchmarks.multitask import (
+    FIRST,
+    NOT_LEARNT,
+    drawn,
+    means,
+    order,
+    to_learn,
+    write_songs,
+)
+from cadenza.errors import CadenzaError
+from cadenza.music.libraries.library import open_library
+
+
+def test_sets_of_songs_grow_and_leave_the_last_out() -> None:
+    songs = to_learn(20, "etudes:6")
+    assert len(set(songs)) == 20
+    assert songs[0] == FIRST
+    assert songs[:4] == to_learn(4, None)
+    assert songs[:16] == to_learn(16, "etudes:6")
+    assert not set(songs) & set(order()[-NOT_LEARNT:])
+    assert set(songs[16:]) <= {song.name for song in open_library("etudes:6").songs}
+
+
+def test_says_how_many_songs_there_are() -> None:
+    with pytest.raises(CadenzaError, match=r"17 songs to learn, but there are 16: .* --more"):
+        to_learn(17, None)
+
+
+def test_writes_songs_of_a_library_under_short_names(tmp_path) -> None:
+    (song,) = open_library("etudes:1").songs
+    assert write_songs(tmp_path, [FIRST, song.name]) == [FIRST, song.name.split("/")[1]]
+    assert sorted(path.stem for path in tmp_path.iterdir()) == sorted(
+        [FIRST, song.name.split("/")[1]]
+    )
+
+
+def test_means_and_their_picture() -> None:
+    rows = [
+        {"songs": songs, "seed": seed, "song": "A", "learnt": learnt, "f1": f1}
+        for songs, learnt, values in ((1, True, (0.9, 1.0)), (2, False, (0.2, 0.4)))
+        for seed, f1 in enumerate(values)
+    ]
+    one, other = means(rows)
+    assert (one.songs, one.learnt, one.f1) == (2, False, pytest.approx(0.3))
+    assert (other.songs, other.learnt, other.f1) == (1, True, pytest.approx(0.95))
+    assert other.low < 0.9  # Student's t of two values
+    assert other.high > 1.0
+    picture = ET.fromstring("".join(drawn([one, other])))
+    assert "0.95 songs learnt" in "".join(picture.itertext())
