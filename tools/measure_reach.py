@@ -25,7 +25,7 @@ from tqdm import tqdm
 from cadenza.agents.planning.inverse_kinematics import rest_posture
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import build_scene
 from cadenza.scene.servos import servos_of
 
@@ -61,8 +61,8 @@ class Hand:
 
     def tips(self, q: Array) -> tuple[Array, Array]:
         """(F, 3) fingertips in the world [m], and their Jacobian (F, 3, A)."""
-        points, jacobian = self._kinematics.fingers(q[None])
-        return points[0, :, TIP], jacobian[0, :, TIP]
+        tips, jacobian = self._kinematics.fingertips(q[None])
+        return tips[0], jacobian[0]
 
     def forearm_y(self, q: Array) -> float:
         """Where the forearm is along the keyboard [m]."""

@@ -203,7 +203,7 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     places *= 1 if side == "right" else -1
     postures = np.tile(rest, (len(places), 1))
     Stances(scene, kinematics, servos, rest).stand(postures, side, places)
-    points, at_home = kinematics.fingers(postures)[0], kinematics.fingers(rest[None])[0]
+    points, at_home = kinematics.points(postures), kinematics.points(rest[None])
     moved = np.stack([np.zeros(9), places, np.zeros(9)], axis=1)[:, None, None]
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)
     assert (postures > servos.low + 0.02).all()

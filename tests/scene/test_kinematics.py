@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from cadenza.hands.body import prefix
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import TIP, Kinematics
 from cadenza.scene.scene import build_scene
@@ -20,11 +21,9 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     servos = servos_of(scene)
     postures = np.random.default_rng(0).uniform(servos.low, servos.high, (5, len(servos.low)))
     kinematics = Kinematics(scene, servos)
-    points, jacobian = kinematics.fingers(postures)
-    for alone, of_all in zip(kinematics.fingertips(postures), (points, jacobian), strict=True):
-        np.testing.assert_array_equal(alone, of_all[:, :, TIP])
+    fingertips = kinematics.fingertips(postures)
     model, data = scene.model, mujoco.MjData(scene.model)
-    for posture, tips, slope in zip(postures, points[:, :, TIP], jacobian[:, :, TIP], strict=True):
+    for posture, tips, slope in zip(postures, *fingertips, strict=True):
         data.qpos[scene.hand_qpos] = posture @ servos.joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -43,37 +42,49 @@ def test_fingertips_and_their_jacobian_are_mujocos(config: SceneConfig) -> None:
     [*CONFIGS, SceneConfig(hand="allegro"), SceneConfig(hand="arm-allegro")],
     ids=["both", "left", "full", "allegro", "arm"],
 )
-def test_points_on_links_move_as_those_at_their_ends(config: SceneConfig) -> None:
+def test_points_on_links_move_as_in_mujoco(config: SceneConfig) -> None:
     scene = build_scene(config)
     servos, rng = servos_of(scene), np.random.default_rng(2)
     kinematics = Kinematics(scene, servos)
     postures = rng.uniform(servos.low, servos.high, (5, len(servos.low)))
-    points, jacobian = kinematics.fingers(postures)
-    links, tips = kinematics.links(postures), jacobian[:, :, TIP]
+    points, links = kinematics.points(postures), kinematics.links(postures)
     np.testing.assert_array_equal(links.points.reshape(points.shape), points)
-    np.testing.assert_array_equal(links.tips.reshape(tips.shape), tips)
+    tips, jacobian = kinematics.fingertips(postures)
+    np.testing.assert_array_equal(tips, points[:, :, TIP])
+    np.testing.assert_array_equal(links.tips.reshape(jacobian.shape), jacobian)
+
     ends = (5, points.shape[1], points.shape[2] - 1)
     posture, finger, link = rng.integers(ends, size=(99, 3)).T
-    share, direction = rng.uniform(size=99), rng.standard_normal((99, 3))
-    begin, end = (posture, finger, link), (posture, finger, link + 1)
-    at = points[begin] + share[:, None] * (points[end] - points[begin])
-    slope = jacobian[begin] + share[:, None, None] * (jacobian[end] - jacobian[begin])
+    share, direction = rng.uniform(size=(99, 1)), rng.standard_normal((99, 3))
+    begin, end = points[posture, finger, link], points[posture, finger, link + 1]
+    at = begin + share * (end - begin)
     along = links.along(posture, finger, link, at, direction)
-    np.testing.assert_allclose(along, np.einsum("mk,mka->ma", direction, slope), atol=1e-12)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    for i, found in enumerate(along):
+        side, own = divmod(int(finger[i]), len(scene.hand.fingers))
+        body = prefix(scene.sides[side]) + scene.hand.fingers[own].links[link[i]]
+        data.qpos[scene.hand_qpos] = postures[posture[i]] @ servos.joints
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        of_joints = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, of_joints, None, at[i], model.body(body).id)
+        expected = direction[i] @ of_joints[:, scene.hand_qvel] @ servos.joints.T
+        mine = scene.servos_on(scene.sides[side])
+        np.testing.assert_allclose(found, expected[mine], atol=1e-12)
 
 
 def test_links_are_where_their_bodies_are() -> None:
     scene = build_scene(SceneConfig(hands="right"))
     servos = servos_of(scene)
     posture = np.random.default_rng(1).uniform(servos.low, servos.high)
-    points, _ = Kinematics(scene, servos).fingers(posture[None])
+    (points,) = Kinematics(scene, servos).points(posture[None])
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos] = posture @ servos.joints
     mujoco.mj_kinematics(scene.model, data)
     for finger, links in {0: ("thproximal", "thmiddle"), 4: ("lfproximal", "lfmiddle")}.items():
         for link, name in enumerate(links):
             np.testing.assert_allclose(
-                points[0, finger, link], data.body(f"rh_{name}").xpos, atol=1e-12
+                points[finger, link], data.body(f"rh_{name}").xpos, atol=1e-12
             )
 
 

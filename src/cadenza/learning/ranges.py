@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.keyboards.piano import PIANO
-from cadenza.scene.kinematics import TIP, Kinematics
+from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import to_range
@@ -54,13 +54,13 @@ def ranges_of(task: PianoTask) -> Ranges:
     actions[:, :-1] = np.clip((rest - travel, rest + travel), *actions[:, :-1])
     moved = servos.joints[near].any(axis=0)
     joints[:, moved] = (actions[:, :-1][:, near] @ servos.joints[near])[:, moved]
-    points, jacobian = Kinematics(scene, servos).fingers(np.where(near, rest, 0.0)[None])
-    tips = points[0, :, TIP, _ALONG_KEYBOARD]
+    fingertips = Kinematics(scene, servos).fingertips(np.where(near, rest, 0.0)[None])
+    tips, slopes = (values[0, :, _ALONG_KEYBOARD] for values in fingertips)
     spare = _SPARE * scene.keyboard.spacing / PIANO.spacing
     slides = servos.along_keyboard
     for side, servo in zip(scene.sides, slides, strict=bool(slides)):
         mine = scene.fingertips_on(side)
-        along = jacobian[0, mine, TIP, _ALONG_KEYBOARD, servo - scene.servos_on(side).start]
+        along = slopes[mine, servo - scene.servos_on(side).start]
         finger, key = np.nonzero(keys[mine])
         wanted = (scene.keyboard.centre[key, _ALONG_KEYBOARD] - tips[mine][finger]) / along[finger]
         wanted = wanted if len(wanted) else np.zeros(1)  # it may rest

@@ -92,10 +92,8 @@ class Kinematics:
         self._bodies, self._num_points = _ids(bodies), len(scene.hand.fingers[0].links) + 1
         self._tips = _ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
         chains = [_chain(model, body) for body in bodies]
-        self._of_points, self._of_tips = (
-            _moves(model, servos.joints, some, self._num_servos)
-            for some in (chains, chains[self._num_points - 1 :: self._num_points])
-        )
+        of_tips = chains[self._num_points - 1 :: self._num_points]
+        self._moves = _moves(model, servos.joints, of_tips, self._num_servos)
         joints = model.njnt // self._hands
         self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self._shares = servos.joints[: self._num_servos, :joints].T
@@ -107,7 +105,7 @@ class Kinematics:
         """Those of postures (S, A)."""
         points, axes, anchors = self._there(postures)
         tips = points[:, :, self._num_points - 1 :: self._num_points]
-        jacobian = self._jacobian(tips, axes, anchors, self._of_tips)
+        jacobian = self._jacobian(tips, axes, anchors)
         linear = np.where(self._hinges, _cross(anchors, axes), axes)
         screws = np.concatenate([axes * self._hinges, linear])
         shape = len(postures), self._hands, len(self._carried)
@@ -119,34 +117,29 @@ class Kinematics:
             self._shares,
         )
 
-    def fingers(self, postures: Array) -> tuple[Array, Array]:
-        """Points (S, F, P, 3) [m] of postures (S, A), and their Jacobian (S, F, P, 3, A').
-
-        It is that by the A' servos of a finger's own hand; those of the other do not move it.
-        """
-        points, axes, anchors = self._there(postures)
-        shape = (len(postures), points.shape[2] // self._num_points, self._num_points, 3)
-        jacobian = self._jacobian(points, axes, anchors, self._of_points)
-        return np.moveaxis(points, 0, 2).reshape(shape), jacobian.reshape(*shape, -1)
+    def points(self, postures: Array) -> Array:
+        """(S, F, P, 3) those of postures (S, A) [m]."""
+        points, _, _ = self._there(postures)
+        return np.moveaxis(points, 0, 2).reshape(len(postures), -1, self._num_points, 3)
 
     def fingertips(self, postures: Array, moving: slice = slice(None)) -> tuple[Array, Array]:
-        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S', F, 3, A'), as `fingers`.
+        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S', F, 3, A').
 
+        It is that by the A' servos of a finger's own hand; those of the other do not move it.
         `moving` says of which of the postures it is, by default of all.
         """
         points, axes, anchors = self._there(postures)
         tips = points[:, :, self._num_points - 1 :: self._num_points]
-        some = tips[:, moving], axes[:, moving], anchors[:, moving]
-        jacobian = self._jacobian(*some, self._of_tips)
+        jacobian = self._jacobian(tips[:, moving], axes[:, moving], anchors[:, moving])
         return np.moveaxis(tips, 0, 2), jacobian.reshape(len(jacobian), tips.shape[2], 3, -1)
 
-    def _jacobian(self, points: Array, axes: Array, anchors: Array, some: list[_Moves]) -> Array:
-        """(S, 3 N A') of points (3, S, N), by axes and anchors (3, S, J) of joints."""
-        jacobian = np.zeros((points.shape[1], points.shape[2] * 3 * self._num_servos))
-        for moves in some:
+    def _jacobian(self, tips: Array, axes: Array, anchors: Array) -> Array:
+        """(S, 3 F A') of tips (3, S, F), by axes and anchors (3, S, J) of joints."""
+        jacobian = np.zeros((tips.shape[1], tips.shape[2] * 3 * self._num_servos))
+        for moves in self._moves:
             column = moves.share * axes[:, :, moves.joint]
             if moves.hinge:
-                column = _cross(column, points[:, :, moves.point] - anchors[:, :, moves.joint])
+                column = _cross(column, tips[:, :, moves.point] - anchors[:, :, moves.joint])
             if moves.again:
                 column += jacobian[:, moves.where].swapaxes(0, 1)
             jacobian[:, moves.where] = column.swapaxes(0, 1)

@@ -31,7 +31,7 @@ class Stances:
         rest: (A,) the rest posture.
         """
         self._scene, self._kinematics, self._servos, self._rest = scene, kinematics, servos, rest
-        self._points = kinematics.fingers(rest[None])[0][0]
+        self._points = kinematics.points(rest[None])[0]
         slides = servos.along_keyboard
         self._slides = dict(zip(scene.sides, slides, strict=bool(slides)))
         self._of_arms = {} if scene.hand.body.mount is None else self._computed()
@@ -51,7 +51,7 @@ class Stances:
         """About where the hand of one side is in a posture (A,)."""
         if side in self._slides:
             return float(posture[self._slides[side]])
-        moved = self._kinematics.fingers(posture[None])[0][0] - self._points
+        moved = self._kinematics.points(posture[None])[0] - self._points
         return float(moved[self._scene.fingertips_on(side), 0, 1].mean())
 
     def _computed(self) -> dict[Side, tuple[Array, Array]]:
@@ -82,11 +82,17 @@ class Stances:
         mine = scene.fingertips_on(side)
         own = range(len(servos.names))[scene.servos_on(side)]
         arm = [a for a in own if servos.finger[a] < 0]
-        goal, posture = self._points[mine] + np.array([0.0, place, 0.0]), near.copy()
+        finger, link, axis = np.indices(self._points[mine].shape).reshape(3, -1)
+        finger += mine.start
+        goal, posture = self._points[finger, link], near.copy()
+        goal[:, 1] += place
+        directions = np.eye(3)[axis]
         for _ in range(_ITERATIONS):
-            points, jacobian = self._kinematics.fingers(posture[None])
-            error = (goal - points[0, mine]).ravel()
-            slope = jacobian[0, mine].reshape(len(error), -1)[:, np.array(arm) - own.start]
+            links = self._kinematics.links(posture[None])
+            points = links.points.reshape(self._points.shape)[finger, link]
+            error = ((goal - points) * directions).sum(axis=1)
+            slope = links.along(np.zeros_like(finger), finger, link, points, directions)
+            slope = slope[:, np.array(arm) - own.start]
             normal = slope.T @ slope + _NEAR * np.eye(len(arm))
             pull = slope.T @ error + _NEAR * (near - posture)[arm]
             posture[arm] += np.linalg.solve(normal, pull)
