@@ -7,6 +7,7 @@ import re
 import runpy
 import subprocess
 import sys
+from contextlib import closing
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -14,6 +15,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import cadenza
+from cadenza import PianoEnv
 from test_layering import STANDS_ON
 
 ROOT = Path(__file__).parents[1]
@@ -34,6 +36,19 @@ def test_links_between_files_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
         if not target.startswith("http"):
             assert (page.parent / target).exists(), target
+
+
+def test_the_page_of_the_task_has_the_sizes_of_the_environments() -> None:
+    text = (DOCS / "task.md").read_text()
+    parts = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", text, re.MULTILINE))
+    with closing(PianoEnv("OdeToJoy")) as env:
+        layout = env.observation_layout
+        assert {name: int(size) for name, size in parts.items()} == {
+            name: part.stop - part.start for name, part in layout.items()
+        }
+        sizes = env.observation_space.shape[0], env.action_space.shape[0]
+    assert f"a vector of {sizes[0]:,} numbers" in text
+    assert f"An action has {sizes[1]} numbers" in text
 
 
 def test_every_public_name_is_in_the_reference() -> None:
