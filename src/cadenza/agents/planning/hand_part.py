@@ -53,11 +53,8 @@ class HandPart:
         for late in range(1, steps_in(_LEAVING, dt) + 1):
             soon[late:] |= others[:-late]
         self.wrong = ~keys & ~soon
-        first, in_time = keys & ~later(keys, 1), int(ONSET_TOLERANCE / dt + 1e-9)
-        again = first & later(keys, 2)  # a note of the same key ends as this one should begin
-        self.due = self.mine & (again | later(first & ~again, in_time))
-        welcome = [later(first, steps) for steps in range(in_time + 1)]
-        self.unwelcome = (self.mine | self.wrong) & ~np.any(welcome, axis=0)
+        self.due = self.mine & (last_in_time(keys, dt) >= 0)
+        self.unwelcome = (self.mine | self.wrong) & ~may_begin(keys, dt)
         row = count * plan.scene.sides.index(side)
         self.fingertips = nominal.fingertips[:, row : row + count]
         self.planned = np.zeros_like(self.mine)
@@ -75,6 +72,36 @@ class HandPart:
         part = copy(self)
         part.planned = self.mine & sounding
         return part
+
+
+def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
+    """(T, K) where a note of `keys` (T, K) begins in time for the last time; elsewhere -1.
+
+    What stands there is how many control steps of `dt` [s] that is after the note's first one. A
+    note is in time as `cadenza.music.metrics` counts onsets.
+    """
+    first, steps = _first(keys), _steps_in_time(dt)
+    again = first & later(keys, 2)  # the same key is let go of when this note should begin, and
+    sooner = max(steps - 1, 0)  # the note begins a step late at best
+    last = np.where(later(first & ~again, steps), steps, -1)
+    return np.where(later(again, sooner), sooner, last).astype(np.int8)
+
+
+def may_begin(keys: Mask, dt: float) -> Mask:
+    """(T, K) where notes of `keys` (T, K) may begin: on their first control step, or a little late.
+
+    `dt` is the control step [s].
+    """
+    first = _first(keys)
+    return np.any([later(first, steps) for steps in range(_steps_in_time(dt) + 1)], axis=0)
+
+
+def _first(keys: Mask) -> Mask:
+    return keys & ~later(keys, 1)
+
+
+def _steps_in_time(dt: float) -> int:
+    return int(ONSET_TOLERANCE / dt + 1e-9)
 
 
 def later(keys: Mask, steps: int) -> Mask:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST
-from cadenza.agents.planning.hand_part import HandPart, later
+from cadenza.agents.planning.hand_part import HandPart, last_in_time, later, may_begin
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.tasks import reward
 
@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ONSETS = 0.5  # what all note onsets together are worth, where F1 is worth 1
+_LONG_AGO = 1_000_000  # steps
 _DEPTH = 0.06  # of a key's travel that lacks to the stop, or is too much, squared
 _ASTRAY = 0.02  # of what fingertips astray cost in the search
 
@@ -25,20 +26,33 @@ class Heard(NamedTuple):
     """Keys after a step, (K,)."""
 
     sounding: Mask
-    begins: Mask
-    """Those of them that did not sound before it."""
+    since: NDArray[np.intp]
+    """Steps since each began to sound, the last time."""
+
+    @classmethod
+    def of_steps(cls, sounding: Mask) -> Heard:
+        """After the last of some steps (S, K), if no key sounded before them."""
+        heard = cls(np.zeros(sounding.shape[1], bool), np.full(sounding.shape[1], _LONG_AGO))
+        for keys in sounding:
+            heard = heard.then(keys)
+        return heard
+
+    def then(self, sounding: Mask) -> Heard:
+        """After one more step, with the keys that sound then (K,)."""
+        begins = sounding & ~self.sounding
+        return Heard(sounding, np.where(begins, 0, self.since + 1))
 
     def of(self, keys: slice) -> Heard:
         """Some of them."""
-        return Heard(self.sounding[keys], self.begins[keys])
+        return Heard(self.sounding[keys], self.since[keys])
 
 
 class Losses:
     """Judges what a hand does after each step of a song.
 
     A step loses 1 - F1 as if the other hand played all its keys. A note loses more if its key does
-    not begin to sound on its first step or the next, as `cadenza.music.metrics` counts onsets, and
-    half as much is lost if one begins to sound at any other time.
+    not begin to sound on its first step or soon enough after it, as `cadenza.music.metrics` counts
+    onsets, and half as much is lost if one begins to sound at any other time.
     """
 
     def __init__(self, plan: SongPlan, part: HandPart) -> None:
@@ -46,15 +60,12 @@ class Losses:
         plan: of the whole song.
         part: of the hand.
         """
-        keys = plan.goals.keys
+        keys, dt = plan.goals.keys, plan.track.config.control_timestep
         self._part, self._keyboard = part, plan.scene.keyboard
         self._keys, self._wanted = keys, keys.sum(axis=1)
-        first, first_of_all = (each & ~later(each, 1) for each in (part.mine, keys))
-        # A key that is struck again is wanted a step after its note begins.
-        again = first & later(keys, 2)
-        self._now, self._now_or_before = again, later(first & ~again, 1)
-        self._welcome = first_of_all | later(first_of_all, 1)
-        self._onset = ONSETS * len(keys) / max(int(first_of_all.sum()), 1)
+        self._in_time, self._welcome = last_in_time(part.mine, dt), may_begin(keys, dt)
+        onsets = np.count_nonzero(keys & ~later(keys, 1))
+        self._onset = ONSETS * len(keys) / max(onsets, 1)
 
     def after(
         self,
@@ -83,12 +94,12 @@ class Losses:
         mine, travel = part.mine[row, keys], keyboard.travel[keys]
         unwanted = ~wanted & near
         sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
-        begins = sounding & ~heard.sounding
+        now, in_time = heard.then(sounding), self._in_time[row, keys]
+        begins = now.since == 0
         missing = np.count_nonzero(mine & ~sounding)
         wrong = np.count_nonzero(sounding & unwanted)
         loss = (missing + wrong) / max(2 * self._wanted[row] - missing + wrong, 1)
-        in_time = begins | heard.begins
-        late = (self._now[row, keys] & ~begins) | (self._now_or_before[row, keys] & ~in_time)
+        late = (in_time >= 0) & (now.since > in_time)
         extra = begins & ~self._welcome[row, keys] & near
         loss += self._onset * (np.count_nonzero(late) + 0.5 * np.count_nonzero(extra))
         depth = reward.key_state(key_qpos, travel)
@@ -97,4 +108,4 @@ class Losses:
         offset = fingertips - part.fingertips[row + 1]
         astray = np.minimum((offset * offset).sum(axis=1), FURTHEST**2) @ part.weight[row + 1]
         nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray
-        return float(loss), float(loss + nearly), Heard(sounding, begins)
+        return float(loss), float(loss + nearly), now

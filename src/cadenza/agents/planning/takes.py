@@ -19,6 +19,7 @@ from cadenza.sim.protocol import State
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_RECENT = 16  # steps in which a note may begin and be in time, and more: 50 ms have 10 at most
 _UNSTABLE = 1000.0  # what a step costs after which the simulation is of no more use
 
 
@@ -59,11 +60,7 @@ class Take(NamedTuple):
 
     def heard(self, step: int) -> Heard:
         """Keys before a step."""
-        before, earlier = (
-            self.sounding[row] if row >= 0 else np.zeros_like(self.sounding[0])
-            for row in (step - 1, step - 2)
-        )
-        return Heard(before, before & ~earlier)
+        return Heard.of_steps(self.sounding[max(step - _RECENT, 0) : step])
 
 
 Moments = dict[int, PlanningSimulation]
