@@ -34,7 +34,7 @@ from cadenza.demonstrations.dataset import kept
 from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
-from cadenza.scene.scene import build_scene, hand_alone
+from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack
@@ -67,7 +67,7 @@ def lesson_of(recorded: Recorded) -> Lesson:
     Raises:
         CadenzaError: its plan was made by another version.
     """
-    scene, rows = build_scene(recorded.about.scene), recorded.steps
+    scene, rows = recorded.build_scene(), recorded.steps
     track = GoalTrack(recorded.score, (), recorded.about.task, scene)
     plan = plan_song(track, np.array(recorded.about.start))
     if not np.allclose(plan.nominal.tracking.expected, recorded.plan["reference"], atol=1e-3):
@@ -250,7 +250,7 @@ def main() -> None:
         print(f"\r{i} of {len(episodes)} episodes read", end="", flush=True)
     lessons = [joined(of_song) for of_song in of_songs.values()]
     print(f"\n{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
-    scene = build_scene(episodes[0].about.scene)
+    scene = episodes[0].build_scene()
     alone = hand_alone(scene, scene.sides[0]).scene
     about, servos = About.of(alone), servos_of(alone).finger
     networks = []

@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,13 @@ import pytest
 from cadenza.cli import main
 from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
-from cadenza.demonstrations.dataset import open_dataset
-from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, STEPS, digest
+from cadenza.demonstrations.dataset import kept, open_dataset
+from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, STEPS, digest, write_about
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
+from cadenza.performing.replaying import play_again
 
 
 def test_nothing_is_wrong(made: Path) -> None:
@@ -122,6 +124,37 @@ def test_a_score_that_is_too_short(copied: Path) -> None:
     assert line == f"{path}: shorter than the episode; delete its folder and collect again"
     with pytest.raises(CadenzaError, match="shorter than the episode"):
         open_dataset(copied).batch(np.array([0]))
+    with pytest.raises(CadenzaError, match="shorter than the episode"):
+        play_again(kept(copied)[0])
+
+
+def test_no_file_makes_it_import_a_module(
+    copied: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "stranger.py").write_text(
+        "from pathlib import Path\nfrom cadenza.hands.shadow.hand import SHADOW as HAND\n"
+        f"Path({str(tmp_path / 'imported')!r}).touch()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    for episode in kept(copied):
+        scene = replace(episode.about.scene, hand="stranger:HAND")
+        write_about(episode.folder, replace(episode.about, scene=scene))
+    line, *_ = problems(copied, replays=1)
+    assert "no file makes Cadenza import a module; give --hand stranger:HAND if you trust" in line
+    for refuses in (
+        lambda: open_dataset(copied),
+        lambda: play_again(kept(copied)[0]),
+        lambda: Imitation(ImitationConfig(), copied, tmp_path / "run"),
+    ):
+        with pytest.raises(CadenzaError, match="no file makes Cadenza import a module"):
+            refuses()
+    assert not (tmp_path / "imported").exists()
+    main(["dataset", "check", str(copied), "--hand", "stranger:HAND"])
+    assert "nothing is wrong" in capsys.readouterr().out
+    assert (tmp_path / "imported").exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name")

@@ -121,6 +121,23 @@ def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
     assert (state.finished, state.failed) == (0, {job.spec.name: "not today"})
 
 
+def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    class Dies(OneByOne):
+        def start(self, job: Job, folder: Path) -> None:
+            self._ended.append(Ended(job, "killed"))
+
+    (job,) = jobs("zero")
+    folder = tmp_path / "runs" / job.spec.name
+    folder.mkdir(parents=True)
+    (folder / RESULT).write_text("{}")
+    state = bench(
+        [job], tmp_path, Dies(), lambda *_: None, lambda _: True, is_complete=lambda *_: False
+    )
+    assert (state.finished, list(state.failed)) == (0, [job.spec.name])
+
+
 def test_songs_may_have_long_names(jobs: Callable[..., list[Job]]) -> None:
     (job,) = jobs("zero")
     name = replace(job.spec, song="songs/" + "\N{KATAKANA LETTER A}" * 78).name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import cadenza
 from cadenza.cli import main
 from cadenza.demonstrations.dataset import open_dataset
+from cadenza.demonstrations.recorded import about, write_about
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
@@ -129,6 +131,53 @@ def test_resumed_it_ends_with_the_same_bits(
         assert (other / name / arrays).read_bytes() == (run / name / arrays).read_bytes()
     rows, expected = (Imitation(CONFIG, demonstrations, at).rows for at in (other, run))
     assert [row | {"seconds": 0} for row in rows] == [row | {"seconds": 0} for row in expected]
+
+
+def test_a_kill_between_two_renames_of_a_checkpoint_loses_nothing(
+    demonstrations: Path, run: Path, tmp_path: Path
+) -> None:
+    stopped = tmp_path / "run"
+    updates = trained(CONFIG, demonstrations, stopped, times(2)).update
+    (stopped / "checkpoint").rename(stopped / ".checkpoint.old")
+    resumed = Imitation(CONFIG, demonstrations, stopped)
+    assert resumed.update == updates > 0
+    resumed.run(lambda: True)
+    arrays = "checkpoint/arrays.safetensors"
+    assert (stopped / arrays).read_bytes() == (run / arrays).read_bytes()
+
+
+def test_what_cannot_begin_leaves_nothing_in_the_way(demonstrations: Path, tmp_path: Path) -> None:
+    growing = tmp_path / "growing"
+    (growing / "runs").mkdir(parents=True)
+    with pytest.raises(CadenzaError, match="no demonstrations: none was kept"):
+        Imitation(CONFIG, growing, tmp_path / "run")
+    shutil.copytree(demonstrations / "runs", growing / "runs", dirs_exist_ok=True)
+    assert Imitation(CONFIG, growing, tmp_path / "run").songs
+
+
+def test_episodes_held_out_go_together_with_the_others(
+    demonstrations: Path, tmp_path: Path
+) -> None:
+    mixed = tmp_path / "mixed"
+    shutil.copytree(demonstrations, mixed)
+    last = max((mixed / "runs").iterdir())
+    made = about(last)
+    write_about(last, replace(made, scene=replace(made.scene, physics="fast")))
+    with pytest.raises(CadenzaError, match="has another scene than"):
+        Imitation(CONFIG, mixed, tmp_path / "run")
+
+
+def test_a_name_that_several_songs_have_is_told(demonstrations: Path, tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed"
+    shutil.copytree(demonstrations, mixed)
+    for folder, song in zip(sorted((mixed / "runs").iterdir()), ("a/song", "b/song"), strict=True):
+        write_about(folder, replace(about(folder), song=song))
+    config = replace(CONFIG, held_out=0)
+    with pytest.raises(CadenzaError, match="song is a/song and b/song; give one of these"):
+        Imitation(replace(config, songs=("song",)), mixed, tmp_path / "run")
+    assert Imitation(replace(config, songs=("b/song",)), mixed, tmp_path / "run").songs == (
+        "b/song",
+    )
 
 
 def test_a_policy_of_many_songs_plays_any(run: Path) -> None:

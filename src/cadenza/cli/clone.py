@@ -11,6 +11,7 @@ import tyro
 
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.output import check_writable
+from cadenza.cli.own_parts import OwnParts
 from cadenza.cli.progress import progress
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Clone:
+class Clone(OwnParts):
     """Train one policy for many songs on demonstrations, by behaviour cloning.
 
     Ctrl-C stops it. The same command continues it.
@@ -41,6 +42,7 @@ def clone(command: Clone) -> None:
     from cadenza.files import locked
     from cadenza.learning.imitation import Imitation
 
+    command.import_them()
     check_writable(command.output)
     with locked(command.output) as ours:
         if not ours:

@@ -14,6 +14,7 @@ import tyro
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
+from cadenza.cli.own_parts import OwnParts
 from cadenza.cli.performing import Again, Options
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
@@ -174,7 +175,7 @@ def info(command: DatasetInfo) -> None:
 
 
 @dataclass(frozen=True)
-class DatasetCheck:
+class DatasetCheck(OwnParts):
     """Look for damage in a folder of demonstrations, and play some episodes again.
 
     Example: cadenza dataset check demonstrations
@@ -189,20 +190,24 @@ class DatasetCheck:
 
 def check(command: DatasetCheck) -> None:
     """Raises: CadenzaError: something is wrong."""
+    from tqdm import tqdm
+
     from cadenza.demonstrations.checking import problems
 
+    command.import_them()
     whole_number(command.replays, "replays", 0, _MOST_EPISODES)
+    found = 0
     with progress("checking", "episodes") as advance:
-        found = list(problems(command.folder, command.replays, advance))
-    for problem in found:
-        print(problem, file=sys.stderr)
+        for problem in problems(command.folder, command.replays, advance):
+            tqdm.write(problem, file=sys.stderr)  # at once: the rest may be stopped
+            found += 1
     if found:
-        raise CadenzaError(f"{command.folder}: {len(found)} problem{'s' * (len(found) > 1)}")
+        raise CadenzaError(f"{command.folder}: {found} problem{'s' * (found > 1)}")
     print(f"{command.folder}: nothing is wrong")
 
 
 @dataclass(frozen=True)
-class DatasetPlay:
+class DatasetPlay(OwnParts):
     """Play a recorded episode again, and write a report page with sound, scores and MIDI.
 
     Example: cadenza dataset play demonstrations 0
@@ -226,6 +231,7 @@ def play(command: DatasetPlay) -> None:
     from cadenza.performing.performance import check_replaceable
     from cadenza.performing.replaying import play_again
 
+    command.import_them()
     episodes = kept(command.folder)
     number = whole_number(command.number, "episode", 0, max(len(episodes) - 1, 0))
     if not episodes:
@@ -240,7 +246,7 @@ def play(command: DatasetPlay) -> None:
 
 
 @dataclass(frozen=True)
-class DatasetExport:
+class DatasetExport(OwnParts):
     """Write demonstrations for other libraries: Minari, or LeRobot v3.
 
     Example: cadenza dataset export demonstrations --format lerobot -o lerobot
@@ -260,6 +266,7 @@ def export(command: DatasetExport) -> None:
     from cadenza.demonstrations.lerobot_export import write_lerobot
     from cadenza.demonstrations.minari_export import NAME, write_minari
 
+    command.import_them()
     dataset = open_dataset(command.folder)
     write = write_minari if command.format == "minari" else write_lerobot
     with progress("exporting", "episodes") as advance:

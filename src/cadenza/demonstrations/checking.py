@@ -20,7 +20,7 @@ from cadenza.demonstrations.recorded import (
 from cadenza.demonstrations.replay import differences, wrong_start
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 
 
 class _Scenes:
@@ -29,9 +29,10 @@ class _Scenes:
     def __init__(self) -> None:
         self._built = dict[SceneConfig, Scene]()
 
-    def __call__(self, config: SceneConfig) -> Scene:
+    def __call__(self, recorded: Recorded) -> Scene:
+        config = recorded.about.scene
         if config not in self._built:
-            self._built[config] = build_scene(config)
+            self._built[config] = recorded.build_scene()
         return self._built[config]
 
 
@@ -56,7 +57,7 @@ def problems(
         try:
             recorded = Recorded(path.parent, about(path.parent))
             if recorded.about.kept:
-                scene = scenes(recorded.about.scene)
+                scene = scenes(recorded)
                 found = list(_of_files(recorded)) or list(_of_content(recorded, scene))
                 yield from found
                 if not found:  # anew, as what is mapped holds an open file
@@ -64,7 +65,7 @@ def problems(
         except CadenzaError as error:
             yield _of(path.parent, error)
         except OSError as error:
-            yield f"{path.parent}: cannot be read ({error.strerror or error})"
+            yield _unreadable(path.parent, error)
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
     for i in chosen.tolist():
@@ -72,12 +73,18 @@ def problems(
             yield from _of_replay(*sound[i])
         except CadenzaError as error:
             yield _of(sound[i][0].folder, error)
+        except OSError as error:
+            yield _unreadable(sound[i][0].folder, error)
 
 
 def _of(folder: Path, error: CadenzaError) -> str:
     """What is wrong with an episode, its folder, and what to do."""
     said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
     return said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
+
+
+def _unreadable(folder: Path, error: OSError) -> str:
+    return f"{folder}: cannot be read ({error.strerror or error})"
 
 
 def _of_files(recorded: Recorded) -> Iterator[str]:

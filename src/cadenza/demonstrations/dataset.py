@@ -31,7 +31,7 @@ from cadenza.demonstrations.recorded import (
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
 
 Array = NDArray[Any]
@@ -108,7 +108,8 @@ class Dataset:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
         _allow_open_files()
         self.episodes = tuple(episodes)
-        self.scene = build_scene(_common(episodes, "scene", [e.about.scene for e in episodes]))
+        _common(episodes, "scene", [e.about.scene for e in episodes])
+        self.scene = episodes[0].build_scene()
         dt = [e.about.task.control_timestep for e in episodes]
         self.control_timestep = _common(episodes, "control_timestep", dt)
         lengths = np.array([episode.about.num_steps for episode in episodes], np.intp)

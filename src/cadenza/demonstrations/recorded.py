@@ -28,8 +28,8 @@ from cadenza.files import checked, opened, plain, read_json, write_atomically, w
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.goals import Goals
 from cadenza.music.score import Score
-from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene
+from cadenza.scene.config import SceneConfig, check_modules
+from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
 
@@ -132,6 +132,15 @@ class Recorded:
 
     folder: Path
     about: About
+
+    def build_scene(self) -> Scene:
+        """The hands and the keys.
+
+        Raises:
+            CadenzaError: they are of a module that nobody has imported.
+        """
+        check_modules(self.about.scene, self.folder / RESULT)
+        return build_scene(self.about.scene)
 
     @cached_property
     def steps(self) -> Array:

@@ -38,6 +38,7 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
         raise CadenzaError(wrong)
     begun = replace(scene, hand_start=np.array(recorded.about.start))
     # Fingers are those of the score; looking for others would take longer than playing.
+    recorded.goals(scene)  # or says that the score is shorter than the episode
     config = replace(recorded.about.task, fingering="off")
     with closing(PianoTask([recorded.score], config, begun)) as task:
         yield task

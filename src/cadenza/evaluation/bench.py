@@ -59,6 +59,8 @@ class State:
     folder: Path
     """Of all runs."""
     total: int
+    is_complete: Callable[[Any, Path], bool] = is_complete
+    """Whether nothing is left to do for a run in its folder."""
     todo: deque[Job] = field(default_factory=deque)
     running: dict[str, Job] = field(default_factory=dict)
     elsewhere: list[Job] = field(default_factory=list)
@@ -96,7 +98,7 @@ def bench(
         retry: runs that have failed before are carried out again.
         is_complete: whether nothing is left to do for a run in its folder.
     """
-    state = State(folder / RUNS, len(jobs))
+    state = State(folder / RUNS, len(jobs), is_complete)
     for job in jobs:
         if is_complete(job, state.folder / job.spec.name):
             state.finished += 1
@@ -125,10 +127,12 @@ def _start(state: State, job: Job, executor: Executor) -> None:
     executor.start(job, state.folder / job.spec.name)
 
 
-def _is_finished(state: State, job: Job) -> bool:
+def _is_finished(state: State, job: Job, crash: str = "") -> bool:
+    """Whether a run has ended well; what an earlier attempt has left may not be good enough."""
     folder = state.folder / job.spec.name
-    # What failed now may have left a result before, which was not good enough.
-    finished = (folder / RESULT).exists() and not (folder / FAILED).exists()
+    pageless = job.page and not crash and (folder / RESULT).exists()  # as none can be made of it
+    ended = state.is_complete(job, folder) or pageless
+    finished = ended and not (folder / FAILED).exists()
     state.finished += finished
     return finished
 
@@ -146,7 +150,7 @@ def _has_failed(state: State, job: Job) -> bool:
 def _is_ours(state: State, job: Job, crash: str) -> bool:
     """Whether a run whose process has ended is ours to tell of; else another is at work on it."""
     name, folder = job.spec.name, state.folder / job.spec.name
-    if _is_finished(state, job):
+    if _is_finished(state, job, crash):
         return True
     with locked(folder) as ours:
         if not ours:

@@ -29,11 +29,12 @@ from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.run_folder import read_rows
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
+from cadenza.learning.sealed_folder import is_there, read_sealed, write_sealed
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
+_RUN = "run.json"
 _KIND = "checkpoint of imitation"
 _EXPECTED = {
     "learner:*": ArrayOf(NUMBERS, None),
@@ -93,10 +94,12 @@ class Imitation:
         """
         config.check()
         self.config, self._folder = config, folder
-        about = _begun(config, demonstrations, folder)
+        about = _about(config, demonstrations, folder)
         episodes = {episode.folder.name: episode for episode in kept(demonstrations)}
         if lost := {*about.learnt_from, *about.held_out} - episodes.keys():
             raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
+        names = (*about.learnt_from, *about.held_out)
+        scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
         self._dataset = Dataset([episodes[name] for name in about.learnt_from])
         self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
@@ -104,8 +107,8 @@ class Imitation:
         with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
-        for name in (*about.learnt_from, *about.held_out):
-            check_values(episodes[name], self._dataset.scene)
+        for name in names:
+            check_values(episodes[name], scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
@@ -121,7 +124,8 @@ class Imitation:
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
         self.rows: list[dict[str, Any]] = []
-        if (folder / "checkpoint").exists():
+        write_json(folder / _RUN, asdict(about))  # nothing stands in its way
+        if is_there(folder / "checkpoint"):
             self._restore()
 
     @property
@@ -239,10 +243,10 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
 
     What was done and rewarded before is there only if it is asked for.
     """
-    goals = [dataset.goals(number) for number in range(len(dataset.episodes))]
-    wanted = np.any(
-        [np.append(some.keys.any(axis=0), some.sustain.any()) for some in goals], axis=0
-    )
+    wanted = np.zeros(spec.goals_of_a_step, bool)
+    for number in range(len(dataset.episodes)):
+        goals = dataset.goals(number)
+        wanted |= np.append(goals.keys.any(axis=0), goals.sustain.any())
     goal = np.flatnonzero(np.tile(wanted, spec.goal // spec.goals_of_a_step))
     end = spec.size if previous_action else spec.layout["previous_action"].start
     return Inputs((*goal.tolist(), *range(spec.goal, end)), spec.size)
@@ -270,9 +274,9 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
     return np.clip(np.stack([low - missing, high + missing]), *limits)
 
 
-def _begun(config: ImitationConfig, demonstrations: Path, folder: Path) -> _About:
-    """What the run is, written down if it is new."""
-    where, place = folder / "run.json", str(demonstrations.resolve())
+def _about(config: ImitationConfig, demonstrations: Path, folder: Path) -> _About:
+    """What the run in a folder is, or will be if there is none."""
+    where, place = folder / _RUN, str(demonstrations.resolve())
     if where.exists():
         about: _About = read_json(where, _About)
         if (about.config, about.demonstrations) != (config, place):
@@ -282,9 +286,7 @@ def _begun(config: ImitationConfig, demonstrations: Path, folder: Path) -> _Abou
             )
         return about
     learnt_from, held_out = _divided(_of_songs(kept(demonstrations), config.songs), config.held_out)
-    about = _About(config, place, learnt_from, held_out)
-    write_json(where, asdict(about))
-    return about
+    return _About(config, place, learnt_from, held_out)
 
 
 def _of_songs(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, list[Recorded]]:
@@ -294,10 +296,24 @@ def _of_songs(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, 
         found[episode.about.song].append(episode)
     if not wanted:
         return found
-    names = {Path(song).stem: song for song in found} | {song: song for song in found}
-    if lost := [name for name in wanted if name not in names]:
-        raise CadenzaError(f"songs: no demonstration of {lost[0]}; there is {', '.join(names)}")
-    return {names[name]: found[names[name]] for name in wanted}
+    return {song: found[song] for song in (_song_called(name, list(found)) for name in wanted)}
+
+
+def _song_called(name: str, songs: Sequence[str]) -> str:
+    """The one of the songs with this name, or with this last part of it.
+
+    Raises:
+        CadenzaError: there is none, or there are several.
+    """
+    called = [song for song in songs if name in (song, Path(song).stem)]
+    if name in called:
+        return name
+    if not called:
+        there = ", ".join(Path(song).stem for song in songs)
+        raise CadenzaError(f"songs: no demonstration of {name}; there is {there}")
+    if len(called) > 1:
+        raise CadenzaError(f"songs: {name} is {' and '.join(called)}; give one of these")
+    return called[0]
 
 
 def _divided(

@@ -74,6 +74,11 @@ def write_sealed(
     _remove(old)
 
 
+def is_there(folder: Path) -> bool:
+    """Whether there is something for `read_sealed` to read."""
+    return folder.exists() or _beside(folder, "old").exists()
+
+
 def read_sealed(
     folder: Path, kind: str, expected: Expected = ANY
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

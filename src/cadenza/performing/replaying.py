@@ -10,13 +10,12 @@ from cadenza.demonstrations.recorded import Recorded
 from cadenza.demonstrations.replay import actions_of, is_over, task_of
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Setup
-from cadenza.scene.scene import build_scene
 
 
 def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
     """The performance of a recorded episode, with the noise that it was played with."""
     about = recorded.about
-    with task_of(recorded, build_scene(about.scene)) as task:
+    with task_of(recorded, recorded.build_scene()) as task:
         settings = {
             "song": about.song,
             "agent": about.job["agent"],

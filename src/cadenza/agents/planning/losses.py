@@ -64,7 +64,7 @@ class Losses:
         self._part, self._keyboard = part, plan.scene.keyboard
         self._keys, self._wanted = keys, keys.sum(axis=1)
         self._in_time, self._welcome = last_in_time(part.mine, dt), may_begin(keys, dt)
-        onsets = np.count_nonzero(keys & ~later(keys, 1))
+        onsets = int((keys & ~later(keys, 1)).sum())
         self._onset = ONSETS * len(keys) / max(onsets, 1)
 
     def after(
