@@ -34,6 +34,7 @@ from cadenza.learning.imitation import Imitation
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.folder import unique
 from cadenza.music.libraries.library import load_score, open_library
 from cadenza.tasks.piano_task import PianoTask
 
@@ -78,12 +79,16 @@ def shuffled(names: Sequence[str]) -> list[str]:
     return shuffled
 
 
-def write_songs(folder: Path, names: Sequence[str]) -> list[str]:
-    """Writes the beginnings of these pieces, and returns what they are called there."""
-    scores = {Path(name).name: load_score(name).beginning(SECONDS) for name in names}
-    for name, score in scores.items():
-        write_midi(score, folder / f"{name}.mid")
-    return list(scores)
+def write_songs(folder: Path, seen: Sequence[str], unseen: Sequence[str]) -> list[list[Path]]:
+    """Writes the beginnings of pieces that are learnt and of others, and returns their files."""
+    short = iter(unique([Path(name).name for name in (*seen, *unseen)]))
+    files = [
+        [folder / kind / f"{next(short)}.mid" for _ in names]
+        for kind, names in (("seen", seen), ("unseen", unseen))
+    ]
+    for name, file in zip((*seen, *unseen), (*files[0], *files[1]), strict=True):
+        write_midi(load_score(name).beginning(SECONDS), file)
+    return files
 
 
 def train(folder: Path, config: ImitationConfig) -> Policy:
@@ -94,22 +99,19 @@ def train(folder: Path, config: ImitationConfig) -> Policy:
     return Policy(config.songs, config.seed, load_policy(run / "last"))
 
 
-def play(folder: Path, song: str, policies: Sequence[Policy]) -> Iterator[dict[str, object]]:
-    """Rows of the table: how a song is played by those that have learnt it, or by all."""
-    first = policies[0].learnt
-    (file,) = (folder / "songs").rglob(f"{song}.mid")
-    score = load_score(file)
-    nobody_learns = file.parent.name == "unseen"
+def play(song: Path, policies: Sequence[Policy], unseen: bool) -> Iterator[dict[str, object]]:
+    """Rows of the table: how a song is played by those that have learnt it, or by all if unseen."""
+    first, score = policies[0].learnt, load_score(song)
     with closing(PianoTask([score], first.task, first.scene)) as task:
         for policy in policies:
-            if not nobody_learns and song not in policy.learnt_from:
+            if not unseen and song.stem not in policy.learnt_from:
                 continue
             metrics = play_episode(task, policy.learnt.agent, 0).metrics
             yield {
                 "songs": len(policy.learnt_from),
                 "seed": policy.seed,
-                "song": song,
-                "learnt": song in policy.learnt_from,
+                "song": song.stem,
+                "learnt": not unseen,
                 **{name: metrics[name] for name in FIGURES},
             }
 
@@ -200,8 +202,8 @@ def main() -> None:
     parser.add_argument("--least-updates", type=int, default=3_000)
     options = parser.parse_args()
     folder = options.output
-    seen = write_songs(folder / "songs" / "seen", to_learn(max(options.songs), options.more))
-    unseen = write_songs(folder / "songs" / "unseen", order()[-NOT_LEARNT:])
+    learnt = to_learn(max(options.songs), options.more)
+    seen, unseen = write_songs(folder / "songs", learnt, order()[-NOT_LEARNT:])
     demonstrations = ["-o", str(folder / "demonstrations"), "--episodes", str(options.episodes)]
     cadenza(["dataset", "collect", "--songs", str(folder / "songs/seen"), *demonstrations, *HOW])
     policies = [
@@ -209,7 +211,7 @@ def main() -> None:
             folder,
             ImitationConfig(
                 learner=CloningConfig(),
-                songs=tuple(seen[:count]),
+                songs=tuple(song.stem for song in seen[:count]),
                 num_updates=max(options.updates * count, options.least_updates),
                 held_out=0,
                 seed=seed,
@@ -218,7 +220,8 @@ def main() -> None:
         for seed in options.seeds
         for count in options.songs
     ]
-    rows = [row for song in (*seen, *unseen) for row in play(folder, song, policies)]
+    rows = [row for song in seen for row in play(song, policies, unseen=False)]
+    rows += [row for song in unseen for row in play(song, policies, unseen=True)]
     summed_up(folder, rows)
 
 

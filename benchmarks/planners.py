@@ -53,12 +53,12 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
     action = agent.act(task.view())
     beforehand = time.perf_counter() - started
     planning = beforehand * num_steps / int(task.sheets.num_steps[0])
-    fingering = 0.0
-    for _ in range(num_steps):
-        fingering += float(task.step(action).terms["fingering"][0])
+    fingering = float(task.step(action).terms["fingering"][0])
+    for _ in range(num_steps - 1):
         started = time.perf_counter()
         action = agent.act(task.view())
         planning += time.perf_counter() - started
+        fingering += float(task.step(action).terms["fingering"][0])
     music = num_steps * task.config.control_timestep
     parts = agent.planners[0].seconds if isinstance(agent, ILQG) else {}
     return Result(

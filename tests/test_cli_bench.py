@@ -162,6 +162,26 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
     assert planned["zero"].task == replace(with_time_to_begin(), stretch=2.0)
 
 
+def test_other_weights_in_the_same_file_are_another_run(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    weights, planned = tmp_path / "weights.npz", list[JobSpec]()
+
+    def plan(jobs: list[Job], *_: object) -> State:
+        planned.append(jobs[0].spec)
+        return State(folder, 0)
+
+    monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
+    for content in b"one", b"other", b"one":
+        weights.write_bytes(content)
+        main(options("generalist", "--generalist.weights", str(weights)))
+    main(options("generalist"))
+    one, other, again, without = planned
+    assert one.name == again.name
+    assert len({spec.name for spec in (one, other, without)}) == 3
+    assert without.agent_digest == ""
+
+
 @pytest.mark.slow
 def test_control_c_says_what_is_left_and_the_same_command_goes_on(folder: Path) -> None:
     command = started("bench_agents:Slow")

@@ -27,6 +27,7 @@ from scipy.stats import spearmanr
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
+from cadenza.errors import CadenzaError
 from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
@@ -70,7 +71,12 @@ def main() -> None:
 
 
 def play(libraries: list[str], output: Path, most: int | None, seconds: float, method: str) -> None:
-    done = {row["song"] for row in rows_of(output)} if output.exists() else set()
+    rows = rows_of(output) if output.exists() else []
+    if any((row["seconds"], row["method"]) != (seconds, method) for row in rows):
+        raise CadenzaError(
+            f"{output}: holds other --seconds or another --method; choose another file"
+        )
+    done = {row["song"] for row in rows}
     planner = ScorePlannerConfig(method=method)  # type: ignore[arg-type]
     for library in libraries:
         songs = open_library(library).songs

@@ -22,6 +22,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.losses import ONSETS
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
+from cadenza.errors import CadenzaError
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
 from cadenza.music.libraries.library import open_library
@@ -43,7 +44,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=8.0, help="that are played of each song")
     options = parser.parse_args()
     songs = openings(options.libraries, options.most, options.seconds)
-    played = Played(songs, options.output)
+    played = Played(songs, options.seconds, options.output)
     print(f"\nCOSTS = {fitted(played)}")
 
 
@@ -61,11 +62,16 @@ def openings(libraries: list[str], most: int | None, seconds: float) -> dict[str
 class Played:
     """What has been played, in a file."""
 
-    def __init__(self, songs: dict[str, Score], path: Path) -> None:
+    def __init__(self, songs: dict[str, Score], seconds: float, path: Path) -> None:
         self.songs, self.path = songs, path
+        self._seconds = seconds
         self._known: dict[tuple[str, Costs], float] = {}
         for line in path.read_text().splitlines() if path.exists() else ():
             row = json.loads(line)
+            if row.get("seconds") != seconds:
+                raise CadenzaError(
+                    f"{path}: holds other than {seconds:g} s; choose another --output"
+                )
             self._known[row["song"], Costs(**row["costs"])] = row["f1"] + ONSETS * row["onsets"]
 
     def worth(self, costs: Costs) -> float:
@@ -76,7 +82,8 @@ class Played:
         if (song, costs) not in self._known:
             metrics = metrics_of(self.songs[song], costs)
             f1, onsets = metrics["f1"], metrics["note_onset_f1"]
-            row = {"song": song, "costs": asdict(costs), "f1": f1, "onsets": onsets}
+            row = {"song": song, "seconds": self._seconds, "costs": asdict(costs)}
+            row |= {"f1": f1, "onsets": onsets}
             with self.path.open("a") as file:
                 print(json.dumps(row), file=file)
             self._known[song, costs] = f1 + ONSETS * onsets

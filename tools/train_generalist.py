@@ -31,7 +31,7 @@ from cadenza.agents.planning.learnt.inputs import About
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.demonstrations.dataset import kept
-from cadenza.demonstrations.recorded import Recorded
+from cadenza.demonstrations.recorded import STEPS, Recorded
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.scene.scene import hand_alone
@@ -93,7 +93,7 @@ def state_of(rows: Array, nothing: State) -> State:
 
 def kept_lesson(recorded: Recorded, folder: Path) -> Lesson:
     """That of an episode, made once."""
-    path = folder / f"{recorded.folder.name}.npz"
+    path = folder / f"{recorded.folder.name}-{recorded.about.files[STEPS][:12]}.npz"
     if not path.exists():
         lesson = lesson_of(recorded)
         folder.mkdir(parents=True, exist_ok=True)
@@ -248,6 +248,11 @@ def main() -> None:
         lesson = kept_lesson(episode, given.output / "lessons")
         of_songs.setdefault(Path(episode.about.song).name, []).append(lesson)
         print(f"\r{i} of {len(episodes)} episodes read", end="", flush=True)
+    if len(of_songs) < NETWORKS_EACH:
+        raise CadenzaError(
+            f"{len(of_songs)} songs with episodes that were kept; {NETWORKS_EACH} are needed, "
+            "so that each network can leave some out"
+        )
     lessons = [joined(of_song) for of_song in of_songs.values()]
     print(f"\n{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
     scene = episodes[0].build_scene()

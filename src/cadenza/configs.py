@@ -17,7 +17,7 @@ T = TypeVar("T")
 MOST_SEED = 2**128  # numpy takes any
 MOST_COUNT = 2**53  # of what has no other limit: JSON of others knows no larger whole numbers
 
-_BEFORE = "before"  # of the metadata of a field
+_BEFORE, _FILE = "before", "file"  # of the metadata of a field
 
 _WORDS = {
     bool: "give True or False",
@@ -51,6 +51,17 @@ def added(*, before: Any) -> Mapping[str, Any]:
     never changes, whatever becomes of the default.
     """
     return {_BEFORE: before}
+
+
+def names_file() -> Mapping[str, Any]:
+    """The metadata of a field that is the path of a file."""
+    return {_FILE: True}
+
+
+def files_named(config: Any) -> list[str]:
+    """The files that the options of a dataclass name, or of None."""
+    named = [each.name for each in fields(config) if _FILE in each.metadata] if config else []
+    return [value for name in named if (value := getattr(config, name)) is not None]
 
 
 def identity(config: Any) -> dict[str, Any]:

@@ -78,6 +78,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise CadenzaError(f"{path}: exists already; choose another folder with --output")
+    path = path.resolve()  # "." could not be replaced
     temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
     temporary.mkdir(parents=True)
     try:

@@ -11,7 +11,7 @@ import pytest
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episodes
 from cadenza.cli import main
-from cadenza.demonstrations import lerobot_export
+from cadenza.demonstrations import lerobot_export, minari_export
 from cadenza.demonstrations.dataset import open_dataset
 from cadenza.demonstrations.recorded import played_actions
 from cadenza.demonstrations.replay import task_of
@@ -104,6 +104,23 @@ def test_nothing_is_overwritten(made: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_current_folder_can_be_written_to(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    main(["dataset", "export", str(made.resolve()), "--format", "lerobot", "-o", "."])
+    assert (tmp_path / "empty" / "meta" / "info.json").exists()
+
+
+def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(minari_export, "_AT_ONCE", 10)
+    batches = list(minari_export._batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3]))
+    assert batches == [range(1, 3), range(3, 4), range(4, 5), range(5, 7)]
 
 
 def test_half_of_an_export_is_never_seen(

@@ -149,6 +149,7 @@ def _contenders(
 
 def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
     from cadenza.agents.registry import make_agent
+    from cadenza.evaluation.job import digest_of_files
     from cadenza.evaluation.matrix import Contender
     from cadenza.performing.setup import is_policy_folder
 
@@ -159,7 +160,7 @@ def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
         return _with_policy(command, again, str(folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # who is not there is told before anyone plays
-    return Contender(agent, command.task, command.scene, config)
+    return Contender(agent, command.task, command.scene, config, digest_of_files(config))
 
 
 def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | None:

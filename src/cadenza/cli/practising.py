@@ -16,6 +16,7 @@ from cadenza.music.bars import places
 
 if TYPE_CHECKING:
     from cadenza.agents.planning.practice import Practice
+    from cadenza.music.score import Score
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
 
@@ -63,6 +64,7 @@ def _practise(
     from cadenza.agents.planning.practice import MOST_EFFORT
 
     practice, began = practising.practice, time.monotonic()
+    score = practice.plan.track.on_the_clock
     told, kept, saving = len(practice.history), began, 0.0
     with progress("practising", "%" if minutes is None else "s") as advance:
 
@@ -77,7 +79,7 @@ def _practise(
                 done, total = 100 * practice.share_made(effort), 100.0
             else:
                 done, total = now - began, 60 * minutes
-            advance(int(min(done, total)), int(total), _where(practice))
+            advance(int(min(done, total)), int(total), _where(practice, score))
             if played_first or now - kept > max(_BETWEEN, 20 * saving):
                 practising.save()
                 if practice.history:
@@ -90,25 +92,20 @@ def _practise(
         goes_on()
     if not practice.history:
         print("stopped within the first take; what follows is played as planned, without a search")
-    elif left := practice.losing() if _has_bars(practice) else practice.passages():
-        print(f"not yet right: {_places(practice, left)}")
+    elif left := practice.losing() if score.bars else practice.passages():
+        print(f"not yet right: {_places(practice, score, left)}")
 
 
-def _where(practice: Practice) -> str:
-    """What is worked on, and what remains."""
+def _where(practice: Practice, score: Score) -> str:
+    """What is worked on of a score, and what remains."""
     passages = len(practice.passages())
     so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
     how = "another take, " if practice.plays_another_take else ""
     left = f"{passages} passage{'s'[: passages != 1]} left"
-    return f"{so_far}{how}{_places(practice, practice.at)}, {left}"
+    return f"{so_far}{how}{_places(practice, score, practice.at)}, {left}"
 
 
-def _has_bars(practice: Practice) -> bool:
-    return bool(practice.plan.track.on_the_clock.bars)
-
-
-def _places(practice: Practice, steps: Iterable[int]) -> str:
+def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
     """Such as "bars 3, 7-9"."""
-    track = practice.plan.track
-    dt = track.config.control_timestep
-    return places(track.on_the_clock, [dt * (step + _LATE) for step in steps])
+    dt = practice.plan.track.config.control_timestep
+    return places(score, [dt * (step + _LATE) for step in steps])

@@ -234,7 +234,13 @@ class _Rows:
             CadenzaError: the array is not as it should be.
         """
         episode = self._episode
-        array = episode.steps if self._name == STEPS else episode.plan
+        try:
+            array = episode.steps if self._name == STEPS else episode.plan
+        except OSError as error:
+            raise CadenzaError(
+                f"{episode.folder / self._name}: cannot be opened ({error.strerror}); each episode "
+                "that is read keeps a file open, or two: choose fewer, or allow more (ulimit -n)"
+            ) from error
         check_rows(episode, self._name, array, self.kind)
         return array.view(np.uint8).reshape(len(array), self.kind.itemsize)
 

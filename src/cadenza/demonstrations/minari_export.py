@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import asdict
@@ -29,7 +29,7 @@ from cadenza.files import new_folder, plain
 
 NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
-_AT_ONCE = 50  # episodes that are written at once
+_AT_ONCE = 20_000  # steps that are written at once, or a longer episode
 
 
 def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
@@ -60,8 +60,8 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
             requirements=["cadenza"],
             data_format="parquet",
         )
-        count = len(dataset.episodes)
-        for some in _batched(range(1, count), _AT_ONCE):
+        count, lengths = len(dataset.episodes), [e.about.num_steps for e in dataset.episodes]
+        for some in _batched(range(1, count), lengths):
             made.update_dataset_from_buffer(
                 [
                     _buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i].about)
@@ -110,6 +110,13 @@ def _root(folder: Path) -> Iterator[None]:
             os.environ[_ROOT] = before
 
 
-def _batched(numbers: range, size: int) -> Iterator[range]:
-    for at in range(0, len(numbers), size):
-        yield numbers[at : at + size]
+def _batched(episodes: range, lengths: Sequence[int]) -> Iterator[range]:
+    """Episodes that are written together, as few as memory wants, as many as are fast."""
+    first, steps = episodes.start, 0
+    for episode in episodes:
+        if steps and steps + lengths[episode] > _AT_ONCE:
+            yield range(first, episode)
+            first, steps = episode, 0
+        steps += lengths[episode]
+    if steps:
+        yield range(first, episodes.stop)

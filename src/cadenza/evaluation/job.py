@@ -6,10 +6,11 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-from cadenza.configs import identity
-from cadenza.files import folder_name, plain
+from cadenza.configs import files_named, identity
+from cadenza.files import content_of, folder_name, plain
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -36,7 +37,7 @@ class JobSpec:
     config: Any = None
     """The agent's options, a dataclass; a `TrainingConfig` for one that is trained first."""
     agent_digest: str = ""
-    """Of the files of a policy."""
+    """Of the files of a policy, or of those that options name."""
 
     @property
     def training(self) -> TrainingConfig | None:
@@ -91,6 +92,16 @@ class Job:
     song: SongFacts
     page: bool = True
     """Whether it leaves a page to watch and hear."""
+
+
+def digest_of_files(*configs: Any) -> str:
+    """A hash of what is in the files that these options name; nothing if they name none.
+
+    Raises:
+        CadenzaError: a file is not there, or cannot be read.
+    """
+    contents = [content_of(Path(path)) for config in configs for path in files_named(config)]
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:_HASH] if contents else ""
 
 
 def _end_of(name: str) -> str:

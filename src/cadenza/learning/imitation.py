@@ -107,8 +107,8 @@ class Imitation:
         with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
-        for name in names:
-            check_values(episodes[name], scene)
+        for name in names:  # anew, as what is read of both arrays holds open files
+            check_values(Recorded(episodes[name].folder, episodes[name].about), scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cadenza.configs import added
+from cadenza.configs import added, names_file
 
 
 @dataclass(frozen=True)
 class GeneralistConfig:
     """The generalist: the planner's plan, corrected by what was learnt or rehearsed; no search."""
 
-    weights: str | None = None
+    weights: str | None = field(default=None, metadata=names_file())
     """File of what it has learnt, as tools/train_generalist.py writes it. By default, it is what
     comes with Cadenza for these hands. Where there is nothing for them, it can only rehearse."""
     look_ahead: float | None = field(default=None, metadata=added(before=None))

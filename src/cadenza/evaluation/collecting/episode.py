@@ -34,7 +34,7 @@ from cadenza.demonstrations.recorded import (
 from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
 from cadenza.evaluation.collecting.disturbed import Disturbed
 from cadenza.evaluation.collecting.variation import Variation
-from cadenza.evaluation.job import Job, JobSpec
+from cadenza.evaluation.job import Job, JobSpec, digest_of_files
 from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.files import write_json
 from cadenza.keyboards.named import keyboard_named
@@ -89,6 +89,7 @@ def episodes(
         CadenzaError: a song cannot be read.
     """
     songs = [(facts_of(song, library), digest_of(song)) for song in library.songs]
+    files = digest_of_files(who.config, who.student_config)
     return [
         EpisodeJob(
             EpisodeSpec(
@@ -102,6 +103,7 @@ def episodes(
                 config=who.config,
                 variation=who.variation,
                 student_config=who.student_config,
+                agent_digest=files,
             ),
             song,
             least_f1=least_f1,
