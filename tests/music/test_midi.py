@@ -98,8 +98,9 @@ def test_smpte_division(tmp_path, frames, ticks_per_second):
 
 def test_separate_songs_of_format_2_are_not_mixed(saved):
     names = [mido.MetaMessage("track_name", name="Suite")]
-    score = read_midi(saved(names, [on(60), off(60, 10)], [on(70), off(70, 10)], type=2))
-    assert played(score) == [(0.0, 0.5, 60)]
+    first = [mido.MetaMessage("track_name", name="Gigue"), on(60), off(60, 10)]
+    score = read_midi(saved(names, first, [on(70), off(70, 10)], type=2))
+    assert (score.title, played(score)) == ("Gigue", [(0.0, 0.5, 60)])
     assert score.remarks == ("the file holds 2 separate songs: the first is used",)
 
 
@@ -153,6 +154,22 @@ def test_notes_never_released_end_with_their_track(saved):
     score = read_midi(saved([on(60), on(62, 10), off(62, 10), end]))
     assert played(score) == [(0.0, 1.5, 60), (0.5, 1.0, 62)]
     assert score.remarks == ("1 note never released: held to the end of the track",)
+
+
+@pytest.mark.parametrize("control", [120, 123])
+def test_all_notes_of_a_channel_end_together(control, saved):
+    def end(channel):
+        return mido.Message("control_change", control=control, channel=channel, time=10)
+
+    score = read_midi(saved([on(60), on(64), on(67, channel=1), end(0), end(1)]))
+    assert played(score) == [(0.0, 0.5, 60), (0.0, 0.5, 64), (0.0, 1.0, 67)]
+    assert score.remarks == ()
+
+
+def test_tracks_that_only_switch_something_are_no_tracks(saved):
+    path = saved([on(60), off(60, 10)], [on(30), off(30)], [on(72), off(72, 10)])
+    assert [track.lowest for track in read_midi(path).tracks] == [60, 72]
+    assert played(read_midi(path, tracks=[2])) == [(0.0, 0.5, 72)]
 
 
 def test_a_stray_note_off_does_nothing(saved):

@@ -220,6 +220,55 @@ def test_transposing_instruments_sound_as_they_do(saved):
     ]
 
 
+def test_a_transposition_holds_from_where_it_stands(saved):
+    def shift(semitones):
+        return f"<attributes><transpose><chromatic>{semitones}</chromatic></transpose></attributes>"
+
+    measures = [
+        FOUR_QUARTERS + note("C4", 16),
+        shift(-2) + note("C4", 16),
+        shift(-3) + note("C4", 16),
+    ]
+    assert [n.pitch for n in load_score(saved(document(measures))).notes] == [60, 58, 57]
+
+
+@pytest.mark.parametrize("sign", ["p", "", " ", "thumb"])
+def test_fingerings_that_are_no_numbers_are_left_out(sign, saved):
+    upper = note("C5", 8, 1, finger(sign)) + note("G5", 8, 1, finger(5))
+    score = load_score(saved(document([FOUR_QUARTERS + upper + BACK + note("C3", 16, 2)])))
+    assert numbers(score) == [-1, -1, 4]
+    assert score.remarks == ("1 unreadable fingering left out",)
+
+
+@pytest.mark.parametrize("mark", ["0", "-90", "120,5", "nan", "fast"])
+def test_tempos_that_cannot_be_are_left_out(mark, saved):
+    score = load_score(saved(document([FOUR_QUARTERS + tempo(mark) + note("C4", 4)])))
+    assert played(score) == [(0.0, 0.5, 60)]
+    assert score.remarks == ("1 unreadable tempo left out",)
+
+
+def test_cue_notes_are_silent_but_last(saved):
+    cue = note("D4", 4).replace("<note>", "<note><cue/>")
+    chord = cue.replace("<cue/>", "<cue/><chord/>")
+    score = load_score(
+        saved(document([FOUR_QUARTERS + note("C4", 4) + cue + chord + note("E4", 4)]))
+    )
+    assert played(score) == [(0.0, 0.5, 60), (1.0, 1.5, 64)]
+
+
+def test_durations_need_not_be_whole(saved):
+    notes = note("C4", 1.5) + note("D4", 2.5) + note("E4", 4)
+    score = load_score(saved(document([FOUR_QUARTERS + notes])))
+    assert played(score) == [(0.0, 0.1875, 60), (0.1875, 0.5, 62), (0.5, 1.0, 64)]
+
+
+def test_repeats_of_more_than_twice_are_told(saved):
+    again = AGAIN.replace("<repeat ", '<repeat times="3" ')
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 16) + again])))
+    assert len(score.notes) == 2
+    assert score.remarks == ("1 repeat played twice instead of more often",)
+
+
 LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
 ATTACKS = {
     "billion laughs": (

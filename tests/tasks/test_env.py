@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -212,6 +213,45 @@ def test_rendered_keys_light_up() -> None:
     change = env.render().astype(int) - before
     reddened = (change[..., 1] < -40) & (change[..., 0] > -40)
     assert 20 < reddened.sum() < 4000
+
+
+def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = PianoEnv(SHORT, hands="none", render_mode="rgb_array")
+    observation, _ = env.reset(seed=0)
+    drawn, goals = [], []
+
+    def frame(_hand: Any, _keys: Any, sounding: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        drawn.append((sounding.copy(), wanted.copy()))
+        return np.zeros(1)
+
+    monkeypatch.setattr(env._batch._drawing, "frame", frame)
+    for _ in range(SHORT_STEPS):
+        goals.append(observation[:88] > 0)
+        observation, *_ = env.step(np.append(np.where(goals[-1], 1.0, -1.0), 0.0))
+        env.render()
+    assert_array_equal([wanted for _, wanted in drawn], goals)
+    assert any(sounding.any() for sounding, _ in drawn)
+
+
+def test_seeds_of_some_leave_the_others_as_they_were() -> None:
+    def pitches(**again: Any) -> list[int]:
+        envs = PianoVectorEnv(SHORT, num_envs=2, random_pitch_shift=20)
+        envs.reset(seed=[1, 2])
+        if again:
+            envs.reset(**again)
+        envs.reset()
+        return [score.notes[0].pitch for score in envs.task.sheets.songs]
+
+    mask = np.array([True, False])
+    one, other = pitches()
+    twice = pitches(seed=None)
+    for again in ({"seed": [3, None]}, {"seed": np.array([3, 4]), "options": {"reset_mask": mask}}):
+        assert pitches(**again) == pitches(**again)
+    assert pitches(seed=[1, None])[0] == one
+    assert pitches(seed=[3, None])[1] == twice[1]
+    assert pitches(seed=np.array([3, 4]), options={"reset_mask": mask})[1] == other
 
 
 def test_observation_sees_the_score_and_the_keys() -> None:

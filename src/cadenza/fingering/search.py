@@ -96,10 +96,11 @@ def find_fingering(
     found = _last_found.get(asked)
     if found is None:
         solution = solve(score, players, progress, costs)
-        found = solution.score, solution.dropped
+        found = solution.score.notes, solution.dropped
         _last_found.clear()
         _last_found[asked] = found
-    return found
+    notes, dropped = found  # of a score that is equal, but whose bars and tracks may be others
+    return replace(score, notes=notes), dropped
 
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
@@ -113,7 +114,7 @@ def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
 
 
 # What was found last: one song is often played in several tasks, as in training.
-_last_found: dict[tuple[Score, Players, Costs], tuple[Score, tuple[Dropped, ...]]] = {}
+_last_found: dict[tuple[Score, Players, Costs], tuple[tuple[Note, ...], tuple[Dropped, ...]]] = {}
 
 
 def solve(

@@ -118,7 +118,9 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     add_cameras(spec)
     sides = _sides(config)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
-    if sides and config.hand_spacing > 2 * keyboard.half_length:
+    if hand.body.mount:
+        _check_of_arms(config)
+    elif sides and config.hand_spacing > 2 * keyboard.half_length:
         raise CadenzaError(
             f"hand_spacing {config.hand_spacing} m: the keyboard {keyboard.name} is only "
             f"{2 * keyboard.half_length:.2f} m long; choose less, for one hand 0"
@@ -132,6 +134,12 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
         raise CadenzaError(f"hand {hand.name}: MuJoCo cannot build it: {said}") from error
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
+
+
+def _check_of_arms(config: SceneConfig) -> None:
+    for option in "forearm_dofs", "hand_spacing", "attachment_yaw":
+        if getattr(config, option) != getattr(SceneConfig, option):
+            raise CadenzaError(f"{option}: hand {config.hand} hangs on arms; leave it out")
 
 
 class HandAlone(NamedTuple):

@@ -210,7 +210,8 @@ class PianoVectorEnv(VectorEnv):
         """Starts new episodes.
 
         Args:
-            seed: of the first environment, the others' follow; or one for each.
+            seed: of the first environment, the others' follow; or one for each, None for those
+                that go on drawing as they did.
             options: "reset_mask", (N,) bool, resets some of the environments only; "song", one of
                 the environment's songs by index, by title or as it was given, or a list with one
                 for each environment, is what they play in this episode, drawn where it is None.
@@ -223,7 +224,7 @@ class PianoVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
         songs = self._assigned(options.get("song"))
-        self._seed(seed)
+        self._seed(seed, mask)
         self._restart(np.flatnonzero(mask), songs)
         self._finished = self._finished & ~mask
         return self._observe(), self._songs(mask)
@@ -246,7 +247,8 @@ class PianoVectorEnv(VectorEnv):
         titles = np.array([score.title for score in self.task.sheets.songs], object)
         return {"song": titles, "_song": known}
 
-    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+    def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
+        """Seeds environments of the mask (N,); those without a seed keep what they draw from."""
         if seed is None and self._rngs:
             return
         for each in seed if isinstance(seed, Sequence | np.ndarray) else [seed]:
@@ -263,7 +265,12 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(
                 f"{len(seed)} seeds for {self.num_envs} environments: give one for each"
             )
-        self._rngs = [seeding.np_random(s)[0] for s in seed]
+        self._rngs = [
+            self._rngs[i]
+            if self._rngs and (each is None or not mask[i])
+            else seeding.np_random(None if each is None else int(each))[0]
+            for i, each in enumerate(seed)
+        ]
 
     def _restart(
         self, env_ids: NDArray[np.intp], songs: Sequence[int | None] | None = None
@@ -331,10 +338,9 @@ class PianoVectorEnv(VectorEnv):
 
     def _draw(self) -> NDArray[np.uint8]:
         state, task = self.task.state, self.task
-        goal = task.sheets.goal[:, :-1]
         return np.stack(
             [
-                self._drawing.frame(state.hand_qpos[i], state.key_qpos[i], sounding, goal[i])
+                self._drawing.frame(state.hand_qpos[i], state.key_qpos[i], sounding, task.wanted[i])
                 for i, sounding in enumerate(task.sounding)
             ]
         )

@@ -73,6 +73,7 @@ class PianoTask:
         state: what the simulation was like after the last step, or reset.
         key_state: (N, K) how far the keys are down, 0..1.
         sounding: (N, K) which keys sound.
+        wanted: (N, K) which keys should have sounded in the last step, none after reset.
         reward: (N,) of the last step, 0 after reset.
         tracks: what is drawn from, as it is played.
     """
@@ -139,6 +140,7 @@ class PianoTask:
         self.observation_layout = self.spec.observation_layout
         self.observation_size = self.spec.observation_size
         self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
+        self.wanted = np.zeros((num_envs, keyboard.num_keys), bool)
         self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
         self._rngs: dict[int, np.random.Generator] = {}
@@ -237,8 +239,9 @@ class PianoTask:
             self._rngs[env] = rng
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
-        missing = int(self.sheets.num_steps.max()) - self._played.shape[1]
-        self._played = np.pad(self._played, ((0, 0), (0, max(missing, 0)), (0, 0)))
+        if (missing := int(self.sheets.num_steps.max()) - self._played.shape[1]) > 0:
+            self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
+        self.wanted[list(env_ids)] = False
         self.simulation.reset(env_ids, start)
         self._pedal[list(env_ids)] = 0.0
         self.reward[list(env_ids)] = 0.0
@@ -263,9 +266,11 @@ class PianoTask:
         self.simulation.step(self._as_they_arrive(ctrl[:, :-1], moving), env_ids)
         self._look()
         self._pedal[moving] = np.fmax(ctrl[moving, -1], 0.0)  # up where it is not a number
-        here = self._env_ids[moving], row[moving]
-        self._played[*here, :-1] = self.sounding[moving]
-        self._played[*here, -1] = self.pedal_down[moving]
+        self.wanted[moving] = goal[moving, :-1]
+        within = self._env_ids[moving][(sheets.steps_done < sheets.num_steps)[moving]]
+        here = within, row[within]
+        self._played[*here, :-1] = self.sounding[within]
+        self._played[*here, -1] = self.pedal_down[within]
         sheets.advance(moving)
 
         terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
@@ -408,7 +413,7 @@ class PianoTask:
 
     def episode_metrics(self, env: int) -> dict[str, float]:
         """How well environment `env` has played its score so far (see `music.metrics`)."""
-        done = int(self.sheets.steps_done[env])
+        done = int(min(self.sheets.steps_done[env], self.sheets.num_steps[env]))
         played, (goal, _) = self._played[env, :done], self.sheets.part(env, 0, done)
         return playing_metrics(
             played[:, :-1],

@@ -72,10 +72,7 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
     Raises:
         CadenzaError: there is no such kind, difficulty or seed.
     """
-    if kind not in (kinds := (*KINDS, *DRILLS)):
-        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(kinds)}")
-    difficulty = whole_number(difficulty, "difficulty", 1, MOST_DIFFICULT)
-    seed = whole_number(seed, "seed", 0, MOST_SEED)
+    kind, difficulty, seed = _checked(kind, difficulty, seed)
     rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
     if kind in DRILLS:
         return drill(kind, difficulty, rng)
@@ -83,6 +80,13 @@ def make_etude(kind: str, difficulty: int, seed: int) -> Score:
     notes = tuple(sheet.note(tone) for tone in _KINDS[kind].write(sheet))
     title = f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}"
     return Score(notes, title=title, bars=sheet.numbered_bars)
+
+
+def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
+    if kind not in (kinds := (*KINDS, *DRILLS)):
+        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(kinds)}")
+    difficulty = whole_number(difficulty, "difficulty", 1, MOST_DIFFICULT)
+    return kind, difficulty, whole_number(seed, "seed", 0, MOST_SEED)
 
 
 def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
@@ -124,7 +128,7 @@ def kind_difficulty_seed(name: str) -> tuple[str, int, int]:
             f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
             f"such as {LIBRARY}/scales-3-7"
         )
-    return found[1], int(found[2]), int(found[3])
+    return _checked(found[1], int(found[2]), int(found[3]))
 
 
 def etude_names(count: int, seed: int = 0) -> list[str]:

@@ -43,6 +43,7 @@ _MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the f
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
 _SUSTAIN = 64  # controller number of the sustain pedal
+_ALL_OFF = 120, 123  # controllers that end all notes of a channel
 _LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
 _SHORTEST_BEAT = 64  # as a part of a whole note
 _MOST_BARS = 20_000  # more are taken for damage
@@ -69,7 +70,8 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
       loudest;
     - a note still sounding when its pitch starts again is cut there (a note-off ends the oldest
       note of its track, channel and pitch);
-    - a note that is never released ends with its track;
+    - a note that is never released ends with its track, or where all of its channel are ended
+      (controllers 120 and 123);
     - a key signature that no key has is ignored.
 
     Raises:
@@ -94,7 +96,7 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     listed = _tracks(melodic)
     if tracks:
         check_chosen(tracks, listed, path)
-        sounding = [part for part in melodic if part.notes]
+        sounding = [part for part in melodic if part.sounds]
         melodic = [sounding[number - 1] for number in sorted(set(tracks))]
     channels = {part.channel for part in melodic}
     pedal = tuple(event for channel, event in moves if channel in channels)
@@ -115,7 +117,7 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
         for note in played
     )
     bars = _bars(file.ticks_per_beat, chunks, clock, played[-1].start)
-    return Score(notes, pedal, _title(file, path), tuple(remarks), listed, bars)
+    return Score(notes, pedal, _title(chunks, path), tuple(remarks), listed, bars)
 
 
 def write_midi(score: Score, path: str | Path) -> None:
@@ -168,6 +170,11 @@ class _Part:
     program: int | None = None
     notes: list[Sounding] = field(default_factory=list)
     outside: int = 0
+
+    @property
+    def sounds(self) -> bool:
+        """Whether any of its notes lasts, unlike those that only switch something."""
+        return any(note.end > note.start for note in self.notes)
 
 
 @dataclass(frozen=True)
@@ -305,6 +312,11 @@ def _collect(
                 note.end, note.released = clock.at(tick), True
         elif kind == "program_change":
             part.program = message.program if part.program is None else part.program
+        elif message.control in _ALL_OFF:
+            for pitch in range(LOWEST_PITCH, HIGHEST_PITCH + 1):
+                while waiting := sounding[channel, pitch]:
+                    note = waiting.popleft()
+                    note.end, note.released = clock.at(tick), True
         elif message.control == _SUSTAIN:
             moves.append((channel, PedalEvent(clock.seconds(clock.at(tick)), message.value)))
     for waiting in sounding.values():
@@ -322,7 +334,7 @@ def _tracks(parts: Sequence[_Part]) -> tuple[Track, ...]:
         if part.program is not None:
             programs.setdefault(part.channel, part.program)
     tracks = []
-    for number, part in enumerate((part for part in parts if part.notes), start=1):
+    for number, part in enumerate((part for part in parts if part.sounds), start=1):
         program = programs.get(part.channel, 0) if part.program is None else part.program
         pitches = [note.pitch for note in part.notes]
         tracks.append(
@@ -366,9 +378,9 @@ def _bars(
     return tuple(bars)
 
 
-def _title(file: mido.MidiFile, path: Path) -> str:
+def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:
     """The first track's name, or the file's without its suffix."""
-    names = (message.name for message in file.tracks[0] if message.type == "track_name")
+    names = (message.name for message in chunks[0] if message.type == "track_name")
     return _text(next(names, "")) or title_of(path)
 
 

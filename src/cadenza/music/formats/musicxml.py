@@ -19,6 +19,7 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
+from cadenza.music.formats.musicxml_mending import mended
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs
@@ -240,6 +241,7 @@ def _partitura() -> Any:
 
 def _sheet(data: bytes, path: Path) -> _Sheet:
     symbols, load_musicxml = _partitura()
+    data, mends = mended(data)
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -257,7 +259,7 @@ def _sheet(data: bytes, path: Path) -> _Sheet:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: cannot be read as MusicXML ({reason})") from error
     title = printable(score.work_title or score.movement_title or score.title or "")
-    return _Sheet(title, parts, sections, tempos, bars, remarks)
+    return _Sheet(title, parts, sections, tempos, bars, [*mends, *remarks])
 
 
 def _part(part: Any, symbols: Any) -> _Part:
@@ -272,20 +274,19 @@ def _part(part: Any, symbols: Any) -> _Part:
         if direction.text in _VELOCITIES
     ]
     marked = [time for time, _ in marks]
-    sounds_higher = next(
-        (shift.chromatic or 0 for shift in part.iter_all(symbols.Transposition)), 0
-    )
+    shifts = [(each.start.t, each.chromatic or 0) for each in part.iter_all(symbols.Transposition)]
+    shifted = [time for time, _ in shifts]
     staves = {note.staff for note in written}
     quarters = part.quarter_map
     notes = []
     for note in written:
         start = note.start.t
-        mark = bisect_right(marked, start)
+        mark, shift = bisect_right(marked, start), bisect_right(shifted, start)
         notes.append(
             _Written(
                 start=float(quarters(start)),
                 end=float(quarters(start + note.duration_tied)),
-                pitch=int(note.midi_pitch) + sounds_higher,
+                pitch=int(note.midi_pitch) + (shifts[shift - 1][1] if shift else 0),
                 velocity=marks[mark - 1][1] if mark else _UNMARKED,
                 finger=_finger(note, symbols) if staves == {1, 2} else None,
                 grace=_before_beat(note, symbols),
