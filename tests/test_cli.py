@@ -620,6 +620,22 @@ def test_comparing(tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
 # MIDI files as they come
 
 
+def test_what_was_compared_is_kept_where_an_agent_fails(
+    tune: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "fails.py").write_text(
+        "from cadenza import Agent\n\nclass Fails(Agent):\n"
+        "    def act(self, view):\n        raise KeyboardInterrupt\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    options = ["--agents", "zero", "fails:Fails", "-o", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", str(tune), *options])
+    assert stop.value.code == 130
+    assert list(json.loads((tmp_path / "out" / "compare.json").read_text())["means"]) == ["zero"]
+    assert (tmp_path / "out" / "compare.html").exists()
+
+
 @pytest.mark.parametrize("options", [["--agents"], ["--seeds"]])
 def test_comparing_nothing(
     options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -221,6 +221,18 @@ def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
         assert_allclose(flat(state.actor_ema), averaged, atol=1e-6)
 
 
+def test_learning_rates_have_fallen_when_the_run_ends() -> None:
+    """Also those of what is updated only now and then."""
+    config = replace(CONFIG, policy_delay=2, final_learning_rate_fraction=0.1)
+    learner = DroQ(config, ALL, ACTIONS, ends=((0, 8),))
+    for adam, updates in (learner._adam(1.0), 8), (learner._adam_of_policy(1.0), 4):
+        state, rates = adam.init(jnp.zeros(1)), []
+        for _ in range(updates + 1):
+            change, state = adam.update(jnp.ones(1), state)
+            rates.append(-float(change[0]))  # as long as the gradient stays the same
+        assert_allclose(rates, np.linspace(1.0, 0.1, updates + 1), rtol=1e-3)
+
+
 def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
     """At an `policy_delay` of 2."""
     state, changed = learner.init(0), []

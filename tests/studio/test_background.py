@@ -185,6 +185,69 @@ def test_a_run_that_cannot_begin_says_why(tmp_path: Path, monkeypatch: pytest.Mo
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
+@pytest.mark.parametrize(
+    ("script", "error"),
+    [
+        (
+            "import os\nos.kill(os.getpid(), 9)",
+            "was killed, as a system does that runs out of memory",
+        ),
+        ("import sys\nsys.exit('x' * 200_000 + '\\nerror: no disk')", "no disk"),
+    ],
+    ids=["killed", "says much"],
+)
+def test_a_run_that_ends_by_itself_says_why(
+    script: str, error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begin_instead(script, tmp_path, monkeypatch)
+
+    async def run() -> None:
+        found = Trainings(tmp_path / "runs")
+        await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        while found.runs()[0]["state"] == "learning":
+            await asyncio.sleep(0.01)
+        assert found.runs()[0]["error"].startswith(error)
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_one_run_begins_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begin_instead("import time\ntime.sleep(60)", tmp_path, monkeypatch)
+
+    async def run() -> None:
+        found = Trainings(tmp_path / "runs")
+        asked = [found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000) for _ in range(2)]
+        one, other = await asyncio.gather(*asked, return_exceptions=True)
+        assert one == "Ode 1"
+        assert isinstance(other, CadenzaError)
+        await found.close()
+
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_practice_that_cannot_go_on_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    song, told = tmp_path / "three.mid", list[Message]()
+    write_midi(SCORE, song)
+    folder = worker.practised_in(order(str(song), tmp_path))
+    folder.mkdir(parents=True)
+    (folder / "practice.npz").write_bytes(b"of another version")
+    monkeypatch.setattr(practising, "_Session", Ended)
+    practising.practise(order(str(song), tmp_path), told.append)
+    assert (folder / "practice.npz.old").read_bytes() == b"of another version"
+
+
+class Ended:
+    """A session of practice that is over before it begins."""
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+    def run(self) -> None:
+        pass
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("agent", ["planner", "generalist"])
 def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: str) -> None:

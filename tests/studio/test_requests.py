@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -19,7 +19,7 @@ from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
 from cadenza.studio import comparing, reading, shelf
-from cadenza.studio.request import AGENTS, Order, PlayRequest, read_request
+from cadenza.studio.request import AGENTS, Order, PlayRequest, practice_folder, read_request
 from cadenza.studio.shelf import Kept, Shelf, Upload
 from cadenza.studio.worker import what_failed
 
@@ -87,12 +87,23 @@ def test_a_song_that_is_not_there_is_refused(songs: Shelf, song: str) -> None:
         songs.source(song)
 
 
-def test_only_so_many_uploads_are_kept(songs: Shelf, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shelf, "_MOST_UPLOADS", 2)
-    for i in range(4):
-        add(songs, b"MThd%d" % i, f"{i}.mid")
-    assert len([song for song in songs.songs() if song["uploaded"]]) == 2
-    assert len(list(songs.uploads.iterdir())) == 4
+def test_no_upload_is_lost_for_another(songs: Shelf, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shelf, "MOST_UPLOADS", 2)
+    first, second = (add(songs, b"MThd%d" % i, f"{i}.mid") for i in range(2))
+    with pytest.raises(CadenzaError, match="2 files of yours already; delete some"):
+        songs.put(b"MThd2", "2.mid")
+    add(songs, b"MThd0", "0.mid")  # again
+    listed = [song["id"] for song in songs.songs() if song["uploaded"]]
+    assert sorted(listed) == sorted([first.id, second.id])
+    songs.remove_upload(first.id)
+    add(songs, b"MThd2", "2.mid")
+
+
+def test_practice_is_of_what_a_song_holds_now() -> None:
+    request, score = PlayRequest("library/song"), Score((Note(0.0, 1.0, 60),))
+    folder = practice_folder(Path("x"), request, score)
+    assert folder == practice_folder(Path("x"), request, replace(score, title="renamed"))
+    assert folder != practice_folder(Path("x"), request, score.transposed(1))
 
 
 def test_performances_are_found_again_and_removed(songs: Shelf) -> None:

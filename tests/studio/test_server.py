@@ -238,6 +238,20 @@ def test_a_broken_or_large_file_gives_one_line_and_leaves_nothing(
     assert list((tmp_path / "studio" / "uploads").iterdir()) == []
 
 
+def test_a_file_that_was_read_before_is_not_lost_if_it_cannot_be_read_again(
+    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def cannot(_: Path) -> Any:
+        raise CadenzaError("it takes too long to read")
+
+    write_midi(Score((Note(0.0, 1.0, 60),)), path := tmp_path / "a.mid")
+    url = "/TOKEN/api/songs?name=a.mid"
+    id = client.post(url, content=path.read_bytes(), headers=SAME).json()["id"]
+    monkeypatch.setattr("cadenza.studio.server.read_upload", cannot)
+    assert client.post(url, content=path.read_bytes(), headers=SAME).status_code == 400
+    assert (tmp_path / "studio" / "uploads" / f"{id}.mid").read_bytes() == path.read_bytes()
+
+
 def test_only_so_many_songs_wait(client: TestClient) -> None:
     def ask(**request: Any) -> Any:
         return client.post("/TOKEN/api/jobs", json=request, headers=SAME)

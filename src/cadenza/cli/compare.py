@@ -49,8 +49,6 @@ class Compare(Performing):
 
 
 def compare(command: Compare, again: Again[Compare]) -> None:
-    from cadenza.report.comparison import means, write_comparison
-
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in map(current_name, command.agents):
@@ -64,15 +62,24 @@ def compare(command: Compare, again: Again[Compare]) -> None:
             pass  # who cannot play is told before anyone has played
     folder = command.output or default_folder(selections[command.agents[0]])
     check_writable(folder)
-    runs = [
-        _run(name, selections[name], commands[name], seed)
-        for name, seed in product(selections, dict.fromkeys(command.seeds))
-    ]
     remarks = [
         f"{name} plays with {differing}, as it was trained"
         for name, own in commands.items()
         if (differing := _differing(own, command))
     ]
+    runs: list[Run] = []
+    try:
+        for name, seed in product(selections, dict.fromkeys(command.seeds)):
+            runs.append(_run(name, selections[name], commands[name], seed))
+    finally:  # also of what was stopped, or has failed
+        if runs:
+            _tell(folder, runs, remarks, command)
+
+
+def _tell(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
+    """Writes the files, and prints the table."""
+    from cadenza.report.comparison import means, write_comparison
+
     content = {
         "means": means(runs),
         "runs": [{"agent": run.agent, "seed": run.seed, **run.figures} for run in runs],

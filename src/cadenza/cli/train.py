@@ -22,7 +22,7 @@ from cadenza.cli.progress import progress, stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
-from cadenza.files import folder_name, plain
+from cadenza.files import folder_name, plain, read_json
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
@@ -119,6 +119,8 @@ def train(command: Train) -> None:
         raise CadenzaError(
             f"{command.resume}: a resumed run keeps its own song; leave out --tracks and --reduce"
         )
+    if command.resume is not None and command.output is not None:
+        raise CadenzaError(f"{command.resume}: a run is resumed in its folder; leave out --output")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
     folder = (
@@ -258,6 +260,8 @@ def _what_and_how(run: Path) -> list[str]:
 
     if not (run / "run.json").exists():
         return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
+    if "demonstrations" in read_json(run / "run.json", dict[str, Any]):
+        raise CadenzaError(f"{run}: is a run of cadenza clone; curves are of runs of cadenza train")
     config, score = RunFolder(run).description()
 
     def differences(name: Preset) -> list[str]:

@@ -16,17 +16,17 @@ from pathlib import Path
 
 from cadenza.agents.planning.config import ENOUGH
 from cadenza.errors import CadenzaError
-from cadenza.files import locked, parsed_json
+from cadenza.files import TEMPORARY, locked, parsed_json
 from cadenza.performing.practising import Practising
-from cadenza.performing.setup import PRACTISED
+from cadenza.performing.setup import PRACTICE, PRACTISED
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Send, as_json
 from cadenza.studio.messages import Message
-from cadenza.studio.request import Order, practice_folder
-from cadenza.studio.worker import Told, set_up_as_asked, what_failed
+from cadenza.studio.request import Order
+from cadenza.studio.worker import Told, practised_in, set_up_as_asked, what_failed
 
 _TOLD = 1.0  # [s] between two times that it tells how far it is
-_SAVED = 20.0  # [s] between two times that practice is kept
+_SAVED = 20.0  # [s] at least between two times that practice is kept
 
 
 def main() -> None:
@@ -52,11 +52,20 @@ def main() -> None:
 
 def practise(order: Order, send: Send) -> None:
     """Practises, and keeps what is better."""
-    folder = practice_folder(Path(order.folder), order.request)
-    with locked(folder) as ours, set_up_as_asked(order, Told(send).stage) as setup:
+    folder, tell = practised_in(order), Told(send).stage
+    with locked(folder) as ours, set_up_as_asked(order, tell) as setup:
         if not ours:
             raise CadenzaError("another studio practises this song already")
-        _Session(Practising(setup, folder, Told(send).stage), folder, send).run()
+        for left in folder.glob(f"{TEMPORARY}*"):  # by a process that was killed
+            left.unlink(missing_ok=True)
+        try:
+            practising = Practising(setup, folder, tell)
+        except CadenzaError:  # of another version, or damaged
+            if not (folder / PRACTICE).exists():
+                raise
+            (folder / PRACTICE).replace(folder / f"{PRACTICE}.old")
+            practising = Practising(setup, folder, tell)
+        _Session(practising, folder, send).run()
 
 
 class _Session:
@@ -64,7 +73,7 @@ class _Session:
 
     def __init__(self, practising: Practising, folder: Path, send: Send) -> None:
         self._practising, self._send = practising, send
-        self._told, self._saved = 0.0, time.monotonic()
+        self._told, self._saved, self._saving = 0.0, time.monotonic(), 0.0
         known = practising.practice.history if (folder / PRACTISED).exists() else ()
         self._kept = len(known)  # attempts
 
@@ -91,9 +100,10 @@ class _Session:
         if now - self._told > _TOLD:
             self._tell("practising")
             self._told = now
-        if now - self._saved > _SAVED:
+        if now - self._saved > max(_SAVED, 20 * self._saving):
             self._practising.save()
             self._saved = time.monotonic()
+            self._saving = self._saved - now
         return not self._has_more
 
     def _tell(self, state: str) -> None:

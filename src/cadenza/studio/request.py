@@ -7,11 +7,14 @@ import json
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cadenza.configs import MOST_COUNT, check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
+
+if TYPE_CHECKING:
+    from cadenza.music.score import Score
 
 TOLD, ROWS = "live.json", "live.rows"
 """Files of a performance, with what was told while it was played."""
@@ -99,7 +102,8 @@ def performance_folder(root: Path, name: str) -> Path:
     return root / f".{name}"
 
 
-def practice_folder(root: Path, request: PlayRequest) -> Path:
-    """Where what is asked for is practised."""
-    wanted = json.dumps(asdict(request), sort_keys=True)
+def practice_folder(root: Path, request: PlayRequest, score: Score) -> Path:
+    """Where what is asked for is practised, of a song that has this score now."""
+    notes = [(note.start, note.end, note.pitch) for note in score.notes]
+    wanted = json.dumps([asdict(request), notes], sort_keys=True)
     return root / "practised" / hashlib.sha256(wanted.encode()).hexdigest()[:16]

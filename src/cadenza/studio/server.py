@@ -127,7 +127,8 @@ class Studio(Watchable):
             async with self._reading:
                 holds = await read_upload(path)
         except CadenzaError:
-            path.unlink(missing_ok=True)
+            if not self.shelf.is_listed(id):  # else it has been read before, and is the same
+                path.unlink(missing_ok=True)
             raise
         upload = Upload(id, title, ending, **holds)
         await run_in_threadpool(self.shelf.add, upload)

@@ -29,7 +29,7 @@ from cadenza.studio.stream import Stored, Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
-_MOST_UPLOADS = 200
+MOST_UPLOADS = 200
 _LONGEST_TITLE = 100
 _LEFT_OVER = 3600.0  # [s] after which a performance that nobody finished is given up
 FILES = {
@@ -129,18 +129,27 @@ class Shelf:
 
         Returns:
             Where it lies, its id, its title and its ending.
+
+        Raises:
+            CadenzaError: there are too many already.
         """
         ending, id = _ending(content), hashlib.sha256(content).hexdigest()[:16]
         path = self.uploads / f"{id}{ending}"
+        if not self.is_listed(id) and len(self._uploads()) >= MOST_UPLOADS:
+            raise CadenzaError(
+                f"there are {MOST_UPLOADS} files of yours already; delete some by the × beside them"
+            )
         with write_atomically(path) as file:
             file.write(content)
         return path, id, _title(name), ending
 
     def add(self, upload: Upload) -> None:
-        """Lists it, and forgets the oldest where there are too many."""
+        """Lists it."""
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
-        for old in self._uploads()[_MOST_UPLOADS:]:
-            self.remove_upload(old.id)
+
+    def is_listed(self, id: str) -> bool:
+        """Whether there is an upload of this id, which can be read."""
+        return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
         """Raises: CadenzaError: there is none."""

@@ -21,6 +21,7 @@ from cadenza.studio.request import PlayRequest
 _MOST_AT_ONCE = 1
 _INTERRUPTED = 130  # how "cadenza train" exits when it was asked to stop
 _MOST_POINTS = 200  # of a curve
+_MOST_SAID = 2**16  # bytes of what it says that are kept
 _PATIENCE = 20.0  # [s] for a checkpoint, before a run that was asked to stop is killed
 POLICY = "policy/"  # what the agent begins with that is the best policy of a run
 
@@ -45,6 +46,8 @@ class Trainings:
         self._tasks: set[asyncio.Task[None]] = set()
         self._known: dict[Path, tuple[int, dict[str, Any]]] = {}
         self._paused = False
+        self._to_end: set[str] = set()  # runs that were asked to
+        self._beginning = asyncio.Lock()
 
     def runs(self) -> list[dict[str, Any]]:
         """All that can be read, the newest first, with the points of their curves.
@@ -80,10 +83,7 @@ class Trainings:
         Raises:
             CadenzaError: another run is learning.
         """
-        self._check_room()
         self.folder.mkdir(parents=True, exist_ok=True)
-        stem, taken = folder_name(title)[:40], {path.name for path in self.folder.iterdir()}
-        name = next(n for i in range(1, 10_000) if (n := f"{stem} {i}") not in taken)
         options: dict[str, float | str] = {
             "num-steps": steps,
             "seed": request.seed,
@@ -93,13 +93,18 @@ class Trainings:
         }
         flags = [f"--{option}={value}" for option, value in options.items()]
         tracks = ["--tracks", *map(str, request.tracks)] if request.tracks else []
-        await self._train(name, source, "--output", str(self.folder / name), *flags, *tracks)
+        async with self._beginning:
+            self._check_room()
+            stem, taken = folder_name(title)[:40], {path.name for path in self.folder.iterdir()}
+            name = next(n for i in range(1, 10_000) if (n := f"{stem} {i}") not in taken)
+            await self._train(name, source, "--output", str(self.folder / name), *flags, *tracks)
         return name
 
     async def go_on(self, name: str) -> None:
         """Raises: CadenzaError: another run is learning, or there is no such run."""
-        self._check_room()
-        await self._train(name, "--resume", str(self._path(name)))
+        async with self._beginning:
+            self._check_room()
+            await self._train(name, "--resume", str(self._path(name)))
 
     def stop(self, name: str) -> None:
         """After a checkpoint.
@@ -109,6 +114,7 @@ class Trainings:
         """
         if name not in self._learning:
             raise CadenzaError("this run is not learning")
+        self._to_end.add(name)
         process = self._learning[name].process
         for number in signal.SIGCONT, signal.SIGTERM:
             with suppress(ProcessLookupError):
@@ -177,11 +183,16 @@ class Trainings:
         task.add_done_callback(self._tasks.discard)
 
     async def _listen(self, name: str, learning: _Learning) -> None:
-        process, last = learning.process, ""
+        process, said = learning.process, b""
         assert process.stderr is not None
-        while line := await process.stderr.readline():
-            last = line.decode(errors="replace").strip() or last
+        while more := await process.stderr.read(_MOST_SAID):
+            said = (said + more).rstrip()[-_MOST_SAID:] + b"\n" * more.endswith(b"\n")
         code = await process.wait()
         del self._learning[name]
-        if code not in (0, _INTERRUPTED, -signal.SIGTERM, -signal.SIGKILL):
+        asked = name in self._to_end
+        self._to_end.discard(name)
+        if code == -signal.SIGKILL and not asked:
+            self._errors[name] = "was killed, as a system does that runs out of memory"
+        elif code not in (0, _INTERRUPTED, -signal.SIGTERM, -signal.SIGKILL):
+            last = said.decode(errors="replace").rstrip().rpartition("\n")[2]
             self._errors[name] = re.sub(r"^\w*error: ", "", last, flags=re.IGNORECASE)[:300]

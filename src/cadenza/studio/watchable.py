@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
+import signal
 import socket
+import threading
 import webbrowser
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import asdict, astuple, dataclass
 from functools import cache
 from importlib import resources
@@ -253,4 +255,20 @@ def serve(
             ws_max_size=1 << 12,
             ws_per_message_deflate=False,  # it goes no further than this machine, mostly
         )
-        uvicorn.Server(config).run(sockets=[listening])
+        server = uvicorn.Server(config)
+        with _closing_terminal_ends(server):
+            server.run(sockets=[listening])
+
+
+@contextmanager
+def _closing_terminal_ends(server: uvicorn.Server) -> Iterator[None]:
+    """That is as Ctrl-C: else the processes that work for the server would be left behind."""
+    hangup = getattr(signal, "SIGHUP", None)  # which only Unix has
+    if hangup is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(hangup, lambda *_: server.handle_exit(signal.SIGTERM, None))
+    try:
+        yield
+    finally:
+        signal.signal(hangup, before)

@@ -6,6 +6,7 @@ It takes the order as JSON, and reads on stdin what `cadenza.studio.messages` ha
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
@@ -72,6 +73,7 @@ class Watching(Watchable):
         if not self._stream.is_over:
             self._stream.status = {"state": "cancelled"}
             self._stream.wake()
+        signal.raise_signal(signal.SIGTERM)  # whoever plays has gone, and nobody else ends this
 
 
 def main() -> None:

@@ -158,10 +158,17 @@ def set_up_as_asked(order: Order, tell: Progress) -> AbstractContextManager[Setu
 
 def _as_practised(order: Order) -> AbstractContextManager[Setup] | None:
     """What has been practised, where that is wanted and there is any."""
-    folder = practice_folder(Path(order.folder), order.request)
-    if order.request.agent != PRACTISED or not (folder / PLAN).exists():
+    if order.request.agent != PRACTISED:
+        return None
+    folder = practised_in(order)
+    if not (folder / PLAN).exists():
         return None
     return set_up(select(str(folder)), seed=order.request.seed)
+
+
+def practised_in(order: Order) -> Path:
+    """The folder where what is asked for is practised."""
+    return practice_folder(Path(order.folder), order.request, _selected(order).score)
 
 
 def _selected(order: Order) -> Selection:

@@ -14,8 +14,8 @@ async function listenToKeyboards(told, phrase) {
     const [status, number, value] = data, kind = status & 0xf0;
     const strikes = kind === 0x90 && value > 0, lifts = kind === 0x80 || (kind === 0x90 && !value);
     if (!strikes && !lifts && !(kind === 0xb0 && number === 64)) return;
-    if ((!notes && !strikes) || events.length >= MOST_EVENTS) return; // silence comes before a phrase
-    events.push([timeStamp, kind, number, value]);
+    if (!notes && !strikes) return; // silence comes before a phrase
+    if (events.length < MOST_EVENTS) events.push([timeStamp, kind, number, value]);
     if (strikes) {
       held.add(number);
       told(++notes);
@@ -30,6 +30,7 @@ async function listenToKeyboards(told, phrase) {
     access.onstatechange = null;
     access.inputs.forEach((input) => { input.onmidimessage = null; });
     clearTimeout(pause);
+    end(); // of a phrase under way
   };
 }
 

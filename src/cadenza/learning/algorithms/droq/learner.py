@@ -106,9 +106,9 @@ class DroQ:
             critics=critics,
             targets=jax.tree.map(jnp.copy, critics),
             log_temperature=log_temperature,
-            actor_optimiser=self._adam(config.actor_learning_rate).init(actor),
+            actor_optimiser=self._adam_of_policy(config.actor_learning_rate).init(actor),
             critic_optimiser=self._adam(config.critic_learning_rate).init(critics),
-            temperature_optimiser=self._adam(config.temperature_learning_rate).init(
+            temperature_optimiser=self._adam_of_policy(config.temperature_learning_rate).init(
                 log_temperature
             ),
         )
@@ -146,10 +146,16 @@ class DroQ:
         """
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
-    def _adam(self, learning_rate: float) -> optax.GradientTransformation:
+    def _adam(self, learning_rate: float, every: int = 1) -> optax.GradientTransformation:
+        """One that takes a step in every so many updates."""
         config = self._config
-        rate = falling(learning_rate, config.final_learning_rate_fraction, self._ends)
+        ends = tuple((-(-begin // every), -(-end // every)) for begin, end in self._ends)
+        rate = falling(learning_rate, config.final_learning_rate_fraction, ends)
         return optax.adam(rate, config.adam_beta1, config.adam_beta2)
+
+    def _adam_of_policy(self, learning_rate: float) -> optax.GradientTransformation:
+        """Of actor and temperature, which wait for the critics."""
+        return self._adam(learning_rate, self._config.policy_delay)
 
     def _update(self, state: DroQState, batch: Batch) -> tuple[DroQState, dict[str, Any]]:
         key, critic_key, actor_key = jax.random.split(jax.random.wrap_key_data(state.key), 3)
@@ -200,14 +206,13 @@ class DroQ:
             return (temperature * log_prob - value).mean(), -log_prob.mean()
 
         (error, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(state.actor)
-        change, actor_optimiser = self._adam(config.actor_learning_rate).update(
+        change, actor_optimiser = self._adam_of_policy(config.actor_learning_rate).update(
             gradient, state.actor_optimiser
         )
         # The gradient of temperature * (entropy - target) by the logarithm of the temperature.
         too_much = temperature * (entropy - self.target_entropy)
-        cooler, temperature_optimiser = self._adam(config.temperature_learning_rate).update(
-            too_much, state.temperature_optimiser
-        )
+        optimiser = self._adam_of_policy(config.temperature_learning_rate)
+        cooler, temperature_optimiser = optimiser.update(too_much, state.temperature_optimiser)
         actor = optax.apply_updates(state.actor, change)
         averaged = optax.incremental_update(actor, state.actor_ema, config.actor_ema)
         state = state._replace(
