@@ -186,7 +186,7 @@ class Trainings:
         process, said = learning.process, b""
         assert process.stderr is not None
         while more := await process.stderr.read(_MOST_SAID):
-            said = (said + more).rstrip()[-_MOST_SAID:] + b"\n" * more.endswith(b"\n")
+            said = (said + more)[-_MOST_SAID:]
         code = await process.wait()
         del self._learning[name]
         asked = name in self._to_end
