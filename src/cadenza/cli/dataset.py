@@ -110,7 +110,7 @@ def _check(command: Collect) -> None:
     if command.scene.hands == "none":
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.scene.touch:
-        raise CadenzaError("--touch: no forces are kept of an episode; leave it out")
+        raise CadenzaError("--touch: no forces are kept of an episode; give --no-touch")
     if command.task.control_noise:
         raise CadenzaError(
             "--control-noise: is not kept, so no episode could be played again; use --noise"
