@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.musicxml import MAX_XML_BYTES, MOST, read_musicxml
+from cadenza.music.formats.musicxml_mending import mended
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PedalEvent
 from numbered import numbers
@@ -260,6 +261,12 @@ def test_durations_need_not_be_whole(saved):
     notes = note("C4", 1.5) + note("D4", 2.5) + note("E4", 4)
     score = load_score(saved(document([FOUR_QUARTERS + notes])))
     assert played(score) == [(0.0, 0.1875, 60), (0.1875, 0.5, 62), (0.5, 1.0, 64)]
+
+
+@pytest.mark.parametrize("duration", ["1e999999999", "1/3", "9" * 5000, "x"])
+def test_durations_that_are_no_numbers_are_left_to_the_library_at_once(duration):
+    content = document([FOUR_QUARTERS + note("C4", 1.5) + note("D4", duration)]).encode()
+    assert mended(content) == (content, [])
 
 
 def test_repeats_of_more_than_twice_are_told(saved):

@@ -37,8 +37,8 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
     if wrong := wrong_start(recorded, scene):
         raise CadenzaError(wrong)
     begun = replace(scene, hand_start=np.array(recorded.about.start))
-    # Fingers are those of the score; looking for others would take longer than playing.
     recorded.goals(scene)  # or says that the score is shorter than the episode
+    # Fingers are those of the score; looking for others would take longer than playing.
     config = replace(recorded.about.task, fingering="off")
     with closing(PianoTask([recorded.score], config, begun)) as task:
         yield task

@@ -94,8 +94,9 @@ class Imitation:
         """
         config.check()
         self.config, self._folder = config, folder
-        about = _about(config, demonstrations, folder)
-        episodes = {episode.folder.name: episode for episode in kept(demonstrations)}
+        there = kept(demonstrations)
+        about = _about(config, demonstrations, folder, there)
+        episodes = {episode.folder.name: episode for episode in there}
         if lost := {*about.learnt_from, *about.held_out} - episodes.keys():
             raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
         names = (*about.learnt_from, *about.held_out)
@@ -124,7 +125,8 @@ class Imitation:
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
         self.rows: list[dict[str, Any]] = []
-        write_json(folder / _RUN, asdict(about))  # nothing stands in its way
+        if not (folder / _RUN).exists():  # now that nothing stands in its way
+            write_json(folder / _RUN, asdict(about))
         if is_there(folder / "checkpoint"):
             self._restore()
 
@@ -274,8 +276,10 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
     return np.clip(np.stack([low - missing, high + missing]), *limits)
 
 
-def _about(config: ImitationConfig, demonstrations: Path, folder: Path) -> _About:
-    """What the run in a folder is, or will be if there is none."""
+def _about(
+    config: ImitationConfig, demonstrations: Path, folder: Path, there: Sequence[Recorded]
+) -> _About:
+    """What the run in a folder is, or will be if there is none, of the episodes that are there."""
     where, place = folder / _RUN, str(demonstrations.resolve())
     if where.exists():
         about: _About = read_json(where, _About)
@@ -285,7 +289,7 @@ def _about(config: ImitationConfig, demonstrations: Path, folder: Path) -> _Abou
                 "choose another folder with --output"
             )
         return about
-    learnt_from, held_out = _divided(_of_songs(kept(demonstrations), config.songs), config.held_out)
+    learnt_from, held_out = _divided(_of_songs(there, config.songs), config.held_out)
     return _About(config, place, learnt_from, held_out)
 
 

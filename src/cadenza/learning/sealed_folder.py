@@ -76,7 +76,13 @@ def write_sealed(
 
 def is_there(folder: Path) -> bool:
     """Whether there is something for `read_sealed` to read."""
-    return folder.exists() or _beside(folder, "old").exists()
+    return _held(folder).exists()
+
+
+def _held(folder: Path) -> Path:
+    """Where it is: whoever writes may be between two renames, or have stopped there."""
+    old = _beside(folder, "old")
+    return old if old.exists() and not folder.exists() else folder
 
 
 def read_sealed(
@@ -87,8 +93,7 @@ def read_sealed(
     Raises:
         CadenzaError: the folder is not there, of another kind, or was changed or damaged.
     """
-    if not folder.exists() and _beside(folder, "old").exists():
-        folder = _beside(folder, "old")  # whoever writes is between two renames, or stopped there
+    folder = _held(folder)
     if not (folder / _MANIFEST).exists():
         raise CadenzaError(f"{folder}: holds no {_MANIFEST}, so it cannot be read")
     manifest = read_json(folder / _MANIFEST, _Manifest)

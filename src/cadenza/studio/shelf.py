@@ -29,7 +29,7 @@ from cadenza.studio.stream import Stored, Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
-MOST_UPLOADS = 200
+_MOST_UPLOADS = 200
 _LONGEST_TITLE = 100
 _LEFT_OVER = 3600.0  # [s] after which a performance that nobody finished is given up
 FILES = {
@@ -135,9 +135,10 @@ class Shelf:
         """
         ending, id = _ending(content), hashlib.sha256(content).hexdigest()[:16]
         path = self.uploads / f"{id}{ending}"
-        if not self.is_listed(id) and len(self._uploads()) >= MOST_UPLOADS:
+        if not self.is_listed(id) and len(self._uploads()) >= _MOST_UPLOADS:
             raise CadenzaError(
-                f"there are {MOST_UPLOADS} files of yours already; delete some by the × beside them"
+                f"there are {_MOST_UPLOADS} files of yours already; delete some by the × beside "
+                "them"
             )
         with write_atomically(path) as file:
             file.write(content)
@@ -153,7 +154,7 @@ class Shelf:
 
     def remove_upload(self, id: str) -> None:
         """Raises: CadenzaError: there is none."""
-        if not _ID.fullmatch(id) or not (self.uploads / f"{id}.json").exists():
+        if not _ID.fullmatch(id) or not self.is_listed(id):
             raise CadenzaError("there is no such upload")
         for path in self.uploads.glob(f"{id}.*"):
             path.unlink(missing_ok=True)

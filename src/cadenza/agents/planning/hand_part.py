@@ -80,7 +80,7 @@ def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
     What stands there is how many control steps of `dt` [s] that is after the note's first one. A
     note is in time as `cadenza.music.metrics` counts onsets.
     """
-    first, steps = _first(keys), _steps_in_time(dt)
+    first, steps = first_steps(keys), _steps_in_time(dt)
     again = first & later(keys, 2)  # the same key is let go of when this note should begin, and
     sooner = max(steps - 1, 0)  # the note begins a step late at best
     last = np.where(later(first & ~again, steps), steps, -1)
@@ -92,11 +92,12 @@ def may_begin(keys: Mask, dt: float) -> Mask:
 
     `dt` is the control step [s].
     """
-    first = _first(keys)
+    first = first_steps(keys)
     return np.any([later(first, steps) for steps in range(_steps_in_time(dt) + 1)], axis=0)
 
 
-def _first(keys: Mask) -> Mask:
+def first_steps(keys: Mask) -> Mask:
+    """(T, K) the first step of each note of `keys` (T, K)."""
     return keys & ~later(keys, 1)
 
 

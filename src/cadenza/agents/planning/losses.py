@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.ahead import NO_HARM
 from cadenza.agents.planning.correction import FURTHEST
-from cadenza.agents.planning.hand_part import HandPart, last_in_time, later, may_begin
+from cadenza.agents.planning.hand_part import HandPart, first_steps, last_in_time, may_begin
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.tasks import reward
 
@@ -64,8 +64,7 @@ class Losses:
         self._part, self._keyboard = part, plan.scene.keyboard
         self._keys, self._wanted = keys, keys.sum(axis=1)
         self._in_time, self._welcome = last_in_time(part.mine, dt), may_begin(keys, dt)
-        onsets = int((keys & ~later(keys, 1)).sum())
-        self._onset = ONSETS * len(keys) / max(onsets, 1)
+        self._onset = ONSETS * len(keys) / max(int(first_steps(keys).sum()), 1)
 
     def after(
         self,

@@ -241,8 +241,8 @@ def _partitura() -> Any:
 
 def _sheet(data: bytes, path: Path) -> _Sheet:
     symbols, load_musicxml = _partitura()
-    data, mends = mended(data)
     try:
+        data, mends = mended(data)
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             score = load_musicxml(io.BytesIO(data))

@@ -92,8 +92,7 @@ def _remove(root: Element, elements: Iterable[Element]) -> None:
 def _finer(root: Element) -> int:
     """How many times as fine units have to be for all durations to be whole; 1 where none are."""
     try:
-        lengths = [Fraction((each.text or "0").strip()) for each in _durations(root)]
-        finer = math.lcm(*(length.denominator for length in lengths))
+        finer = math.lcm(*(_length(each).denominator for each in _durations(root)))
         [int(each.text or "") for each in root.iter("divisions")]
     except (ValueError, ZeroDivisionError):
         return 1
@@ -103,9 +102,17 @@ def _finer(root: Element) -> int:
 def _refine(root: Element, finer: int) -> None:
     if finer > 1:
         for each in _durations(root):
-            each.text = str(int(Fraction((each.text or "0").strip()) * finer))
+            each.text = str(int(_length(each) * finer))
         for each in root.iter("divisions"):
             each.text = str(int(each.text or "") * finer)
+
+
+def _length(duration: Element) -> Fraction:
+    """Raises: ValueError: it is no number with few digits, of which others could have billions."""
+    text = (duration.text or "0").strip()
+    if not re.fullmatch(r"-?\d{1,12}(\.\d{1,12})?", text):
+        raise ValueError(text)
+    return Fraction(text)
 
 
 def _durations(root: Element) -> list[Element]:
