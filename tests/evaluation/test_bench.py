@@ -103,6 +103,16 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
     assert unfinished.why == why
 
 
+def after_a_result_that_was_not_good_enough(job: Job, folder: Path, executor: OneByOne) -> State:
+    """What becomes of a run that is carried out again."""
+    run = folder / "runs" / job.spec.name
+    run.mkdir(parents=True)
+    (run / RESULT).write_text("{}")
+    return bench(
+        [job], folder, executor, lambda *_: None, lambda _: True, is_complete=lambda *_: False
+    )
+
+
 def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
     jobs: Callable[..., list[Job]], tmp_path: Path
 ) -> None:
@@ -112,12 +122,7 @@ def test_what_fails_now_counts_as_failed_whatever_it_has_left_before(
             self._ended.append(Ended(job))
 
     (job,) = jobs("zero")
-    folder = tmp_path / "runs" / job.spec.name
-    folder.mkdir(parents=True)
-    (folder / RESULT).write_text("{}")
-    state = bench(
-        [job], tmp_path, Fails(), lambda *_: None, lambda _: True, is_complete=lambda *_: False
-    )
+    state = after_a_result_that_was_not_good_enough(job, tmp_path, Fails())
     assert (state.finished, state.failed) == (0, {job.spec.name: "not today"})
 
 
@@ -129,12 +134,7 @@ def test_a_process_that_dies_is_not_saved_by_a_result_that_was_not_good_enough(
             self._ended.append(Ended(job, "killed"))
 
     (job,) = jobs("zero")
-    folder = tmp_path / "runs" / job.spec.name
-    folder.mkdir(parents=True)
-    (folder / RESULT).write_text("{}")
-    state = bench(
-        [job], tmp_path, Dies(), lambda *_: None, lambda _: True, is_complete=lambda *_: False
-    )
+    state = after_a_result_that_was_not_good_enough(job, tmp_path, Dies())
     assert (state.finished, list(state.failed)) == (0, [job.spec.name])
 
 
