@@ -24,10 +24,10 @@ FINGER_TO_FINGER = 12 / 7
 
 
 def moments_of(notes: list[Note]) -> list[list[Note]]:
-    """Notes that begin within 0.03 s of the one before."""
+    """Notes that begin within 0.03 s of the first of them."""
     moments: list[list[Note]] = []
     for note in notes:
-        if moments and note.start - moments[-1][-1].start <= 0.03:
+        if moments and note.start <= moments[-1][0].start + 0.03:
             moments[-1].append(note)
         else:
             moments.append([note])

@@ -20,7 +20,7 @@ from cadenza.fingering.search import find_fingering
 from cadenza.fingers import NO_FINGER, SIDES
 from cadenza.hands.reach import Array
 from cadenza.music.keyboard import is_black
-from cadenza.music.score import MIDI_PITCHES, TOGETHER, Score
+from cadenza.music.score import MIDI_PITCHES, Score, chords
 
 EASIEST, HARDEST = 1, 10
 ODDS = 1.6
@@ -116,7 +116,8 @@ def features_of(score: Score) -> Features:
     side = np.array([finger.hand if finger else NO_FINGER for finger in fingers])
     place = np.array([finger.index if finger else NO_FINGER for finger in fingers])
     seconds = float(end.max() - start.min())
-    moment = np.cumsum(np.diff(start, prepend=start[0]) > TOGETHER)
+    sizes = [len(chord) for chord in chords(score.notes)]
+    moment = np.repeat(np.arange(len(sizes)), sizes)
     spread = travel = crossings = 0.0
     for hand in range(len(SIDES)):
         own = side == hand
@@ -128,7 +129,7 @@ def features_of(score: Score) -> Features:
             crossings += _crossings(start[own], moment[own], outward * pitch[own], place[own])
     return Features(
         notes=len(start) / seconds,
-        chords=len(start) / (moment[-1] + 1) - 1,
+        chords=len(start) / len(sizes) - 1,
         polyphony=_polyphony(start, end),
         spread=spread / len(start),
         travel=travel / seconds,
