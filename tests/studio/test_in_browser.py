@@ -279,6 +279,14 @@ def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) 
     assert browser.problems() == []
 
 
+def test_a_link_to_a_deleted_upload_says_so(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    browser.evaluate("location.hash = '#song=upload/gone&tempo=1'")
+    wait(browser, "cadenza.error?.startsWith('This song is not here any more')")
+    assert browser.evaluate("document.getElementById('start').disabled")
+    visit(browser, address)
+
+
 def test_a_song_after_a_whole_one_is_drawn_at_once(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:

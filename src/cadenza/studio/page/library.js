@@ -2,6 +2,7 @@
 
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 const MOST_SHOWN = 200; // songs at once
+const GONE = "This song is not here any more. Choose another, or drop its file again.";
 let players = {}; // by id: what it is called, and what it does
 let songs = [], chosen = null, only = null; // the one performance that can be watched
 
@@ -70,6 +71,7 @@ function choose(id) {
   showChosen();
 }
 function request() {
+  if (!chosen) throw new Error(GONE);
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
   if (wrong) throw new Error(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
@@ -80,6 +82,7 @@ function request() {
 }
 function set(wanted) {
   choose(wanted.song);
+  if (!chosen) complain(GONE);
   const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
   if (button) {
     const { top, bottom } = list.getBoundingClientRect(), at = button.getBoundingClientRect();
