@@ -16,6 +16,7 @@ episodes, each once: 1 MB for 10 s. Making one takes 3 s of a core.
 from __future__ import annotations
 
 import argparse
+import hashlib
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,8 +31,8 @@ from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.planning.learnt.inputs import About
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
 from cadenza.agents.planning.song_plan import plan_song
-from cadenza.demonstrations.dataset import kept
-from cadenza.demonstrations.recorded import STEPS, Recorded
+from cadenza.demonstrations.dataset import Dataset, kept
+from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.scene.scene import hand_alone
@@ -92,8 +93,9 @@ def state_of(rows: Array, nothing: State) -> State:
 
 
 def kept_lesson(recorded: Recorded, folder: Path) -> Lesson:
-    """That of an episode, made once."""
-    path = folder / f"{recorded.folder.name}-{recorded.about.files[STEPS][:12]}.npz"
+    """That of an episode, made once; for another version of its inputs, take another folder."""
+    files = hashlib.sha256("".join(recorded.about.files.values()).encode()).hexdigest()
+    path = folder / f"{recorded.folder.name}-{files[:12]}.npz"
     if not path.exists():
         lesson = lesson_of(recorded)
         folder.mkdir(parents=True, exist_ok=True)
@@ -168,6 +170,10 @@ def learnt(
     scale, rng = from_these.answers.std(), np.random.default_rng(seed)
     x, y = jnp.asarray(from_these.inputs), jnp.asarray(from_these.answers / scale)
     updates = len(x) // BATCH
+    if not updates:
+        raise CadenzaError(
+            f"a network learns from {BATCH} examples at once, not {len(x)}: collect more"
+        )
     rate = optax.cosine_decay_schedule(RATE, EPOCHS * updates)
     optimiser = optax.adamw(rate, weight_decay=DECAY)
 
@@ -243,6 +249,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder")
     given = parser.parse_args()
     episodes = [episode for folder in given.datasets for episode in kept(folder)]
+    scene = Dataset(episodes).scene  # or says which do not go together
     of_songs: dict[str, list[Lesson]] = {}
     for i, episode in enumerate(episodes, start=1):
         lesson = kept_lesson(episode, given.output / "lessons")
@@ -255,7 +262,6 @@ def main() -> None:
         )
     lessons = [joined(of_song) for of_song in of_songs.values()]
     print(f"\n{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
-    scene = episodes[0].build_scene()
     alone = hand_alone(scene, scene.sides[0]).scene
     about, servos = About.of(alone), servos_of(alone).finger
     networks = []

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cadenza.agents.agent import Agent
+from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.cli import main
 from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
@@ -25,6 +29,7 @@ from cadenza.errors import CadenzaError
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
 from cadenza.performing.replaying import play_again
+from cadenza.tasks.piano_task import PianoTask
 
 
 def test_nothing_is_wrong(made: Path) -> None:
@@ -46,11 +51,13 @@ def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> No
 
 @contextmanager
 def changed_result(folder: Path) -> Iterator[dict[str, Any]]:
-    """What result.json says, to be changed, as one of those that have no checksum."""
+    """What result.json says, to be changed, and its checksum with it."""
     path = first(folder) / RESULT
     result = json.loads(path.read_text())
     del result["seal"]
     yield result
+    content = json.dumps([path.parent.name, result], sort_keys=True)
+    result["seal"] = hashlib.sha256(content.encode()).hexdigest()
     path.write_text(json.dumps(result))
 
 
@@ -107,6 +114,35 @@ def test_facts_that_were_changed_are_noticed_by_all(copied: Path) -> None:
         open_dataset(copied)
 
 
+def test_a_result_that_is_gone(copied: Path) -> None:
+    path = first(copied) / RESULT
+    path.unlink()
+    (line,) = problems(copied, replays=0)
+    assert line.startswith(f"{path.parent}: has no result.json, so it does not count")
+
+
+def test_facts_without_their_checksum_are_refused(copied: Path) -> None:
+    path = first(copied) / RESULT
+    result = json.loads(path.read_text())
+    del result["seal"]
+    path.write_text(json.dumps(result))
+    with pytest.raises(CadenzaError, match="its checksum is another or gone"):
+        open_dataset(copied)
+
+
+@pytest.mark.parametrize("name", [STEPS, PLAN, SCORE])
+def test_changed_files_are_refused_by_learners_exports_and_players(copied: Path, name: str) -> None:
+    with (first(copied) / name).open("ab") as file:
+        file.write(b" ")  # which their formats allow
+    with pytest.raises(CadenzaError, match="its checksum is another"):
+        transitions(open_dataset(copied), 0)
+    with pytest.raises(CadenzaError, match="its checksum is another"):
+        Imitation(ImitationConfig(held_out=0), copied, copied / "clone")
+    if name != PLAN:
+        with pytest.raises(CadenzaError, match="its checksum is another"):
+            play_again(kept(copied)[0])
+
+
 def test_a_copied_episode_is_noticed(copied: Path) -> None:
     copy = first(copied).with_name("copy of it")
     shutil.copytree(first(copied), copy)
@@ -121,10 +157,11 @@ def test_a_score_that_is_too_short(copied: Path) -> None:
     with changed_result(copied) as result:
         result["files"][SCORE] = digest(path)
     (line,) = problems(copied, replays=0)
-    assert line == f"{path}: shorter than the episode; delete its folder and collect again"
-    with pytest.raises(CadenzaError, match="shorter than the episode"):
+    assert re.search(r": has \d+ steps, the episode \d+; delete its folder and collect again", line)
+    assert line.startswith(str(path))
+    with pytest.raises(CadenzaError, match="steps, the episode"):
         open_dataset(copied).batch(np.array([0]))
-    with pytest.raises(CadenzaError, match="shorter than the episode"):
+    with pytest.raises(CadenzaError, match="steps, the episode"):
         play_again(kept(copied)[0])
 
 
@@ -213,7 +250,10 @@ def test_what_was_checked_is_not_kept_open(made: Path) -> None:
 def test_an_episode_that_ends_earlier_than_it_did(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(replay, "is_over", lambda _, task: task.sheets.steps_done[0] >= 3)
+    def cut_short(task: PianoTask, agent: Agent) -> EpisodeResult:
+        return play_episode(task, agent, stop=lambda: task.sheets.steps_done[0] >= 3)
+
+    monkeypatch.setattr(replay, "play_episode", cut_short)
     lines = list(problems(copied, replays=2))
     assert len(lines) == 2
     assert all("played again it differs: the number of steps by" in line for line in lines)
@@ -227,7 +267,9 @@ def test_an_episode_that_ends_earlier_than_it_did(
         ("metrics", "f1", 2.0),
         ("drawn", "mirrored", 5),
         ("task", "control_timestep", 0.0),
+        ("task", "control_timestep", 5e-324),
         ("task", "initial_buffer_time", -1.0),
+        ("task", "initial_buffer_time", 1e300),
     ],
 )
 def test_a_result_that_cannot_be_is_refused_by_all(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from cadenza.demonstrations.recorded import played_actions
 from cadenza.demonstrations.replay import task_of
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
+from cadenza.evaluation.collecting.variation import Variation
 from cadenza.tasks.view import View
+from demonstrations.made import collected
 
 minari = pytest.importorskip("minari")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -73,6 +76,29 @@ def test_minari_loads_what_was_recorded(
     environment = loaded.recover_environment()
     assert environment.observation_space == loaded.observation_space
     assert environment.action_space == loaded.action_space
+
+
+@pytest.mark.parametrize(
+    "task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.2}, {"stretch": 2.0, "transpose": 5}]
+)
+def test_minari_recovers_the_task_that_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: dict[str, Any]
+) -> None:
+    exact = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
+    collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(exact | task))
+    dataset = open_dataset(tmp_path / "made")
+    minari_export.write_minari(dataset, tmp_path / "minari", lambda *_: None)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    loaded = minari.load_dataset("cadenza/demonstrations-v0")
+    environment = loaded.recover_environment()
+    assert environment.observation_space == loaded.observation_space
+    (episode,) = loaded.iterate_episodes()
+    shown = [environment.reset()[0]]
+    for action in episode.actions:
+        observation, *_, truncated, _ = environment.step(action)
+        shown.append(observation)
+    assert truncated
+    np.testing.assert_allclose(episode.observations, shown, atol=1e-3)  # keys are float16
 
 
 def test_lerobot_files_hold_what_was_recorded(

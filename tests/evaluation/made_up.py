@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from cadenza.evaluation.job import key_of
+
 AGENTS = ("planner", "predictive-sampling", "ilqg", "train:fast", "tracked-presses")
 TITLES = ("Für Elise", "Nocturne", "Invention", "Sonata in C, first movement", "Étude", "Minuet")
 COMPOSERS = ("Beethoven", "Chopin", "Bach", "Mozart", "Debussy", "Petzold")
@@ -34,7 +36,8 @@ def result(
 
 
 def write_result(bench: Path, name: str, content: Any) -> Path:
-    folder = bench / "runs" / name
+    """Into a folder whose name ends as that of such a run does."""
+    folder = bench / "runs" / f"{name}--{key_of(content['job'])}"
     folder.mkdir(parents=True)
     (folder / "result.json").write_text(json.dumps(content))
     return folder
@@ -70,7 +73,7 @@ def write_bench(
                     "cpu_seconds": seconds * (0.3 + j),
                     "music_seconds": seconds,
                 }
-                name = f"{i:03}--{agent.replace(':', '_')}--s{seed}--0123456789ab"
+                name = f"{i:03}--{agent.replace(':', '_')}--s{seed}"
                 folder = write_result(bench, name, content)
                 if seed == 0:
                     (folder / "report.html").write_text("<!doctype html><title>A run</title>")

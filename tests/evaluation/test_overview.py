@@ -207,9 +207,10 @@ def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"format": 2}', '{"format": 1}'])
 def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) -> None:
     write(tmp_path, TWO_AGENTS)
-    (tmp_path / "runs" / "a-good-0" / "result.json").write_text(content)
+    (run,) = (tmp_path / "runs").glob("a-good-0--*")
+    (run / "result.json").write_text(content)
     (case,) = remarks(tmp_path)["1 run cannot be read, and is left out."]
-    assert case.startswith("a-good-0: ")
+    assert case.startswith(f"{run.name}: ")
     assert len(told(tmp_path).runs) == len(TWO_AGENTS) - 1
 
 
@@ -223,6 +224,7 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) ->
         ("timing", {"wall_seconds": -1.0}, "its wall_seconds cannot be -1.0"),
         ("song", {"difficulty": 1e300}, "its difficulty cannot be 1e+300"),
         ("song", {"notes": -1}, "its notes cannot be -1"),
+        ("timing", {"music_seconds": 1e-320}, "its music_seconds cannot be 1e-320"),
     ],
 )
 def test_a_run_whose_figures_make_no_sense_is_reported_and_left_out(
@@ -231,8 +233,8 @@ def test_a_run_whose_figures_make_no_sense_is_reported_and_left_out(
     write(tmp_path, TWO_AGENTS)
     content = result("c", "good", 0, {"f1": 0.5})
     content[part] |= values
-    write_result(tmp_path, "odd", content)
-    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [f"odd: {why}"]
+    odd = write_result(tmp_path, "odd", content).name
+    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [f"{odd}: {why}"]
     assert len(told(tmp_path).pieces) == 2
 
 

@@ -15,7 +15,7 @@ from cadenza.evaluation.collecting.variation import varied
 from cadenza.evaluation.job import Job, JobSpec
 from cadenza.evaluation.matrix import Contender, matrix, write_plan
 from cadenza.evaluation.results import read_results
-from cadenza.evaluation.run import carry_out
+from cadenza.evaluation.run import carry_out, is_complete
 from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.library import find_song
@@ -64,13 +64,35 @@ def test_a_result_says_what_was_played_and_how_well(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "\xff", '{"format": 1}'])
 def test_what_is_corrupt_is_told_and_left_out(tmp_path: Path, finished: str, text: str) -> None:
-    for name, written in ("a", text), ("b", finished), ("c", finished[:-30]):
+    key = job().spec.key
+    names = [f"{run}--{key}" for run in "abc"]
+    for name, written in zip(names, (text, finished, finished[:-30]), strict=True):
         (tmp_path / "runs" / name).mkdir(parents=True)
         (tmp_path / "runs" / name / "result.json").write_text(written)
     found = read_results(tmp_path)
-    assert [result.folder.name for result in found.results] == ["b"]
-    assert [without.name for without in found.broken] == ["a", "c"]
+    assert [result.folder.name for result in found.results] == [names[1]]
+    assert [without.name for without in found.broken] == [names[0], names[2]]
     assert all("\n" not in without.why for without in found.broken)
+
+
+def test_a_run_that_was_copied_does_not_count_twice(tmp_path: Path, finished: str) -> None:
+    for name in job().spec.name, f"{job().spec.name} copy":
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "result.json").write_text(finished)
+    found = read_results(tmp_path)
+    assert [result.folder.name for result in found.results] == [job().spec.name]
+    (broken,) = found.broken
+    assert "does not belong to its folder" in broken.why
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format": 1}'])
+def test_a_run_whose_result_is_corrupt_is_carried_out_again(tmp_path: Path, text: str) -> None:
+    run = tmp_path / job().spec.name
+    run.mkdir()
+    (run / "result.json").write_text(text)
+    assert not is_complete(job(), run)
+    carry_out(job(), run, num_threads=1)
+    assert is_complete(job(), run)
 
 
 def test_what_is_not_of_this_format_is_told(tmp_path: Path, finished: str) -> None:

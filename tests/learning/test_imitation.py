@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ CONFIG = ImitationConfig(
     log_interval=50,
     n_steps_lookahead=4,
 )
+SAME = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
 OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 50)), title="other")
 
 
@@ -42,8 +44,7 @@ OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 50)), title="other")
 def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes of a song."""
     folder = tmp_path_factory.mktemp("made") / "demonstrations"
-    same = {"random_stretch": 0.0, "random_pitch_shift": 0, "random_hand_position": 0.0}
-    collected(folder, Variation(noise=0.2, mirror=False), episodes=2, **same)
+    collected(folder, Variation(noise=0.2, mirror=False), episodes=2, **SAME)
     return folder
 
 
@@ -113,6 +114,25 @@ def test_sees_in_a_performance_what_it_has_learnt_from(
     dataset = open_dataset(demonstrations)
     batch = dataset.batch(np.zeros(1, np.intp), CONFIG.n_steps_lookahead)
     seen = observed(batch, dataset.scene.keyboard.travel, learnt.ranges)
+    done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
+    performance = cadenza.play(SCORE, tmp_path / "run" / "last")
+    expected = to_range(done, *learnt.ranges.actions)
+    assert_allclose(performance.episode["action"][:1], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("task", [{"fingering": "off"}, {"n_seconds_lookahead": 0.1}])
+def test_sees_the_same_however_the_recorded_task_shows_it(
+    tmp_path: Path, task: dict[str, Any]
+) -> None:
+    collected(tmp_path / "made", Variation(noise=0.0, mirror=False), **(SAME | task))
+    run = Imitation(replace(CONFIG, held_out=0), tmp_path / "made", tmp_path / "run")
+    run.run(times(1))
+    learnt, dataset = load_policy(tmp_path / "run" / "last"), open_dataset(tmp_path / "made")
+    assert learnt.ranges is not None
+    assert learnt.task.trim_silence
+    batch = dataset.batch(np.zeros(1, np.intp), CONFIG.n_steps_lookahead)
+    seen = observed(batch, dataset.scene.keyboard.travel, learnt.ranges)
+    assert seen.shape[1] == learnt.observation.size
     done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
     performance = cadenza.play(SCORE, tmp_path / "run" / "last")
     expected = to_range(done, *learnt.ranges.actions)

@@ -63,8 +63,8 @@ def _train(run: Imitation) -> None:
 
         def goes_on() -> bool:
             remark = f"{(run.update - first) / (time.perf_counter() - began):.0f} a second"
-            if run.rows:
-                remark += f", error {run.rows[-1]['train/error']:.5f}"
+            if run.error is not None:
+                remark += f", error {run.error:.5f}"
             advance(run.update, run.config.num_updates, remark)
             return not stop()
 

@@ -111,6 +111,10 @@ def _check(command: Collect) -> None:
         raise CadenzaError("--hands none: there are no hands to learn from; choose some")
     if command.scene.touch:
         raise CadenzaError("--touch: no forces are kept of an episode; give --no-touch")
+    if command.task.wrong_press_termination:
+        raise CadenzaError(
+            "--wrong-press-termination: demonstrations last as long as their songs; leave it out"
+        )
     if command.task.control_noise:
         raise CadenzaError(
             "--control-noise: is not kept, so no episode could be played again; use --noise"

@@ -8,15 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, results_in, wrong_values
-from cadenza.demonstrations.recorded import (
-    MAKE_AGAIN,
-    PLAN,
-    SCORE,
-    STEPS,
-    Recorded,
-    about,
-    digest,
-)
+from cadenza.demonstrations.recorded import MAKE_AGAIN, RESULT, STEPS, Recorded, about
 from cadenza.demonstrations.replay import differences, wrong_start
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
@@ -39,7 +31,7 @@ class _Scenes:
 def problems(
     folder: Path, replays: int, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Iterator[str]:
-    """Everything that is wrong with the finished episodes, a line each.
+    """Everything that is wrong with the episodes, a line each.
 
     Args:
         folder: of the demonstrations.
@@ -51,6 +43,7 @@ def problems(
     """
     if not (folder / EPISODES).is_dir():
         raise CadenzaError(f"{folder}: holds no demonstrations")
+    yield from _unfinished(folder / EPISODES)
     paths = results_in(folder / EPISODES)
     scenes, sound = _Scenes(), list[tuple[Recorded, Scene]]()
     for done, path in enumerate(paths, start=1):
@@ -58,7 +51,7 @@ def problems(
             recorded = Recorded(path.parent, about(path.parent))
             if recorded.about.kept:
                 scene = scenes(recorded)
-                found = list(_of_files(recorded)) or list(_of_content(recorded, scene))
+                found = list(recorded.wrong_files()) or list(_of_content(recorded, scene))
                 yield from found
                 if not found:  # anew, as what is mapped holds an open file
                     sound.append((Recorded(path.parent, recorded.about), scene))
@@ -77,6 +70,13 @@ def problems(
             yield _unreadable(sound[i][0].folder, error)
 
 
+def _unfinished(runs: Path) -> Iterator[str]:
+    """Episodes whose arrays are there, but not what says that they are whole."""
+    for at in sorted(runs.iterdir()):
+        if (at / STEPS).exists() and not (at / RESULT).exists():
+            yield f"{at}: has no {RESULT}, so it does not count; collect again, or delete it"
+
+
 def _of(folder: Path, error: CadenzaError) -> str:
     """What is wrong with an episode, its folder, and what to do."""
     said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
@@ -85,18 +85,6 @@ def _of(folder: Path, error: CadenzaError) -> str:
 
 def _unreadable(folder: Path, error: OSError) -> str:
     return f"{folder}: cannot be read ({error.strerror or error})"
-
-
-def _of_files(recorded: Recorded) -> Iterator[str]:
-    """Whether each file is there and is as it was written."""
-    for name in (STEPS, PLAN, SCORE):
-        path = recorded.folder / name
-        if name not in recorded.about.files:
-            yield f"{path}: result.json does not name it; {MAKE_AGAIN}"
-        elif not path.is_file():
-            yield f"{path}: missing; {MAKE_AGAIN}"
-        elif digest(path) != recorded.about.files[name]:
-            yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
 
 
 def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:

@@ -100,6 +100,7 @@ class Dataset:
         num_steps: in all episodes together.
         scene: the hands and the keys.
         control_timestep: between two steps [s].
+        shows_fingers: whether the task's observations say which fingers have a key to press.
     """
 
     def __init__(self, episodes: Sequence[Recorded]) -> None:
@@ -112,6 +113,8 @@ class Dataset:
         self.scene = episodes[0].build_scene()
         dt = [e.about.task.control_timestep for e in episodes]
         self.control_timestep = _common(episodes, "control_timestep", dt)
+        shown = [e.about.task.fingering != "off" for e in episodes]
+        self.shows_fingers = _common(episodes, "fingering", shown)
         lengths = np.array([episode.about.num_steps for episode in episodes], np.intp)
         ends = np.cumsum(lengths)
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])
@@ -212,10 +215,9 @@ class Dataset:
 
     def _rebuild(self, episode: int) -> None:
         goals, first = self.goals(episode), int(self._first_row[episode])
-        count = int(self._lengths[episode])  # fewer than there are if it has ended early
-        asked = np.column_stack([goals.keys, goals.sustain])[:count]
-        self._table.bits[first : first + count] = np.packbits(asked, axis=1)
-        step, key = (goals.fingers[:count] >= 0).nonzero()
+        asked = np.column_stack([goals.keys, goals.sustain])
+        self._table.bits[first : first + len(asked)] = np.packbits(asked, axis=1)
+        step, key = (goals.fingers >= 0).nonzero()
         self._table.fingers[first + step, goals.fingers[step, key]] = key
         self._table.made[episode] = True
 
@@ -276,11 +278,12 @@ def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
 
 
 def check_values(episode: Recorded, scene: Scene) -> None:
-    """Reads all of an episode's arrays.
+    """Reads all of an episode's files.
 
     Raises:
-        CadenzaError: what is in them cannot be.
+        CadenzaError: one is not as it was written, or what is in it cannot be.
     """
+    episode.check_files()
     for what in wrong_values(episode, scene):
         raise CadenzaError(what)
 

@@ -72,10 +72,14 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
 
 
 def _environment(dataset: Dataset) -> EnvSpec:
-    """What `recover_environment` of Minari makes, with all the songs."""
+    """What `recover_environment` of Minari makes, with all the songs.
+
+    The songs are as they are stored: of the task, what it does to them is kept as it was asked for.
+    """
     abouts = [episode.about for episode in dataset.episodes]
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
-    task = asdict(abouts[0].task) | {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
+    lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
+    task = asdict(abouts[0].task) | abouts[0].job["task"] | lookahead
     songs = list(dict.fromkeys(about.song for about in abouts))
     spec.kwargs = plain({"song": songs} | task | asdict(abouts[0].scene))
     return spec

@@ -10,6 +10,7 @@ import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, finished
 from cadenza.demonstrations.recorded import About
+from cadenza.music.formats.titles import printable
 
 _MIB = 2**20
 
@@ -23,7 +24,8 @@ def overview(folder: Path) -> Iterator[str]:
     found = finished(folder)
     kept = [about for _, about in found if about.kept]
     names = {at.name for at, _ in found}
-    unfinished = sum(path.name not in names for path in (folder / EPISODES).iterdir())
+    there = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
+    unfinished = sum(path.name not in names for path in there)
     yield f"{len(kept)} episodes of {len({about.song for about in kept})} songs kept"
     yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
     yield _steps(kept)
@@ -50,7 +52,9 @@ def _f1(kept: list[About]) -> str:
 
 def _versions(found: Iterable[About]) -> Iterator[str]:
     counts = Counter(
-        f"{name} {version}" for about in found for name, version in about.versions.items()
+        printable(f"{name} {version}")
+        for about in found
+        for name, version in about.versions.items()
     )
     for what, count in sorted(counts.items()):
         yield f"made with {what}: {count} episodes"

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, opened, plain, read_json, write_atomically, write_json
 from cadenza.music.formats.written_score import WrittenScore
-from cadenza.music.goals import Goals
+from cadenza.music.goals import MAX_STEPS, Goals
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.scene.scene import Scene, build_scene
@@ -38,8 +38,9 @@ Array = NDArray[Any]
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
 STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
-_SEAL = "seal"  # what result.json calls its own checksum; the first version had none
-_MOST_STEPS = 1_000_000_000  # far more than any song has
+_SEAL = "seal"  # what result.json calls its own checksum
+_MOST_STEPS = 2 * MAX_STEPS  # of a song, and of the silence before it
+_LEAST_STEP = 1e-4  # [s]
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
@@ -157,24 +158,48 @@ class Recorded:
         """What was to be played, without the silence before it.
 
         Raises:
-            CadenzaError: the file is not there, or is damaged.
+            CadenzaError: the file is not there, or is not as it was written.
         """
         path = self.folder / SCORE
+        self.check_files((SCORE,))
         try:
             return read_json(path, WrittenScore).score
         except CadenzaError as error:
             said = str(error) if str(path) in str(error) else f"{path}: {error}"
             raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
 
+    def check_files(self, names: Collection[str] = (STEPS, PLAN, SCORE)) -> None:
+        """Reads files as a whole.
+
+        Raises:
+            CadenzaError: one is not there, or is not as it was written.
+        """
+        for what in self.wrong_files(names):
+            raise CadenzaError(what)
+
+    def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE)) -> Iterator[str]:
+        """Which of its files are not there, or are not as they were written, a line each."""
+        for name in names:
+            path = self.folder / name
+            if name not in self.about.files:
+                yield f"{path}: result.json does not name it; {MAKE_AGAIN}"
+            elif not path.is_file():
+                yield f"{path}: missing; {MAKE_AGAIN}"
+            elif digest(path) != self.about.files[name]:
+                yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
+
     def goals(self, scene: Scene) -> Goals:
         """Keys, fingers and pedal per control step, rebuilt from the score.
 
         Raises:
-            CadenzaError: the file of the score is not there, is damaged, or is too short.
+            CadenzaError: the file of the score is not there, is damaged, or has other steps.
         """
         goals = GoalTrack(self.score, (), self.about.task, scene).goals
-        if goals.num_steps < self.about.num_steps:
-            raise CadenzaError(f"{self.folder / SCORE}: shorter than the episode; {MAKE_AGAIN}")
+        if goals.num_steps != self.about.num_steps:
+            raise CadenzaError(
+                f"{self.folder / SCORE}: has {goals.num_steps} steps, the episode "
+                f"{self.about.num_steps}; {MAKE_AGAIN}"
+            )
         return goals
 
 
@@ -215,10 +240,10 @@ def about(folder: Path) -> About:
     facts = read_json(folder / RESULT, dict[str, Any])
     sealed = facts.pop(_SEAL, None)
     told = checked(facts, About, folder / RESULT)
-    if sealed not in (None, _seal(folder, facts)):
+    if sealed != _seal(folder, facts):
         raise CadenzaError(
-            f"{folder / RESULT}: its checksum is another, as it was changed or its folder renamed "
-            f"or copied; {MAKE_AGAIN}"
+            f"{folder / RESULT}: its checksum is another or gone, as it was changed or its folder "
+            f"renamed or copied; {MAKE_AGAIN}"
         )
     if told.kept and (what := _unlikely(told)):
         raise CadenzaError(f"{folder / RESULT}: {what} cannot be; {MAKE_AGAIN}")
@@ -228,15 +253,15 @@ def about(folder: Path) -> About:
 def _unlikely(told: About) -> str | None:
     """What of an episode that was kept others count on, and is not as it can be."""
     steps, f1 = told.metrics.get("steps"), told.metrics.get("f1")
-    if type(steps) is not int or not 0 < steps < _MOST_STEPS:
+    if type(steps) is not int or not 0 < steps <= _MOST_STEPS:
         return f"steps {steps!r:.30}"
     if not isinstance(f1, float | int) or not 0 <= f1 <= 1:
         return f"f1 {f1!r:.30}"
     if not isinstance(mirrored := told.drawn.get("mirrored"), bool):
         return f"mirrored {mirrored!r:.30}"
-    if not 0 < told.task.control_timestep < math.inf:
+    if not _LEAST_STEP <= told.task.control_timestep < math.inf:
         return f"control_timestep {told.task.control_timestep!r}"
-    if not 0 <= told.task.initial_buffer_time < math.inf:
+    if not 0 <= told.task.initial_buffer_time <= MAX_STEPS * told.task.control_timestep:
         return f"initial_buffer_time {told.task.initial_buffer_time!r}"
     return None
 

@@ -7,11 +7,17 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import EpisodeResult, play_episode
-from cadenza.demonstrations.recorded import MAKE_AGAIN, RESULT, Recorded, played_actions
+from cadenza.demonstrations.recorded import (
+    MAKE_AGAIN,
+    RESULT,
+    SCORE,
+    STEPS,
+    Recorded,
+    played_actions,
+)
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import Scene
 from cadenza.tasks.piano_task import PianoTask
@@ -32,8 +38,9 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
     """The task of an episode in its `scene`, with the hands where they began.
 
     Raises:
-        CadenzaError: they cannot begin there.
+        CadenzaError: they cannot begin there, or a file is not as it was written.
     """
+    recorded.check_files((STEPS, SCORE))
     if wrong := wrong_start(recorded, scene):
         raise CadenzaError(wrong)
     begun = replace(scene, hand_start=np.array(recorded.about.start))
@@ -47,20 +54,7 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
 def replayed(recorded: Recorded, scene: Scene) -> EpisodeResult:
     """All that happens when the recorded actions are played."""
     with task_of(recorded, scene) as task:
-        player = Playback(actions_of(recorded, task))
-        return play_episode(task, player, stop=lambda: is_over(recorded, task))
-
-
-def actions_of(recorded: Recorded, task: PianoTask) -> NDArray[np.float64]:
-    """(T, A + 1) what was played; after an early end, the last of it."""
-    actions = played_actions(recorded.steps)
-    missing = task.tracks[0].goals.num_steps - len(actions)
-    return np.pad(actions, ((0, missing), (0, 0)), mode="edge")
-
-
-def is_over(recorded: Recorded, task: PianoTask) -> bool:
-    """Whether as much has been played again as was recorded."""
-    return int(task.sheets.steps_done[0]) >= recorded.about.num_steps
+        return play_episode(task, Playback(played_actions(recorded.steps)))
 
 
 def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:

@@ -17,7 +17,8 @@ class Transitions(NamedTuple):
     goal: Floats
     """(T + 1, (L + 1) * (K + 1)) keys and pedal of the next step and of the L after it, 0 or 1."""
     fingering: Floats
-    """(T + 1, F) 1 for each finger that has a key to press next."""
+    """(T + 1, F) 1 for each finger that has a key to press next; F is 0 where the task shows no
+    fingers."""
     key_state: Floats
     """(T + 1, K) 0 (up) to 1 (down)."""
     pedal: Floats
@@ -60,9 +61,10 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
     limits = scene.action_low, scene.action_high
     played = from_range(steps["previous_action"], *limits).astype(np.float32)
     played[0] = 0
+    fingering = batch.fingering[here, 0].astype(np.float32)
     return Transitions(
         goal=batch.goal[here].reshape(count + 1, -1).astype(np.float32),
-        fingering=batch.fingering[here, 0].astype(np.float32),
+        fingering=fingering if dataset.shows_fingers else fingering[:, :0],
         key_state=depth.astype(np.float32),
         pedal=steps["previous_action"][:, -1:],
         joints=steps["hand_qpos"],

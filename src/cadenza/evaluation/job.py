@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -55,8 +56,7 @@ class JobSpec:
 
         Folders go on being filled by later versions only while it stays what it is.
         """
-        text = json.dumps(self.as_json(), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
+        return key_of(self.as_json())
 
     @property
     def name(self) -> str:
@@ -92,6 +92,12 @@ class Job:
     song: SongFacts
     page: bool = True
     """Whether it leaves a page to watch and hear."""
+
+
+def key_of(content: Mapping[str, Any]) -> str:
+    """The hash of a run that is known as JSON, see `JobSpec.as_json`."""
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
 
 
 def digest_of_files(*configs: Any) -> str:

@@ -87,7 +87,7 @@ def _agent_names(agents: Iterable[str]) -> dict[str, str]:
 
 
 def _run(result: Result, names: Mapping[str, str], piece: int) -> Run:
-    page = result.folder / (result.pages.get("report") or PAGE)
+    page = result.folder / PAGE
     return Run(
         piece=piece,
         agent=names[result.agent],

@@ -19,6 +19,7 @@ _AS_WRITTEN: dict[str, Any] = {
     "task.transpose": 0,
 }
 _MOST = 1e12  # that a time, an energy or the like can be
+_LEAST_MUSIC = 1e-3  # [s] by which others are divided
 
 
 def usable(found: Results) -> list[Result]:
@@ -40,6 +41,8 @@ def _fault(result: Result) -> str:
         value = figures.get(name)
         if value is not None and not 0 <= value <= limit:
             return f"its {name} cannot be {str(value)[:20]}"
+    if 0 < result.timing.music_seconds < _LEAST_MUSIC:
+        return f"its music_seconds cannot be {result.timing.music_seconds}"
     return ""
 
 

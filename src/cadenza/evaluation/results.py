@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.job import SongFacts
+from cadenza.evaluation.job import SongFacts, key_of
 from cadenza.files import checked, read_json
 
 FORMAT: Literal[1] = 1
@@ -147,12 +147,28 @@ def read_result(run: Path) -> Result:
     """Of a run that is finished.
 
     Raises:
-        CadenzaError, OSError: it is not, or its result cannot be read.
+        CadenzaError, OSError: it is not, its result cannot be read, or is that of another run.
     """
     path = run / RESULT
     file = read_json(path, ResultFile)
     checked({name: file.job.get(name) for name in ("song", "agent", "seed")}, _Named, path)
+    if not run.name.endswith(key_of(file.job)):
+        raise CadenzaError(
+            f"{path}: does not belong to its folder, which was copied or renamed, or the job was "
+            "changed; delete the folder"
+        )
     return Result(**vars(file), folder=run)
+
+
+def is_finished(run: Path) -> bool:
+    """Whether there is a result that can be read; what is damaged is to be carried out again."""
+    if not (run / RESULT).exists():
+        return False
+    try:
+        read_result(run)
+    except CadenzaError:
+        return False
+    return True
 
 
 @dataclass(frozen=True)

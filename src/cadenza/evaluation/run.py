@@ -24,7 +24,15 @@ from pathlib import Path
 from cadenza.agents.agent import Progress
 from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
 from cadenza.evaluation.job import Job, JobSpec
-from cadenza.evaluation.results import FORMAT, PAGE, RESULT, ResultFile, Timing, Trained
+from cadenza.evaluation.results import (
+    FORMAT,
+    PAGE,
+    RESULT,
+    ResultFile,
+    Timing,
+    Trained,
+    is_finished,
+)
 from cadenza.files import read_json, write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
@@ -49,7 +57,7 @@ def carry_out(
     with taken_up(folder, lambda: is_complete(job, folder)) as ours:
         if not ours:
             return
-        if (folder / RESULT).exists():
+        if is_finished(folder):
             _add_page(job.spec, folder)
         else:
             _carry_out(job, folder, num_threads, stop)
@@ -57,7 +65,7 @@ def carry_out(
 
 def is_complete(job: Job, folder: Path) -> bool:
     """Whether the run is finished, and has the page that is wanted."""
-    return (folder / RESULT).exists() and (not job.page or (folder / PAGE).exists())
+    return is_finished(folder) and (not job.page or (folder / PAGE).exists())
 
 
 def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]) -> None:

@@ -104,7 +104,13 @@ class Imitation:
         self._dataset = Dataset([episodes[name] for name in about.learnt_from])
         self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
-        self._task = replace(first.about.task, n_steps_lookahead=config.n_steps_lookahead)
+        self._task = replace(  # as is observed, see `observed`
+            first.about.task,
+            n_steps_lookahead=config.n_steps_lookahead,
+            n_seconds_lookahead=None,
+            fingering="auto",
+            trim_silence=True,
+        )
         with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
@@ -128,7 +134,13 @@ class Imitation:
         if not (folder / _RUN).exists():  # now that nothing stands in its way
             write_json(folder / _RUN, asdict(about))
         if is_there(folder / "checkpoint"):
-            self._restore()
+            self._take_up()
+
+    @property
+    def error(self) -> float | None:
+        """On what it has learnt from lately; None before there is any."""
+        error = self.rows[-1].get("train/error") if self.rows else None
+        return error if isinstance(error, float) else None
 
     @property
     def finished(self) -> bool:
@@ -205,9 +217,20 @@ class Imitation:
         )
         save_policy(self._folder / "last", learnt, {"step": self.update, "songs": self.songs})
 
+    def _take_up(self) -> None:
+        try:
+            self._restore()
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            raise CadenzaError(
+                f"{self._folder}: its checkpoint does not belong to this run ({error!r}); use "
+                "another copy, or start a new run"
+            ) from error
+
     def _restore(self) -> None:
         plain, arrays = read_sealed(self._folder / "checkpoint", _KIND, _EXPECTED)
         facts = checked(plain, _Facts, self._folder / "checkpoint" / "facts.json")
+        if not 0 <= facts.update <= self.config.num_updates:
+            raise ValueError(f"after {facts.update} updates")
         learner = {n.removeprefix("learner:"): a for n, a in arrays.items() if n != "errors"}
         self._state = self._learner.from_arrays(learner)
         self.update, self._seconds = facts.update, facts.seconds
@@ -289,6 +312,11 @@ def _about(
                 "choose another folder with --output"
             )
         return about
+    if is_there(folder / "checkpoint"):
+        raise CadenzaError(
+            f"{where}: missing, but there is a checkpoint; use another copy, or choose another "
+            "folder with --output"
+        )
     learnt_from, held_out = _divided(_of_songs(there, config.songs), config.held_out)
     return _About(config, place, learnt_from, held_out)
 

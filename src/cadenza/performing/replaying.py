@@ -6,8 +6,8 @@ from dataclasses import asdict
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.playback import Playback
-from cadenza.demonstrations.recorded import Recorded
-from cadenza.demonstrations.replay import actions_of, is_over, task_of
+from cadenza.demonstrations.recorded import Recorded, played_actions
+from cadenza.demonstrations.replay import task_of
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Setup
 
@@ -26,6 +26,6 @@ def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
             "scene": asdict(about.scene),
             "drawn": about.drawn,
         }
-        player = Playback(actions_of(recorded, task))
+        player = Playback(played_actions(recorded.steps))
         setup = Setup(recorded.score, player, task, 0, settings, {})
-        return perform(setup, progress, lambda: is_over(recorded, task))
+        return perform(setup, progress)

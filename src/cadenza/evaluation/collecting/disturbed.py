@@ -38,6 +38,7 @@ class Disturbed(Agent):
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
         self.start: State | None = None
+        self._students_turn = False
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         (rng,) = rngs
@@ -46,7 +47,7 @@ class Disturbed(Agent):
         self._agent.reset(env_ids, [agent_rng])
         if self._student is not None:
             self._student.reset(env_ids, self._rng.spawn(1))
-        self._students_turn = False
+            self._students_turn = self._rng.random() < _STUDENTS
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
         self.start = None
@@ -63,7 +64,8 @@ class Disturbed(Agent):
         played = np.clip(
             self._of_either(chosen, view) + self._noise, task.action_low, task.action_high
         )
-        self.chosen.append(chosen.astype(np.float32))
+        within = np.clip(chosen, task.action_low, task.action_high)
+        self.chosen.append(within.astype(np.float32))
         # What is recorded is exactly what is played, so that it can be played again.
         return played.astype(np.float32).astype(np.float64)[None]
 

@@ -106,8 +106,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
     kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}
     if kinds != {name: (array.shape, array.dtype) for name, array in arrays.items()}:
         raise CadenzaError(
-            "this version of Cadenza cannot read the learner in the checkpoint; continue with the "
-            "version named in run.json"
+            "the learner in the checkpoint is that of another run, or of another version of "
+            "Cadenza; use another copy, or start a new run"
         )
     state: State = jax.tree.unflatten(
         structure, [jnp.asarray(arrays[jax.tree_util.keystr(path)]) for path, _ in leaves]
