@@ -154,7 +154,8 @@ class Reaction:
         self._data = mujoco.MjData(self._model)
 
     def along(self, postures: Array, dt: float) -> Array:
-        """(T, A) [N, N m] by inverse dynamics (recursive Newton-Euler, MuJoCo's `mj_rne`).
+        """(T, A) [N, N m] by inverse dynamics: recursive Newton-Euler, MuJoCo's `mj_rne`, which
+        leaves the inertia of motors to its caller.
 
         Of postures (T + 1, A), `dt` [s] apart; row t belongs to the step from posture t to t + 1.
         """
@@ -170,4 +171,5 @@ class Reaction:
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
             mujoco.mj_rne(model, data, 1, force[t])
+            force[t] += model.dof_armature * data.qacc
         return force @ servos.joints.T - servos.inertia * acceleration[:-1]
