@@ -202,6 +202,29 @@ def test_a_hand_is_told_the_same_without_the_other(scene_of_both: SongPlan, side
     np.testing.assert_allclose(hands.see(25, state)[0][[number]], told, atol=1e-6)
 
 
+@pytest.mark.parametrize("seen", [4, 8, 16])
+def test_told_the_same_by_a_plan_of_what_is_in_sight(scene_of_both: SongPlan, seen: int) -> None:
+    """Such a plan begins now, and goes on for a few steps; presses of the past go on in it."""
+    plan, now = scene_of_both, 25
+    presses = [
+        press._replace(first=press.first - now, last=press.last - now)
+        for press in plan.nominal.presses
+        if press.first < now + seen
+    ]
+    assert any(press.last < 0 for press in presses)
+    keys = plan.goals.keys[now : now + seen]
+    nominal = plan.nominal.part(now, now + seen)._replace(presses=presses)
+    in_sight = plan._replace(goals=replace(plan.goals, keys=keys), nominal=nominal)
+    whole = plan._replace(
+        nominal=plan.nominal.part(0, now + seen)._replace(
+            presses=[press for press in plan.nominal.presses if press.first < now + seen]
+        )
+    )
+    state = state_on(plan, now, {39: 0.02, 60: 0.01})
+    told = CorrectedHands(in_sight).see(0, state)[0]
+    np.testing.assert_allclose(told, CorrectedHands(whole).see(now, state)[0], atol=1e-6)
+
+
 # How it plays
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import cadenza
 from cadenza.agents.planning.misses import Miss, in_words, misses_of
 from cadenza.agents.planning.nominal import Nominal
 from cadenza.agents.planning.presses import Press, presses_of
@@ -92,6 +93,13 @@ def concert() -> Concert:
 def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
     assert concert.misses() == []
     assert in_words([], concert.episode) == ["missed 0 of 2 notes"]
+
+
+@pytest.mark.parametrize("agent", ["planner", "generalist"])
+def test_a_performance_of_a_step_or_two_may_miss_its_note(agent: str) -> None:
+    tiny = Score((Note(0.0, 0.03, 60),))
+    performance = cadenza.play(tiny, agent, task=TaskConfig(initial_buffer_time=0.0))
+    assert [miss.what for miss in performance.misses or ()] == ["never sounded"]
 
 
 def test_a_step_late_and_a_step_short_are_in_time(concert: Concert) -> None:

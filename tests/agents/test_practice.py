@@ -31,7 +31,7 @@ from cadenza.files import ANY, check_arrays, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.scene.config import Hands, SceneConfig
+from cadenza.scene.config import ForearmDof, Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
@@ -165,7 +165,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
     for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
         assert not left.run(EFFORT, on_and_off(units))
         again = practice()
-        again.restore(as_read(left))
+        again.restore(as_read(left), "here")
         left = again
     assert left.run(EFFORT)
     assert_same(left, practised)
@@ -222,7 +222,7 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
 
 @pytest.mark.parametrize(
     ("score", "config", "effort", "follows"),
-    [(LONG, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
+    [(LONG.stretched(0.95), NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     score: Score, config: ScorePlannerConfig, effort: float, follows: bool
@@ -237,7 +237,7 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     left, follow = practice(2, score=score, config=config), set[bool]()
     while not left.run(effort, on_and_off(2)):  # before, within and after takes
         state, left = as_read(left), practice(2, score=score, config=config)
-        left.restore(state)
+        left.restore(state, "here")
         if "other/later" in state:  # within one
             follow.add(all((state[f"other/{of}"] == state[f"pieced/{of}"]).all() for of in WAY))
     assert follow == {False, follows}  # others, and those that follow what was put together
@@ -290,7 +290,7 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     while not done:
         done = left.run(0.3, on_and_off(6))
         again = practice(2, score=LONG, config=with_search, seed=1)
-        again.restore(as_read(left))
+        again.restore(as_read(left), "here")
         left = again
     assert_same(left, straight)
 
@@ -334,6 +334,34 @@ def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: 
     state[name] = np.full_like(state[name], value)
     with pytest.raises(CadenzaError, match=f"state: {name} is not within"):
         check_arrays(state, practice().expected(), "state")
+
+
+@pytest.mark.parametrize("lost", ["right/rng", "pieced/fingers", "first/later"])
+def test_practice_with_parts_missing_is_refused(lost: str) -> None:
+    begun = practice()
+    begun.run(EFFORT, on_and_off(1))
+    state = begun.state()
+    assert state.pop(lost) is not None
+    with pytest.raises(CadenzaError, match="here: damaged, parts of it are missing; delete it"):
+        practice().restore(state, "here")
+
+
+@pytest.mark.parametrize("forearm_dofs", [(), ("ty",)])
+def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) -> None:
+    config = SceneConfig(hands="right", forearm_dofs=forearm_dofs)
+    task = PianoTask([HARD], QUICK, config)
+    task.reset([np.random.default_rng(0)], [0])
+    done = Practice(task.view(), np.random.default_rng(0), NO_SEARCH, 1)
+    assert done.run(3 * EFFORT)
+    assert done.effort > EFFORT  # there was something to mend
+
+
+def test_the_only_passage_of_a_short_song_is_told() -> None:
+    done = practice(score=Score(HARD.notes[:1]))
+    done.run(0.01)
+    done.take.loss[:] = 0.0
+    done.take.loss[0, 0] = 1.0
+    assert done.passages() == [0]
 
 
 def test_the_planner_practises_before_it_plays() -> None:

@@ -7,7 +7,8 @@ import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
+from cadenza.hands.hand import Hand
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
@@ -785,6 +787,15 @@ def test_links_keep_apart_by_their_radii() -> None:
         assert moved.depth[there] - overlaps.depth[i] == pytest.approx(slope @ step, rel=1e-2)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_thumb_meets_only_fingers_that_are_there(count: int) -> None:
+    hand = SimpleNamespace(fingers=SHADOW.fingers[:count], thumb_meets=2)
+    shape = 1, count, len(hand.fingers[0].links) + 1, 3
+    points = 0.01 * np.random.default_rng(0).standard_normal(shape)
+    overlaps = LinkCollisions(cast(Hand, hand)).of_hand.overlaps(points)
+    assert set(overlaps.finger.ravel().tolist()) <= set(range(count))
+
+
 def distance_of_segments(x: np.ndarray, *ends: np.ndarray) -> float:
     """Of points part of the way along two segments, squared [cm^2]."""
     a, b = ends
@@ -918,6 +929,13 @@ def test_every_update_finds_the_least_of_a_bowl(method: str) -> None:
         cost = ((candidates - goal) ** 2).sum(axis=(1, 2))
         around = UPDATES[method](candidates, cost, around)  # type: ignore[index]
     np.testing.assert_allclose(around.mean, goal, atol=0.1)
+
+
+@pytest.mark.parametrize("method", UPDATES)
+def test_nothing_is_learnt_where_all_diverged(method: str) -> None:
+    around = Around(np.zeros((1, 2)), np.ones((1, 2)))
+    candidates, cost = np.ones((8, 1, 2)), np.full(8, np.inf)
+    assert UPDATES[method](candidates, cost, around) is around  # type: ignore[index]
 
 
 def test_mppi_takes_no_notice_of_what_diverged() -> None:

@@ -88,6 +88,15 @@ def test_what_cannot_be_played_gets_no_finger() -> None:
     assert 0 < fingers.count(None) < len(numbers) == len(fingers)
 
 
+def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later() -> None:
+    notes = [Note(0.1 * i, 0.1 * i + 0.1, 60 + i % 5) for i in range(30)]
+    sight = NotesInSight(shadow_hands(["right"]), moments=12)
+    numbers, found = show(sight, *notes), dict[int, Finger | None]()
+    for _ in range(3):
+        found |= sight.find(5.0)
+    assert all(found[number] is not None for number in numbers)
+
+
 def test_its_work_does_not_grow_with_the_song(monkeypatch: pytest.MonkeyPatch) -> None:
     moments: list[float] = []
 

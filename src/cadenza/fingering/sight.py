@@ -56,9 +56,13 @@ class NotesInSight:
     def find(self, settled: float) -> dict[int, Finger | None]:
         """Note -> its finger, of the notes that were not settled; None where none can play it.
 
-        Those that begin before `settled` [s] are settled from now on.
+        Those that begin before `settled` [s] are settled from now on, as far as fingers have been
+        looked for.
         """
-        for time, presses in self._moments()[len(self._come) : self._most]:
+        moments = self._moments()
+        if self._most is not None and self._most < len(moments):
+            settled = min(settled, moments[self._most][0])
+        for time, presses in moments[len(self._come) : self._most]:
             self._come.append((time, *self._on(time, presses)))
         choices = [ways.choice for _, _, ways in self._come]
         ways = self._come[-1][-1] if self._come else self._ways

@@ -56,7 +56,7 @@ class Practising:
         if self._path.exists():
             self.practice.check_is_of(read_arrays(self._path, OF, _MOST), self._path)
             arrays = read_arrays(self._path, self.practice.expected(), _MOST)
-            self.practice.restore(arrays)
+            self.practice.restore(arrays, self._path)
 
     def save(self) -> None:
         """Keeps in the folder how far practice has got."""

@@ -135,7 +135,7 @@ class Ahead:
     def astray(self, fingertips: Array) -> tuple[Array, Array]:
         """(H, F, 3) the ways from fingertips (H, F, 3) to where they should be [m].
 
-        And (H, F) how much they count: 1 for those that play.
+        And (H, F) how much they count: 1 for those that play, more at the end of what is ahead.
         """
         return self._fingertips - fingertips, self._weight / ASTRAY
 

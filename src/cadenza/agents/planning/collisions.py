@@ -88,7 +88,7 @@ class LinkCollisions:
         count, links = len(hand.fingers), range(len(hand.fingers[0].links))
         beside = [
             *pairwise(range(1, count)),
-            *((0, other) for other in range(1, 1 + hand.thumb_meets)),
+            *((0, other) for other in range(1, min(count, 1 + hand.thumb_meets))),
         ]
         of_one = [
             ((a, i), (b, j))

@@ -78,11 +78,11 @@ def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
     """(T, K) where a note of `keys` (T, K) begins in time for the last time; elsewhere -1.
 
     What stands there is how many control steps of `dt` [s] that is after the note's first one. A
-    note is in time as `cadenza.music.metrics` counts onsets.
+    note is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two
+    steps before may have been struck again, so that it begins a step late at best.
     """
     first, steps = first_steps(keys), _steps_in_time(dt)
-    again = first & later(keys, 2)  # the same key is let go of when this note should begin, and
-    sooner = max(steps - 1, 0)  # the note begins a step late at best
+    again, sooner = first & later(keys, 2), max(steps - 1, 0)
     last = np.where(later(first & ~again, steps), steps, -1)
     return np.where(later(again, sooner), sooner, last).astype(np.int8)
 

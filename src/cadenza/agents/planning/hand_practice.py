@@ -151,9 +151,9 @@ class HandPractice:
         tips = self._part.fingertips[first : end + 1, :, 1]
         here = simulation.state.fingertip_xpos[0, self._part.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
-        slides = offsets[..., self._slides]
+        slides = offsets[..., self._slides]  # of hands that slide
         self._trials.begin_from(
-            simulation, low + min(slides.min(), 0.0), high + max(slides.max(), 0.0)
+            simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
         )
 
     def _best_of(

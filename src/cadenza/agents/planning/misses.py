@@ -140,10 +140,11 @@ class _Inquiry:
         press = self._presses.get((note.key, note.first))
         finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
-        late = int(sounding[0]) - note.first if len(sounding) else self._steps
-        held_through = not late and self._sounds_from_before(note)
-        if held_through or late > self._in_time:
-            what = f"{self._ms(late)} late" if late < self._steps else "never sounded"
+        never = not len(sounding)
+        late = 0 if never else int(sounding[0]) - note.first
+        held_through = not (never or late) and self._sounds_from_before(note)
+        if never or held_through or late > self._in_time:
+            what = "never sounded" if never else f"{self._ms(late)} late"
             what = "not struck again" if held_through else what
             cause, reason = self._why_not(note, press, held_through)
             sounded = False

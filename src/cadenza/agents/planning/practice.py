@@ -46,7 +46,7 @@ from cadenza.tasks.view import View
 
 EFFORT = 100  # control steps that each hand simulates for each one of the song: effort 1
 MOST_EFFORT = 1e6
-_SWEEPS = 0.5, 1.0  # effort of the first sweep, and of each later one
+_SWEEPS = 0.5, 1.0  # effort of a sweep while no attempt has failed, and of each later one
 _APART = 0.5  # [s] between passages
 _BETWEEN = 0.5  # [s] between the moments of a take in which playing can begin
 _WINDOW = 4  # times _BETWEEN are worked on at a time
@@ -159,7 +159,7 @@ class Practice:
     def passages(self) -> list[int]:
         """The steps at which passages begin that lose something."""
         losing = np.array(self.losing(), np.intp)
-        apart = np.diff(losing, prepend=-self.num_steps) > self._apart
+        apart = np.diff(losing, prepend=-self._apart - 1) > self._apart
         return list(map(int, losing[apart]))
 
     def run(self, effort: float, goes_on: Callable[[], bool] = lambda: True) -> bool:
@@ -388,8 +388,20 @@ class Practice:
                 "version of Cadenza; choose another folder with --output"
             )
 
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Goes on from the `state` of the same practice, see `check_is_of`, as `expected`."""
+    def restore(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
+        """Goes on from the `state` of the same practice, see `check_is_of`, as `expected`.
+
+        Raises:
+            CadenzaError: parts of it are missing.
+        """
+        try:
+            self._restore(arrays)
+        except (LookupError, TypeError, ValueError) as error:
+            raise CadenzaError(
+                f"{where}: damaged, parts of it are missing; delete it to practise from the start"
+            ) from error
+
+    def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         parts: Parts = defaultdict(dict)
         for path, values in arrays.items():
             part, _, name = path.partition("/")
@@ -404,6 +416,8 @@ class Practice:
             self._restore_sweep(int(sweep["first"]), sweep["until"], Take(**parts["before"]))
 
     def _restore_sweep(self, first: int, until: Array, before: Take) -> None:
+        if first % self._between:
+            raise ValueError(f"no window begins at step {first}")
         self._sweep, stage = _Sweep(first, until, before), self._version.stage
         known = self.take.part(0, min(first + self._ahead, self.num_steps))
         _, moments = stage.play(stage.beginning(), 0, known, self.take.heard(0), self._between)

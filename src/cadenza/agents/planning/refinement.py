@@ -86,22 +86,18 @@ class HandRefinement:
         self._changed = np.zeros(len(self._servos.noise))  # of the controls of the step before
         self._kept = 0.5 ** (dt / _HALVED)
         full = self._iterations * self._candidates * self._horizon
-        self._earned, self._granted = _SUSTAINED * full, 0.0  # control steps to simulate in tries
+        # Control steps to simulate in tries: whole numbers, so that sums are exact.
+        self._earned, self._granted = round(_SUSTAINED * full), 0
         self._rehearsed = 0
         self._step, self._lost, self._rehearses = 0, False, self._update is not None
-
-    def skip_to(self, step: int) -> None:
-        """Goes on with that step, from the state that it is told."""
-        self._step, self._lost = step, True
-        self._rehearsal.forget()
 
     def start_over(self, step: int, rng: np.random.Generator) -> None:
         """Goes on with that step as if it had not searched for a while before.
 
         What it follows then has been played, and need not be rehearsed.
         """
-        self.skip_to(step)
-        self._rehearses = False
+        self._step, self._lost, self._rehearses = step, True, False
+        self._rehearsal.forget()
         self._correction[:] = 0.0
         self._granted = self._earned * steps_in(_SAVED, self._dt)
         self._rng, self._rehearsed, self._tries.simulated = rng, 0, 0
@@ -112,19 +108,19 @@ class HandRefinement:
         return self._tries.simulated + self._rehearsed
 
     @property
-    def _savings(self) -> float:
+    def _savings(self) -> int:
         """Control steps that it may simulate."""
         return self._granted - self._tries.simulated
 
     @property
     def memory(self) -> Memory:
         """What decides how it goes on, if `again` leads its twin to the same place."""
-        return Memory(self._correction.copy(), np.array(self._savings), words_of(self._rng))
+        return Memory(self._correction.copy(), np.array(float(self._savings)), words_of(self._rng))
 
     def remember(self, memory: Memory) -> None:
         """Goes on as what had that memory would have."""
         self._correction = memory.correction.copy()
-        self._granted = self._tries.simulated + float(memory.savings)
+        self._granted = self._tries.simulated + int(memory.savings)
         self._rng = generator_of(memory.rng)
 
     @property

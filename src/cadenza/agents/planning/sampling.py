@@ -42,6 +42,8 @@ def cheapest(candidates: Array, cost: Array, around: Around) -> Around:
 
 def elites(candidates: Array, cost: Array, around: Around) -> Around:
     """Cross-entropy method (Rubinstein, 1999): mean and spread of the best quarter."""
+    if not np.isfinite(cost).any():
+        return around
     count = max(2, round(_ELITES * len(candidates)))
     best = candidates[np.argsort(cost, kind="stable")[:count]]
     return Around(best.mean(axis=0), np.maximum(best.std(axis=0), _LEAST_SIGMA * around.sigma))
@@ -50,6 +52,8 @@ def elites(candidates: Array, cost: Array, around: Around) -> Around:
 def weighted(candidates: Array, cost: Array, around: Around) -> Around:
     """MPPI (Williams et al., 2017): the mean, weighted by exp(-cost / temperature)."""
     finite = np.isfinite(cost)
+    if not finite.any():
+        return around
     above = np.where(finite, cost - cost.min(), np.inf)
     temperature = _TEMPERATURE * above[finite].std() + 1e-9
     weight = np.exp(-above / temperature)

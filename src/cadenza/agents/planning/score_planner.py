@@ -59,6 +59,7 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
             return True
 
         practice.run(effort, goes_on)
+        goes_on()
         return practice
 
 

@@ -126,7 +126,7 @@ class Stage:
             first: where the part begins.
             take: the part.
             heard: before it.
-            every: so many steps there is a moment to keep, also at the end.
+            every: so many steps there is a moment to keep, at the end too if it is one of them.
             act: the controls (A,) of the next step in a state; by default those of the take, with
                 feedback.
         """

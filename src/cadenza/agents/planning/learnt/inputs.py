@@ -140,8 +140,9 @@ class HandInputs:
         rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # their ends
         of, first, last, keys, jumps = np.array(sorted(rows)).T
         # On one time line, a finger's presses come long after those of the finger before it.
-        begins, ends = of * (never + 1) + first, of * (never + 1) + last
-        now = fingers * (never + 1) + steps[:, None]
+        apart = never + 1 - min(0, first.min(), last.min())  # in sight, some are of the past
+        begins, ends = of * apart + first, of * apart + last
+        now = fingers * apart + steps[:, None]
         soon = now[..., None] + np.arange(1, _HELD + 1)
         which, at = ends.searchsorted(now, "right"), begins.searchsorted(soon, "right") - 1
         shown = np.zeros((*which.shape, _OF_A_PRESS))
