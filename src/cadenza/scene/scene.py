@@ -129,9 +129,9 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     try:
         model = spec.compile()
-    except ValueError as error:  # only a hand of somebody else's can be wrong
-        said = " ".join(str(error).split())
-        raise CadenzaError(f"hand {hand.name}: MuJoCo cannot build it: {said}") from error
+    except ValueError as error:  # either may be somebody else's
+        said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
+        raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
 
@@ -184,7 +184,7 @@ def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.Mj
     """The model of a scene with hands, without most of what costs time and never matters.
 
     Joints, servos and fingertips are those of the scene, in its order, except for keys that are
-    left out. With keys, only the last two links of each finger collide.
+    left out. Keys collide only with the last two links of each finger.
 
     Args:
         scene: with hands.
