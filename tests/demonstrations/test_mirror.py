@@ -19,7 +19,6 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.piano_task import PianoTask
 
-
 CONFIGS = {
     "shadow": SceneConfig(),
     "allegro": SceneConfig(hand="allegro"),

@@ -83,15 +83,15 @@ class Scene:
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
 
     def servos_on(self, *sides: Side) -> slice:
-        """Which of the A actuators are those of the hands on `sides`, at least one, in their order."""
+        """Which of the A actuators are those of one hand, or of all that are given."""
         return self._on(sides, len(self.actuator_names))
 
     def joints_on(self, *sides: Side) -> slice:
-        """Which of the J joints are those of the hands on `sides`, at least one, in their order."""
+        """Which of the J joints are those of one hand, or of all that are given."""
         return self._on(sides, len(self.hand_joint_names))
 
     def fingertips_on(self, *sides: Side) -> slice:
-        """Which of `fingertip_sites` are those of the hands on `sides`, at least one, in their order."""
+        """Which of `fingertip_sites` are those of one hand, or of all that are given."""
         return self._on(sides, len(self.fingertip_sites))
 
     def _on(self, sides: tuple[Side, ...], count: int) -> slice:
