@@ -303,16 +303,16 @@ def _resolve(
             [hand.start.get(model.joint(j).name.removeprefix(p), 0.0) for p, j in hand_joints]
         ),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
-        fingertip_sites=_array(model.site(name).id for name in fingertip_sites),
+        fingertip_sites=as_ids(model.site(name).id for name in fingertip_sites),
         fingers=fingers,
         fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
             side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + forearm.FOREARM).id)
             for side in sides
         },
-        hand_bodies=_array(bodies),
-        palm_bodies=_array(model.body(p + name).id for p in prefixes for name in hand.palm_links),
-        slide_joints=_array(row for row, j in enumerate(joints) if model.joint(j).name in slides),
+        hand_bodies=as_ids(bodies),
+        palm_bodies=as_ids(model.body(p + name).id for p in prefixes for name in hand.palm_links),
+        slide_joints=as_ids(row for row, j in enumerate(joints) if model.joint(j).name in slides),
     )
 
 
@@ -332,5 +332,6 @@ def _joined(parts: Sequence[slice]) -> slice:
     return slice(parts[0].start, parts[-1].stop) if parts else slice(0, 0)
 
 
-def _array(values: Iterable[int]) -> Ids:
+def as_ids(values: Iterable[int]) -> Ids:
+    """What indexes arrays."""
     return np.array(list(values), dtype=np.intp)
