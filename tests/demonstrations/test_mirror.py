@@ -19,10 +19,16 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.piano_task import PianoTask
 
+CONFIGS = {
+    "shadow": SceneConfig(),
+    "allegro": SceneConfig(hand="allegro"),
+    "turned": SceneConfig(attachment_yaw=15.0),
+}
 
-@pytest.fixture(scope="module", params=["shadow", "allegro"])
+
+@pytest.fixture(scope="module", params=CONFIGS)
 def scene(request: pytest.FixtureRequest) -> Scene:
-    return build_scene(SceneConfig(hand=request.param))
+    return build_scene(CONFIGS[request.param])
 
 
 def test_fingertips_are_where_those_of_the_other_hand_would_be(scene: Scene) -> None:
@@ -91,3 +97,9 @@ def test_keys_without_an_image_are_told(made: Path) -> None:
 def test_one_hand_has_no_image() -> None:
     with pytest.raises(CadenzaError, match="only two hands"):
         Mirror(build_scene(SceneConfig(hands="left")))
+
+
+def test_hands_that_cannot_slide_to_where_their_image_is_have_none() -> None:
+    turned = SceneConfig(attachment_yaw=15.0, forearm_dofs=("tx",))
+    with pytest.raises(CadenzaError, match="choose attachment_yaw 0, or tx and ty"):
+        Mirror(build_scene(turned))

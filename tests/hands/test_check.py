@@ -97,5 +97,5 @@ def test_what_the_physics_engine_refuses(monkeypatch: pytest.MonkeyPatch) -> Non
     heavy = tuple(replace(link, inertia=(1, 0, 0)) for link in BODY.links)
     hand = replace(SHADOW, body=replace(BODY, links=heavy))
     monkeypatch.setattr("cadenza.scene.scene.hand_named", lambda _: hand)
-    with pytest.raises(CadenzaError, match=r"^hand shadow: MuJoCo cannot build it: [^\n]*inertia"):
+    with pytest.raises(CadenzaError, match=r"^hand shadow, keyboard piano: MuJoCo [^\n]*inertia"):
         build_scene(SceneConfig())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from cadenza.hands.body import Geom, Link
+from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
@@ -105,3 +108,13 @@ def test_nothing_to_draw_of_hands_that_are_not_there() -> None:
     xpos, xquat = body_poses(build_scene(SceneConfig(hands="none")), np.zeros((4, 0)))
     assert xpos.shape == (4, 0, 3)
     assert xquat.shape == (4, 0, 4)
+
+
+def test_a_link_that_is_called_like_a_key_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = Geom("sphere", (0.0123,))
+    link = Link("low_key_finger", "palm", (0, 0, 0), 0.1, (0, 0, 0), (1e-4,) * 3, geoms=(ball,))
+    hand = replace(SHADOW, body=replace(SHADOW.body, links=(*SHADOW.body.links, link)))
+    monkeypatch.setattr("cadenza.scene.scene.hand_named", lambda _: hand)
+    drawn = drawing(build_scene(SceneConfig(hands="right")))
+    body = drawn["bodies"].index("rh_low_key_finger")
+    assert [g["size"] for g in drawn["geoms"] if g["body"] == body] == [[0.0123]]

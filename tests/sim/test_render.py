@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
+from cadenza.keyboards.mini import MINI
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.cameras import player_camera
 from cadenza.scene.scene import Scene, build_scene
@@ -54,6 +55,14 @@ def test_the_player_sees_all_keys_of_the_song(
         assert (np.abs((corners - eye) @ up) <= depth * slope).all()
         assert (np.abs((corners - eye) @ np.cross(forward, up)) <= depth * slope * aspect).all()
     assert camera.distance < 3
+
+
+def test_the_player_sees_as_much_behind_the_keys_of_any_keyboard() -> None:
+    camera = player_camera(PIANO, (0, 87), 16 / 9)
+    assert list(camera.lookat) == [pytest.approx(0.03), pytest.approx(0, abs=1e-3), 0.01125]
+    shorter = player_camera(MINI, (0, 24), 16 / 9)
+    behind = [k.white.centre_x - k.white.half_size[0] for k in (PIANO, MINI)]
+    assert shorter.lookat[0] - camera.lookat[0] == pytest.approx((behind[1] - behind[0]) / 2)
 
 
 def test_the_player_sees_a_key_through_the_palm(scene: Scene) -> None:

@@ -177,6 +177,12 @@ def test_disabled_autoreset_resets_by_mask() -> None:
     envs.step(envs.action_space.sample())
 
 
+def test_a_single_environment_is_always_reset() -> None:
+    env = PianoEnv(SHORT)
+    env.reset(seed=0, options={"reset_mask": [False]})
+    env.step(np.zeros(39))
+
+
 def test_an_unstable_simulation_ends_its_episode_only() -> None:
     envs = PianoVectorEnv("OdeToJoy", num_envs=3)
     envs.reset(seed=0)
@@ -331,6 +337,10 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         (
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True]}),
             "reset_mask of shape",
+        ),
+        (
+            lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True, False]}),
+            "reset_mask: the first reset is of all",
         ),
     ],
 )

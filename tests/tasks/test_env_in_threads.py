@@ -142,6 +142,37 @@ def test_a_process_forked_after_rendering_says_that_it_cannot_render() -> None:
     assert "start it with spawn" in result.stdout, result.stderr
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_process_forked_after_rendering_failed_says_why_it_cannot_render() -> None:
+    result = run(
+        """
+        import os, signal
+        from cadenza.errors import CadenzaError
+        from cadenza.tasks.env import PianoEnv
+
+        os.environ["MUJOCO_GL"] = "nothing"
+        env = PianoEnv("OdeToJoy", render_mode="rgb_array")
+        env.reset(seed=0)
+
+        def try_to_render():
+            try:
+                env.render()
+            except CadenzaError as error:
+                os.write(1, str(error).encode() + b"\\n")
+
+        try_to_render()
+        if os.fork() == 0:
+            signal.alarm(20)
+            try_to_render()
+            os._exit(0)
+        os.wait()
+        """
+    )
+    said = result.stdout.splitlines()
+    assert len(said) == 2, result.stderr
+    assert all("cannot render (nothing: " in line for line in said)
+
+
 def test_every_thread_can_draw() -> None:
     result = run(
         """

@@ -202,6 +202,17 @@ def test_parts_of_the_observation(scenes: dict[str, Scene]) -> None:
     assert fingers == [[0], [0], [2], [2], [2, 5], [2, 5], [5], [5], [5], []]
 
 
+@pytest.mark.parametrize(("given", "seen"), [(5.0, 1.0), (-2.0, 0.0), (np.nan, 0.0), (0.3, 0.3)])
+def test_the_pedal_is_seen_within_its_range(
+    scenes: dict[str, Scene], given: float, seen: float
+) -> None:
+    player = Player(scenes["none"])
+    ctrl = player.task.action_low[None].copy()
+    ctrl[:, -1] = given
+    player.task.step(ctrl)
+    assert player.seen("pedal") == np.float32(seen)
+
+
 def test_one_hand_is_asked_for_its_own_fingers_only(scenes: dict[str, Scene]) -> None:
     for hands, fingers in (("right", [2]), ("left", [5])):
         player = Player(scenes[hands])

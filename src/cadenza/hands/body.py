@@ -144,7 +144,8 @@ class Options:
 class Mount:
     """Where the first link of an arm stands, which does not slide. Of the right arm.
 
-    It turns with the left one's mirror image if its frame's x axis runs along the keyboard.
+    The left arm stands at the mirrored place with the same `quat`. It is a true mirror image only
+    if the frame's x axis runs along the keyboard.
     """
 
     pos: Vector

@@ -6,12 +6,15 @@ Sizes in [m], masses in [kg], angles in [rad].
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+
+from cadenza.errors import CadenzaError
 
 Array = NDArray[np.float64]
 Colour = tuple[float, float, float, float]
@@ -101,6 +104,11 @@ class Keyboard:
     contact_solref: tuple[float, float]
     """MuJoCo's time constant and damping ratio of contacts with keys."""
 
+    def __post_init__(self) -> None:
+        """Raises: CadenzaError: there can be no such keyboard."""
+        for fault in _faults(self):
+            raise CadenzaError(f"keyboard {self.name}: {fault}")
+
     # Pitches
 
     @property
@@ -127,8 +135,12 @@ class Keyboard:
     @property
     def half_length(self) -> float:
         """From the middle to either end [m]."""
-        whites = int(np.count_nonzero(~self.is_black))
+        whites = self._num_whites
         return (whites * (2 * self.white.half_size[1]) + (whites - 1) * self.gap) / 2
+
+    @property
+    def _num_whites(self) -> int:
+        return int(np.count_nonzero(~self.is_black))
 
     @cached_property
     def half_size(self) -> Array:
@@ -162,7 +174,7 @@ class Keyboard:
     def grid_y(self) -> Array:
         """(K,) along the keyboard as if black keys stood halfway between white ones [m]."""
         place = np.cumsum(~self.is_black) - 1 + 0.5 * self.is_black
-        return self.spacing * (place - place[-1] / 2)
+        return self.spacing * (place - (self._num_whites - 1) / 2)
 
     @cached_property
     def travel(self) -> Array:
@@ -248,3 +260,24 @@ class Keyboard:
             ctrlrange=(0, self.shape(key).travel),
         )
         actuator.set_to_position(kp=self.servo.stiffness, kv=self.servo.damping)
+
+
+def _faults(keyboard: Keyboard) -> Iterator[str]:
+    first, count = keyboard.lowest_pitch, keyboard.num_keys
+    if count < 1:
+        yield f"num_keys is {count}; give 1 or more"
+    if not 0 <= first <= 128 - count:
+        yield f"has {count} keys from pitch {first} on; MIDI's pitches are 0 to 127"
+    if first % 12 in _BLACK_IN_OCTAVE:
+        yield f"its first key, lowest_pitch {first}, is black; begin with a white one"
+    for name, shape in {"white": keyboard.white, "black": keyboard.black}.items():
+        yield from _not_positive(f"{name}.half_size", shape.half_size)
+        yield from _not_positive(f"{name}.mass", shape.mass)
+        yield from _not_positive(f"{name}.dip", shape.dip)
+    for name in ("half_depth", "half_height", "density"):
+        yield from _not_positive(f"base.{name}", getattr(keyboard.base, name))
+
+
+def _not_positive(name: str, given: float | tuple[float, ...]) -> Iterator[str]:
+    if not np.all(np.greater(given, 0)):  # or not a number
+        yield f"{name} is {given}; give more than 0"

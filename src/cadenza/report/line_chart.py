@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,6 +13,9 @@ from cadenza.report.recording import in_json
 
 LARGEST = 1e30
 """Values are drawn up to this: uPlot has no ticks beyond."""
+STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
+"""Style sheets of pages with such charts."""
+_COLOURS = 8  # that the style sheet has
 
 
 class Points(NamedTuple):
@@ -70,6 +73,27 @@ def _embedded(line: Line) -> dict[str, object]:
 
 def _rounded(values: NDArray[np.float64]) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
+
+
+def coloured(number: int) -> str:
+    """The kind of the `number`th line, from 0 on, among others like it."""
+    return f"run{number % _COLOURS}"
+
+
+def legend(marks: Iterable[tuple[str, str]]) -> str:
+    """Which line is which, by pairs of a kind and a name."""
+    shown = (f'<span><i class="{kind}"></i>{html.escape(name)}</span>' for kind, name in marks)
+    return f'<p class="legend">{"".join(shown)}</p>'
+
+
+def in_time(seconds: float) -> str:
+    """Seconds up to two minutes, then minutes, and hours."""
+    if round(seconds) < 120:
+        return f"{seconds:.0f} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    if hours >= 10_000:
+        return f"{in_short(hours)} h"
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
 
 
 def in_short(value: float) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cadenza.files import folder_name
 from cadenza.report.asset import asset
 from cadenza.report.bars import Bar, bars
-from cadenza.report.line_chart import Line, Points, line_chart
+from cadenza.report.line_chart import STYLES, Line, Points, coloured, in_time, legend, line_chart
 from cadenza.report.overview import (
     DRAWN,
     FIGURES,
@@ -38,11 +38,7 @@ from cadenza.report.overview import (
 from cadenza.report.page import write_page
 from cadenza.report.recording import in_json
 
-_STYLES = (
-    *("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css", "results.css"),
-)
 _SCRIPTS = ("chart.js", "curves.js", "results.js")
-_COLOURS = 8  # that the style sheet has
 _MOST_REMARKS = 12  # of a kind that are spelt out
 
 
@@ -60,8 +56,9 @@ def write_results_pages(
     runs: dict[int, list[Run]] = {i: [] for i in range(len(overview.pieces))}
     for run in overview.runs:
         runs[run.piece].append(run)
-    css = "".join(map(asset, _STYLES))
+    css = "".join(map(asset, (*STYLES, "results.css")))
     index, about = folder / "index.html", folder / "pieces"
+    marks = [(coloured(i), agent) for i, agent in enumerate(overview.agents)]
     parts = {
         "title": html.escape(overview.title),
         "facts": _facts(overview),
@@ -72,7 +69,7 @@ def write_results_pages(
         "head": _head(("Pieces", "Runs", "Mean F1"), FIGURES.values()),
         "standings": "".join(_standings(group) for group in overview.groups),
         "choices": _choices(overview),
-        "legend": _legend(overview.agents) if len(overview.agents) > 1 else "",
+        "legend": legend(marks) if len(marks) > 1 else "",
         "profiles": _profiles(overview),
         "meanings": _meanings(),
         "data": in_json(_data(overview, names, runs, folder)),
@@ -102,13 +99,6 @@ def _page_names(pieces: Sequence[Piece]) -> list[str]:
 # Words and figures
 
 
-def _time(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    if minutes < 2:
-        return f"{seconds:.0f} s"
-    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
-
-
 def _counted(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
@@ -121,7 +111,7 @@ def _facts(overview: Overview) -> str:
     seeds = sorted({run.seed for run in overview.runs})
     facts = {
         "pieces": f"{len(overview.pieces):,}",
-        "of music": _time(math.fsum(piece.seconds for piece in overview.pieces)),
+        "of music": in_time(math.fsum(piece.seconds for piece in overview.pieces)),
         "agents": str(len(overview.agents)),
         "seeds": ", ".join(map(str, seeds)) if len(seeds) < 6 else str(len(seeds)),
         "runs": f"{len(overview.runs):,}",
@@ -192,7 +182,7 @@ def _side_by_side(overview: Overview) -> str:
         for i, agent in enumerate(overview.agents):
             if agent in overview.fair.standings:
                 value, low, high = overview.fair.standings[agent].iqm[name]
-                kind, words = f"run{i % _COLOURS}", shown(name, value)
+                kind, words = coloured(i), shown(name, value)
                 lines.append(Bar(agent, value, words, interval=(low, high), kind=kind))
         panels.append(bars(FIGURES[name].title, lines))
     return f'{_compared_on(overview)}<div class="bars">{"".join(panels)}</div>'
@@ -252,14 +242,6 @@ def _select(name: str, options: Sequence[str]) -> str:
     return f'<select id="{name}">{"".join(each)}</select>'
 
 
-def _legend(agents: Sequence[str]) -> str:
-    marks = (
-        f'<span><i class="run{i % _COLOURS}"></i>{html.escape(agent)}</span>'
-        for i, agent in enumerate(agents)
-    )
-    return f'<p class="legend">{"".join(marks)}</p>'
-
-
 def _meanings() -> str:
     rows = (
         f'<tr><th scope="row">{figure.title}</th><td>{figure.meaning}</td></tr>'
@@ -292,7 +274,7 @@ def _profile(overview: Overview, group: Group, figure: str) -> list[Line]:
         value, low, high = group.standings[agent].profile[figure]
         band = None if np.isnan(low).any() else (low, high)
         if not np.isnan(value).any():
-            lines.append(Line(f"run{i % _COLOURS}", agent, Points(THRESHOLDS, value), band))
+            lines.append(Line(coloured(i), agent, Points(THRESHOLDS, value), band))
     return lines
 
 
@@ -351,7 +333,7 @@ def _piece_parts(
     overview: Overview, index: int, runs: Sequence[Run], folder: Path
 ) -> dict[str, str]:
     piece = overview.pieces[index]
-    facts = {"from": piece.library, "length": _time(piece.seconds), "notes": f"{piece.notes:,}"}
+    facts = {"from": piece.library, "length": in_time(piece.seconds), "notes": f"{piece.notes:,}"}
     if piece.composer:
         facts = {"by": piece.composer, **facts}
     if not math.isnan(piece.difficulty):
@@ -374,8 +356,8 @@ def _piece_bars(overview: Overview, index: int, runs: Sequence[Run]) -> Iterator
             value = float(overview.of_pieces[name].value[i, index])
             if dots:
                 shown_dots = dots if len(dots) > 1 else ()
-                kind = f"run{i % _COLOURS}"
-                lines.append(Bar(agent, value, shown(name, value), shown_dots, kind=kind))
+                words = shown(name, value)
+                lines.append(Bar(agent, value, words, shown_dots, kind=coloured(i)))
         yield bars(FIGURES[name].title, lines)
 
 

@@ -14,10 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.report.asset import asset
-from cadenza.report.line_chart import LARGEST, Line, Points, in_short, line_chart
+from cadenza.report.line_chart import (
+    LARGEST,
+    STYLES,
+    Line,
+    Points,
+    coloured,
+    in_short,
+    in_time,
+    legend,
+    line_chart,
+)
 from cadenza.report.page import settings_section, write_page
 
-_STYLES = ("uplot.min.css", "page.css", "chart.css", "comparison.css", "training.css")
 _REWARDS = "eval/reward/"
 _TITLES = {
     "eval/note_onset_f1": "Note onset F1",
@@ -39,7 +48,6 @@ _KINDS: dict[str, Literal["number", "share", "log"]] = {
     "train/temperature": "log",
 }
 """Columns -> what their axes measure, if not just numbers."""
-_COLOURS = 8  # that the style sheet has for runs
 _DRAWN = 1200  # points of all runs together in a chart, so that the page stays small
 _MOST_DRAWN = 200  # points of a line: more are not to be seen
 
@@ -92,7 +100,7 @@ def write_training(
         "settings": settings_section(settings),
         "renewed": " data-renewed" if going_on else "",
         "uplot": asset("uplot.min.js"),
-        "css": "".join(map(asset, _STYLES)),
+        "css": "".join(map(asset, STYLES)),
         "js": "".join(map(asset, ("chart.js", "curves.js", "training.js"))),
     }
     write_page(path, "training.html", parts)
@@ -200,22 +208,13 @@ def _ratio(value: float) -> str:
     return f"{value:.3f}"
 
 
-def _time(seconds: float) -> str:
-    if round(seconds) < 120:
-        return f"{seconds:.0f} s"
-    hours, minutes = divmod(round(seconds / 60), 60)
-    if hours >= 10_000:
-        return f"{in_short(hours)} h"
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
-
-
 _FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "best_f1": ("Best F1", _ratio),
     "best_step": ("at step", in_short),
-    "best_seconds": ("after", _time),
+    "best_seconds": ("after", in_time),
     "last_f1": ("Last F1", _ratio),
     "step": ("Control steps", in_short),
-    "seconds": ("Wall time", _time),
+    "seconds": ("Wall time", in_time),
     "updates": ("Updates", in_short),
     "rate": ("Steps a second", in_short),
 }
@@ -265,7 +264,7 @@ def _to_do(run: Curve) -> dict[str, str]:
         return {}
     more = {"step": f"{in_short(to_do)} to go<br>of {in_short(run.num_steps)}"}
     left = _seconds_left(run, to_do)
-    return more if math.isnan(left) else more | {"seconds": f"about {_time(left)}<br>left"}
+    return more if math.isnan(left) else more | {"seconds": f"about {in_time(left)}<br>left"}
 
 
 def _table(runs: Sequence[Curve]) -> str:
@@ -321,8 +320,8 @@ def _f1_section(runs: Sequence[Curve]) -> str:
     ]
     of_all = "mean " if len(runs) > 1 else ""
     more = [("precision", f"{of_all}precision"), ("recall", f"{of_all}recall"), ("best", "best")]
-    legend = _legend([*_marks(runs), *(more if len(_tasks(runs)) == 1 else ())])
-    return _section("How well it plays", f'{legend}<div class="large">{"".join(charts)}</div>')
+    named = legend([*_marks(runs), *(more if len(_tasks(runs)) == 1 else ())])
+    return _section("How well it plays", f'{named}<div class="large">{"".join(charts)}</div>')
 
 
 def _f1_lines(runs: Sequence[Curve], columns: Mapping[str, Sequence[Points]]) -> list[Line]:
@@ -346,8 +345,8 @@ def _other_section(runs: Sequence[Curve]) -> str:
         lines = _lines(runs, [_points(run, column, above) for run in runs])
         if any(len(line.points.x) for line in lines):
             charts += line_chart(title, "control steps", _end(runs, "step"), lines, y=kind)
-    legend = _legend(_marks(runs)) if len(runs) > 1 else ""
-    content = f'{legend}<div class="small">{charts}</div>'
+    named = legend(_marks(runs)) if len(runs) > 1 else ""
+    content = f'{named}<div class="small">{charts}</div>'
     return _section("What it earns and learns", content) if charts else ""
 
 
@@ -394,13 +393,8 @@ def _marks(runs: Sequence[Curve]) -> list[tuple[str, str]]:
     """Class in the style sheet and name of the line of each run and of their mean, or each task."""
     tasks = _tasks(runs)
     names = list(tasks) if len(tasks) > 1 else [run.name for run in runs]
-    marks = [(f"run{i % _COLOURS}", name) for i, name in enumerate(names)]
+    marks = [(coloured(i), name) for i, name in enumerate(names)]
     return marks + [("mean", "mean")] * (len(tasks) == 1 < len(runs))
-
-
-def _legend(marks: Sequence[tuple[str, str]]) -> str:
-    shown = (f'<span><i class="{kind}"></i>{html.escape(name)}</span>' for kind, name in marks)
-    return f'<p class="legend">{"".join(shown)}</p>'
 
 
 def _section(title: str, content: str) -> str:

@@ -28,7 +28,8 @@ MAX_WIDTH, MAX_HEIGHT = 1920, 1080  # [px] of a picture
 _ELEVATION = np.deg2rad(62.0)  # of the player's camera over the keys
 _FOVY = np.deg2rad(45.0)  # MuJoCo's for cameras that are not fixed
 _BESIDE_KEYS = 0.06  # [m] in sight on either side of a song's keys
-_FROM_X, _TO_X = -0.14, 0.2  # [m] from the back of the keys to the wrists
+_BEHIND_KEYS = 0.065  # [m] in sight
+_WRISTS_X = 0.2  # [m] where the picture ends
 
 
 def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
@@ -40,10 +41,11 @@ def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> m
         aspect: width of the picture over its height.
     """
     left, right = keyboard.centre[list(keys), 1] + np.array([-_BESIDE_KEYS, _BESIDE_KEYS])
-    centre = np.array([(_FROM_X + _TO_X) / 2, (left + right) / 2, keyboard.white.centre_z])
+    back = keyboard.white.centre_x - keyboard.white.half_size[0] - _BEHIND_KEYS
+    centre = np.array([(back + _WRISTS_X) / 2, (left + right) / 2, keyboard.white.centre_z])
     towards = np.array([np.cos(_ELEVATION), 0.0, np.sin(_ELEVATION)])
     up = np.array([-np.sin(_ELEVATION), 0.0, np.cos(_ELEVATION)])
-    sides = ((_FROM_X, _TO_X), (left, right), (0.0, keyboard.black.top))
+    sides = ((back, _WRISTS_X), (left, right), (0.0, keyboard.black.top))
     corners = np.array(list(itertools.product(*sides)))
     across, upwards, nearer = np.stack([[0, 1, 0], up, towards]) @ (corners - centre).T
     camera = mujoco.MjvCamera()

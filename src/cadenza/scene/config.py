@@ -27,12 +27,13 @@ class SceneConfig:
     keyboard: str = "piano"
     """The keyboard: piano, mini, one of an installed package, or module:NAME."""
     hand: str = "shadow"
-    """Kind of hand: shadow, allegro, allegro-narrow (with narrow tips), or module:NAME."""
+    """Kind of hand: shadow, allegro, another that `cadenza info` lists, or module:NAME."""
     hands: Hands = "both"
     """Which hands play. apart: both, each in a scene of its own; what they play is combined. none:
     the piano plays itself."""
     reduced_action_space: bool = True
-    """Lock thumb joints 5 and 1 and little finger joint 5, as in the paper."""
+    """Lock the joints that the hand names as such (Shadow, as in the paper: thumb 5 and 1, little
+    finger 5)."""
     forearm_dofs: tuple[ForearmDof, ...] = ("tx", "ty")
     """Degrees of freedom of the forearms: slides along (tx), towards (ty) and above (tz) the keys,
     and rotations."""

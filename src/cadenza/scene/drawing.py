@@ -39,10 +39,10 @@ def drawing(scene: Scene) -> dict[str, Any]:
     first = scene.fingers_there.start
     tips = model.site_bodyid[scene.fingertip_sites].tolist()
     fingertip = {body: number for number, body in enumerate(tips, start=first)}
-    geoms = []
+    geoms, keys = [], range(model.ngeom)[scene.key_geoms]
     for g in range(model.ngeom):
         body = int(model.geom_bodyid[g])
-        if model.geom_group[g] == COLLIDING_GROUP or _is_key(model, body):
+        if model.geom_group[g] == COLLIDING_GROUP or g in keys:
             continue
         palm = body in scene.palm_bodies
         geom = {"body": index.get(body, -1), "finger": fingertip.get(body), "palm": palm}
@@ -71,10 +71,6 @@ def body_poses(
         mujoco.mj_kinematics(scene.model, data)
         xpos[t], xquat[t] = data.xpos[scene.hand_bodies], data.xquat[scene.hand_bodies]
     return xpos, xquat
-
-
-def _is_key(model: mujoco.MjModel, body: int) -> bool:
-    return "_key_" in model.body(body).name
 
 
 def _jointed(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:

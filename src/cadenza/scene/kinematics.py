@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import mujoco
@@ -11,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.body import prefix
-from cadenza.scene.scene import Scene, hand_on_keys
+from cadenza.scene.scene import Ids, Scene, as_ids, hand_on_keys
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
-Ids = NDArray[np.intp]
 
 TIP = -1  # the last of a finger's points
 
@@ -89,8 +87,8 @@ class Kinematics:
             for finger in scene.hand.fingers
             for link in (*finger.links, finger.links[-1])  # whose tip is the last point
         ]
-        self._bodies, self._num_points = _ids(bodies), len(scene.hand.fingers[0].links) + 1
-        self._tips = _ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
+        self._bodies, self._num_points = as_ids(bodies), len(scene.hand.fingers[0].links) + 1
+        self._tips = as_ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
         chains = [_chain(model, body) for body in bodies]
         of_tips = chains[self._num_points - 1 :: self._num_points]
         self._moves = _moves(model, servos.joints, of_tips, self._num_servos)
@@ -198,10 +196,6 @@ def _chain(model: mujoco.MjModel, body: int) -> set[int]:
         chain.add(body)
         body = int(model.body_parentid[body])
     return chain
-
-
-def _ids(values: Iterable[int]) -> Ids:
-    return np.array(list(values), np.intp)
 
 
 def _cross(a: Array, b: Array) -> Array:

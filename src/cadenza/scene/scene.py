@@ -83,15 +83,15 @@ class Scene:
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
 
     def servos_on(self, *sides: Side) -> slice:
-        """Which of the A actuators are those of one hand, or of all."""
+        """Which of the A actuators are those of one hand, or of all that are given."""
         return self._on(sides, len(self.actuator_names))
 
     def joints_on(self, *sides: Side) -> slice:
-        """Which of the J joints are those of one hand, or of all."""
+        """Which of the J joints are those of one hand, or of all that are given."""
         return self._on(sides, len(self.hand_joint_names))
 
     def fingertips_on(self, *sides: Side) -> slice:
-        """Which of `fingertip_sites` are those of one hand, or of all."""
+        """Which of `fingertip_sites` are those of one hand, or of all that are given."""
         return self._on(sides, len(self.fingertip_sites))
 
     def _on(self, sides: tuple[Side, ...], count: int) -> slice:
@@ -129,9 +129,9 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     try:
         model = spec.compile()
-    except ValueError as error:  # only a hand of somebody else's can be wrong
-        said = " ".join(str(error).split())
-        raise CadenzaError(f"hand {hand.name}: MuJoCo cannot build it: {said}") from error
+    except ValueError as error:  # either may be somebody else's
+        said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
+        raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
 
@@ -184,7 +184,7 @@ def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.Mj
     """The model of a scene with hands, without most of what costs time and never matters.
 
     Joints, servos and fingertips are those of the scene, in its order, except for keys that are
-    left out. With keys, only the last two links of each finger collide.
+    left out. Keys collide only with the last two links of each finger.
 
     Args:
         scene: with hands.
@@ -303,16 +303,16 @@ def _resolve(
             [hand.start.get(model.joint(j).name.removeprefix(p), 0.0) for p, j in hand_joints]
         ),
         actuator_names=tuple(model.actuator(a).name for a in range(model.nu)),
-        fingertip_sites=_array(model.site(name).id for name in fingertip_sites),
+        fingertip_sites=as_ids(model.site(name).id for name in fingertip_sites),
         fingers=fingers,
         fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
             side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + forearm.FOREARM).id)
             for side in sides
         },
-        hand_bodies=_array(bodies),
-        palm_bodies=_array(model.body(p + name).id for p in prefixes for name in hand.palm_links),
-        slide_joints=_array(row for row, j in enumerate(joints) if model.joint(j).name in slides),
+        hand_bodies=as_ids(bodies),
+        palm_bodies=as_ids(model.body(p + name).id for p in prefixes for name in hand.palm_links),
+        slide_joints=as_ids(row for row, j in enumerate(joints) if model.joint(j).name in slides),
     )
 
 
@@ -332,5 +332,6 @@ def _joined(parts: Sequence[slice]) -> slice:
     return slice(parts[0].start, parts[-1].stop) if parts else slice(0, 0)
 
 
-def _array(values: Iterable[int]) -> Ids:
+def as_ids(values: Iterable[int]) -> Ids:
+    """What indexes arrays."""
     return np.array(list(values), dtype=np.intp)

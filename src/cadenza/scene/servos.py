@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 class Servos:
     """A servos of a scene, in its order, and J joints of the hands.
 
-    A posture (A,) is given in the servos' coordinates: a finger's last two joints hang on one
-    tendon, whose coordinate is the sum of both angles, and each joint takes half of it.
+    A posture (A,) is given in the servos' coordinates. Joints that share a tendon have one
+    coordinate, the sum of their angles, of which each takes an equal share.
     """
 
     names: tuple[str, ...]

@@ -35,7 +35,8 @@ def swapped_joints(scene: Scene, middle: float) -> Swap:
     """Of the J joints, about the plane y = `middle` [m].
 
     Raises:
-        CadenzaError: the scene has not two hands that are mirror images and slide.
+        CadenzaError: the scene has not two hands that are mirror images and slide, or they cannot
+            slide as far along the keyboard as their images are away.
     """
     if len(scene.sides) != 2 or len(scene.slide_joints) != 2:
         raise CadenzaError("only two hands that slide along the keyboard can be mirrored")
@@ -50,8 +51,18 @@ def swapped_joints(scene: Scene, middle: float) -> Swap:
     along = (axes * (axes[source] * image)).sum(axis=1)
     if np.abs(np.abs(along) - 1).max() > 1e-6:
         raise CadenzaError("the hands of this scene are no mirror images of each other")
+    # A forearm's slides are at right angles to each other, however it is mounted.
+    of_forearm = np.isin(model.jnt_bodyid[ids], model.jnt_bodyid[ids][scene.slide_joints])
+    forearm = np.flatnonzero(slides & of_forearm)
+    away = np.array([0.0, 2 * middle, 0.0])
     offset = np.zeros(count)
-    offset[scene.slide_joints] = 2 * middle * axes[scene.slide_joints, 1]
+    offset[forearm] = axes[forearm] @ away
+    moved = offset[forearm] @ axes[forearm] / 2  # of two hands
+    if np.abs(moved - away).max() > 1e-6:
+        raise CadenzaError(
+            "hands that do not slide along the keyboard alone cannot be mirrored about "
+            f"y = {middle:.4f} m: choose attachment_yaw 0, or tx and ty among the forearm_dofs"
+        )
     return Swap(source, np.sign(along).astype(np.float32), offset.astype(np.float32))
 
 

@@ -16,20 +16,20 @@ Array = NDArray[np.float64]
 
 
 class HandLinearisation(NamedTuple):
-    """K control steps, and how that to which they lead depends on how they begin.
+    """T control steps, and how that to which they lead depends on how they begin.
 
     Derivatives are by z = (positions, speeds, control), 2 J + A of the hands' J joints and A
-    actuators, at the beginning of the step. The keys begin it as they are.
+    actuators, at the beginning of the step. The K keys begin it as they are.
     """
 
     hands: Array
-    """(K, 2 J, 2 J + A) of the hands' positions and speeds."""
+    """(T, 2 J, 2 J + A) of the hands' positions and speeds."""
     keys: Array
-    """(K, 88, 2 J + A) of the keys' angles."""
+    """(T, K, 2 J + A) of the keys' angles."""
     fingertips: Array
-    """(K, F, 3, 2 J + A) of the fingertips' places."""
+    """(T, F, 3, 2 J + A) of the fingertips' places."""
     states: State
-    """What the steps lead to, arrays (K, ...)."""
+    """What the steps lead to, arrays (T, ...)."""
 
 
 class HandLineariser:
@@ -55,7 +55,7 @@ class HandLineariser:
         self._batch = PlanningSimulation(scene, 1 + len(difference), control_timestep, num_threads)
 
     def linearise(self, start: MujocoSimulation, ctrl: Array) -> HandLinearisation:
-        """Along the steps that simulation 0 of `start` would take with controls (K, A)."""
+        """Along the steps that simulation 0 of `start` would take with controls (T, A)."""
         self._along.copy_from(start, 0)
         rows = [self._step(control) for control in ctrl]
         hands, keys, fingertips, states = zip(*rows, strict=True)

@@ -24,7 +24,8 @@ _SOON_ASLEEP = -1  # of a tree that is awake and has been at rest for long enoug
 class HandTrials:
     """Trials of one hand, all from the same state, each in one of `PLACES` places.
 
-    Trials in different places may run in different threads.
+    Trials in different places may run in different threads. Arrays that tell where a trial has come
+    to are valid until its next step.
 
     The hand moves as in the whole scene, to a few micrometres, unless it touches keys with more
     than the last two links of its fingers.

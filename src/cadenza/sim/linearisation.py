@@ -22,24 +22,24 @@ so often that at 1e-6 the derivatives over a control step can be wrong by their 
 
 
 class Linearisation(NamedTuple):
-    """K control steps looked at P times each, and how what is seen there depends on small changes.
+    """T control steps looked at P times each, and how what is seen there depends on small changes.
 
-    V joints of keys and hands, A actuators, F fingers of two hands.
+    K keys, V joints of keys and hands, A actuators, F fingers of two hands.
     """
 
     jacobian: Array
-    """(K, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of
+    """(T, P, 2 V, 2 V + A) derivatives of positions and velocities by those at the beginning of
     the control step, and by the control that is held through it."""
     key_qpos: Array
-    """(K, P, 88) joint angles of the keys [rad]."""
+    """(T, P, K) joint angles of the keys [rad]."""
     key_xpos: Array
-    """(K, P, 88, 3) centres of the keys' boxes in the world [m]."""
+    """(T, P, K, 3) centres of the keys' boxes in the world [m]."""
     key_jacobian: Array
-    """(K, P, 88, 3) their derivatives by the key's own joint [m/rad]."""
+    """(T, P, K, 3) their derivatives by the key's own joint [m/rad]."""
     fingertip_xpos: Array
-    """(K, P, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
+    """(T, P, F, 3) fingertips in the world [m]; zero for a hand that is not there."""
     fingertip_jacobian: Array
-    """(K, P, F, 3, V) their derivatives by the joints."""
+    """(T, P, F, 3, V) their derivatives by the joints."""
 
 
 class Lineariser:
@@ -62,7 +62,7 @@ class Lineariser:
     ) -> None:
         """Args:
             scene: what to linearise; its keys must not sleep.
-            num_steps: K, control steps.
+            num_steps: T, control steps.
             num_looks: P, how many times a control step is looked at, evenly, last at its end.
             num_substeps: physics steps from one look to the next.
             num_threads: how many threads share the work.
@@ -85,7 +85,7 @@ class Lineariser:
     def linearise(self, state: Array, ctrl: Array) -> Linearisation:
         """Args:
         state: (S,) where to begin, as `MujocoSimulation.physics_state` returns it.
-        ctrl: (K, A) in actuator units, held for a control step each.
+        ctrl: (T, A) in actuator units, held for a control step each.
         """
         seen = self._roll_out(state, ctrl)
         transitions = np.array(list(self._pool.map(self._differentiate, self._data)))

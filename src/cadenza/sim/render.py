@@ -204,17 +204,19 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
             "this process was forked from one that has rendered, and its graphics are unusable: "
             "start it with spawn, as in multiprocessing.get_context('spawn')"
         )
-    _RENDERED_IN.add(os.getpid())
     default = ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
     reasons = []
     for backend in (wanted,) if wanted else default:
         try:
             gl = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
             gl.make_current()
-            return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # missing libraries show in many ways
             reasons.append(f"{backend}: {str(error).splitlines()[0] if str(error) else error!r}")
             _forget_opengl()
+        else:
+            _RENDERED_IN.add(os.getpid())
+            return gl, context
     raise CadenzaError(f"this machine cannot render ({'; '.join(reasons)}): install EGL or OSMesa")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from cadenza.configs import whole_number
@@ -36,7 +36,10 @@ class Threads:
         self._pool_of = os.getpid()
 
     def for_each(self, ids: Sequence[int], work: Callable[[int], None]) -> None:
-        """Calls `work` with each of `ids`; returns when all is done."""
+        """Calls `work` with each of `ids`.
+
+        Returns when all is done. If a call raises, so does this, when no call is under way.
+        """
         workers = min(self._num_threads, len(ids))
         if workers <= 1:
             for i in ids:
@@ -49,7 +52,9 @@ class Threads:
             for i in shared:
                 work(i)
 
-        for future in [pool.submit(work_on) for _ in range(workers)]:
+        futures = [pool.submit(work_on) for _ in range(workers)]
+        wait(futures)  # or some would go on to write while the caller handles an error
+        for future in futures:
             future.result()
 
     def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:

@@ -63,7 +63,8 @@ class TaskConfig:
     as a fraction of half the control range."""
     model_error: float = field(default=0.0, metadata=added(before=0.0))
     """Scale masses, damping, friction, springs and gains in the simulation, each by a random factor
-    from 1 - e to 1 + e. Planners do not know of it unless they copy the simulation."""
+    from 1 - e to 1 + e. The planner and ilqg plan without these factors, predictive-sampling with
+    them."""
     model_seed: int = field(default=0, metadata=added(before=0))
     """Random seed of these factors."""
     random_stretch: float = 0.0

@@ -212,9 +212,10 @@ class PianoVectorEnv(VectorEnv):
         Args:
             seed: of the first environment, the others' follow; or one for each, None for those
                 that go on drawing as they did.
-            options: "reset_mask", (N,) bool, resets some of the environments only; "song", one of
-                the environment's songs by index, by title or as it was given, or a list with one
-                for each environment, is what they play in this episode, drawn where it is None.
+            options: "reset_mask", (N,) bool, resets some of the environments only, but not at
+                first; "song", one of the environment's songs by index, by title or as it was given,
+                or a list with one for each environment, is what they play in this episode, drawn
+                where it is None.
 
         Raises:
             CadenzaError: a seed or an option makes no sense.
@@ -223,6 +224,8 @@ class PianoVectorEnv(VectorEnv):
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if mask.shape != (self.num_envs,):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
+        if not (self._rngs or mask.all()):
+            raise CadenzaError("reset_mask: the first reset is of all environments; leave it out")
         songs = self._assigned(options.get("song"))
         self._seed(seed, mask)
         self._restart(np.flatnonzero(mask), songs)
@@ -421,7 +424,7 @@ class PianoEnv(gymnasium.Env):
         """
         super().reset(seed=seed)
         self._batch._rngs = [self.np_random]
-        observation, infos = self._batch.reset(options=options)
+        observation, infos = self._batch.reset(options={"song": (options or {}).get("song")})
         return _row(observation), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

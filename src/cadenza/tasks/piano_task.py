@@ -265,7 +265,8 @@ class PianoTask:
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         self.simulation.step(self._as_they_arrive(ctrl[:, :-1], moving), env_ids)
         self._look()
-        self._pedal[moving] = np.fmax(ctrl[moving, -1], 0.0)  # up where it is not a number
+        # Up where it is not a number.
+        self._pedal[moving] = np.fmin(np.fmax(ctrl[moving, -1], 0.0), 1.0)
         self.wanted[moving] = goal[moving, :-1]
         within = self._env_ids[moving][(sheets.steps_done < sheets.num_steps)[moving]]
         here = within, row[within]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,7 +26,7 @@ Ids = NDArray[np.integer]
 
 _LOG_VALUE_AT_MARGIN = math.log(0.1)
 _KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
-_FINGER_BOUND, _FINGER_MARGIN = 0.01, 0.1  # [m]
+_FINGER_BOUND = 0.01  # [m]
 _PRESS_AT = np.array((0.35, 0.0, 0.5))  # of half a key's size, from the centre of its box
 
 
@@ -96,7 +97,11 @@ def graded_key_press(state: Array, activation: Mask, goal: Mask) -> Array:
 
 
 def score_fingering(
-    fingertips: Array, key_xpos: Array, press: Array, fingers: Ids, margin: float = _FINGER_MARGIN
+    fingertips: Array,
+    key_xpos: Array,
+    press: Array,
+    fingers: Ids,
+    margin: float = TaskConfig.fingering_margin,
 ) -> Array:
     """(N,) mean nearness of fingers to the keys that the score gives them, 0 where it gives none.
 
@@ -114,7 +119,11 @@ def score_fingering(
 
 
 def transport_fingering(
-    fingertips: Array, key_xpos: Array, press: Array, keys: Ids, margin: float = _FINGER_MARGIN
+    fingertips: Array,
+    key_xpos: Array,
+    press: Array,
+    keys: Ids,
+    margin: float = TaskConfig.fingering_margin,
 ) -> Array:
     """(N,) mean nearness of fingers to the keys assigned to them, 1 where none is (RP1M).
 

@@ -37,7 +37,8 @@ class TaskSpec:
 
     config: TaskConfig
     scene: Scene
-    """The hands and the keys."""
+    """The hands and the keys as they are simulated, disturbed by `TaskConfig.model_error`. A scene
+    that is built from its `config` is not."""
     action_low: Array
     """(A,) the least action in actuator units [m, rad], the pedal last."""
     action_high: Array

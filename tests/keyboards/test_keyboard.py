@@ -1,0 +1,49 @@
+"""Keyboards of one's own: where their keys lie, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cadenza.errors import CadenzaError
+from cadenza.keyboards.keyboard import Keyboard
+from cadenza.keyboards.mini import MINI
+from cadenza.keyboards.piano import PIANO
+
+
+@pytest.mark.parametrize(
+    "keyboard",
+    [PIANO, MINI, replace(PIANO, lowest_pitch=60, num_keys=23)],
+    ids=["piano", "mini", "to a black key"],
+)
+def test_white_keys_lie_on_the_grid(keyboard: Keyboard) -> None:
+    white = ~keyboard.is_black
+    np.testing.assert_allclose(keyboard.grid_y[white], keyboard.centre[white, 1], atol=1e-12)
+
+
+WHITE, BLACK, BASE = PIANO.white, PIANO.black, PIANO.base
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"lowest_pitch": 61, "num_keys": 20}, "lowest_pitch 61, is black; begin with a white one"),
+        ({"num_keys": 0}, "num_keys is 0; give 1 or more"),
+        ({"lowest_pitch": 60}, "has 88 keys from pitch 60 on; MIDI's pitches are 0 to 127"),
+        ({"white": replace(WHITE, mass=0.0)}, "white.mass is 0.0; give more than 0"),
+        ({"black": replace(BLACK, mass=np.nan)}, "black.mass is nan; give more than 0"),
+        (
+            {"black": replace(BLACK, half_size=(0.045, -0.005, 0.009))},
+            r"black.half_size is \(0.045",
+        ),
+        ({"white": replace(WHITE, dip=0.0)}, "white.dip is 0.0"),
+        ({"base": replace(BASE, half_depth=0.0)}, "base.half_depth is 0.0"),
+        ({"base": replace(BASE, density=0.0)}, "base.density is 0.0"),
+    ],
+)
+def test_impossible_keyboards_are_refused_in_a_line(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(CadenzaError, match=rf"^keyboard odd: [^\n]*{said}"):
+        replace(PIANO, name="odd", **changes)
