@@ -51,8 +51,8 @@ class SceneConfig:
     touch: bool = field(default=False, metadata=added(before=False))
     """Have touch sensors on the fingertips, and observe their normal forces."""
     sleeping_keys: bool = True
-    """Skip the simulation of keys at rest, which is faster and moves the others by micrometres.
-    Without it, recordings of the published system replay bit for bit."""
+    """Skip the simulation of keys at rest, which is faster and moves the others by 1e-4 rad or so.
+    Without it, recordings of the published system replay bit for bit unless the forearms touch."""
     physics: Physics = "published"
     """The published dynamics, or faster ones for training: twice the physics timestep, no dry
     friction in joints. See docs/speed.md for the difference."""
