@@ -30,7 +30,6 @@ from cadenza.music.score import (
     Note,
     PedalEvent,
     Score,
-    check_length,
 )
 from cadenza.music.tracks import Track, check_chosen
 
@@ -75,8 +74,8 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     - a key signature that no key has is ignored.
 
     Raises:
-        CadenzaError: no such file, not a MIDI file, damaged, without notes, without one of
-            `tracks`, or over an hour long.
+        CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
+            of `tracks`.
     """
     path = Path(path)
     file, remarks = _parse(path)
@@ -111,7 +110,6 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     if not played:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
         raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
-    check_length(clock.seconds(max(note.end for note in played)), f"{path}: the song")
     notes = tuple(
         Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
         for note in played
