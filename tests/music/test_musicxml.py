@@ -99,8 +99,8 @@ def test_notes_times_and_title(saved):
     assert (score.title, score.remarks) == ("Little piece", ())
 
 
-@pytest.mark.parametrize("name", ["song.musicxml", "SONG.XML", "song.mxl"])
-def test_it_is_known_by_its_name(name, saved):
+@pytest.mark.parametrize("name", ["song.musicxml", "SONG.XML", "song.mxl", "song.mid", "song"])
+def test_it_is_known_by_how_it_begins(name, saved):
     text = document([FOUR_QUARTERS + note("C4", 4)])
     score = load_score(saved(compressed(text) if name == "song.mxl" else text, name))
     assert played(score) == [(0.0, 0.5, 60)]
@@ -478,7 +478,7 @@ ATTACKS = {
     "too many words": ("<score-partwise>" + "<words/>" * 4_000, "too large for a song"),
     "timewise": ("<score-timewise/>", "there are no notes"),
     "not a score": ("<opus></opus>", "cannot be read as MusicXML"),
-    "a page": ("\n<!DOCTYPE html><br>", "is not MusicXML but HTML; download the file"),
+    "a page": ("\n<!DOCTYPE html><br>", "is a page (HTML), no music"),
     "cut short": (document([FOUR_QUARTERS + note("C4", 4)])[:-30], "cannot be read as MusicXML"),
     "not XML": (b"MThd and so on", "does not begin as XML"),
     "no notes": (document([FOUR_QUARTERS]), "there are no notes"),

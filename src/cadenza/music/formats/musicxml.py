@@ -239,7 +239,7 @@ def _xml(path: Path) -> bytes:
     if not beginning.startswith(b"<") or b"\0" in data:
         raise CadenzaError(f"{path}: not a MusicXML file (it does not begin as XML)")
     if beginning.startswith((b"<!doctype html", b"<html")):
-        raise CadenzaError(f"{path}: is not MusicXML but HTML; download the file, not its page")
+        raise CadenzaError(f"{path}: is a page (HTML), no music; download the file itself")
     if b"<!ENTITY" in data:
         raise CadenzaError(f"{path}: declares XML entities, which MusicXML does not use")
     for tag, most in MOST.items():
