@@ -36,30 +36,19 @@ def played_order(bars: Sequence[Signs]) -> Iterator[int]:
     where it stood, repeats are not taken again; a fine ends the music, and the first sign to the
     coda leads there. A sign whose goal is missing has no effect, see `without_goal`.
     """
-    goals = _Goals(bars)
-    sections = _sections(bars)
+    jumps, sections = _Jumps(bars), _sections(bars)
     at, turn = 0, 1  # the bar, and the how-manieth pass through its section
-    returned = -1  # the bar from which the latest jump led back
-    to_coda = False  # whether a sign to the coda is followed
-    taken = set()  # bars whose jump back was
     while at < len(bars):
         signs = bars[at]
         begin, end, turns = sections[bisect_right(sections, at, key=lambda each: each[0]) - 1]
-        if at <= returned:
+        if at <= jumps.returned:
             turn = turns
         if not signs.ending or turn in signs.ending:
             yield at
             if turn == max(signs.ending, default=turns):
-                if returned >= 0 and signs.fine:
+                if signs.fine and jumps.returned >= 0:
                     return
-                goal = goals.of_coda(at) if to_coda else None
-                to_coda = to_coda and goal is None
-                if goal is None and at not in taken:
-                    goal = goals.of_return(at)
-                    taken.add(at)
-                    if goal is not None:
-                        returned, to_coda = at, True
-                if goal is not None:
+                if (goal := jumps.goal(at)) is not None:
                     at, turn = goal, 1
                     continue
             bracket_ends = signs.ending and (at + 1 == end or bars[at + 1].ending != signs.ending)
@@ -78,6 +67,29 @@ def without_goal(bars: Sequence[Signs]) -> int:
         + (signs.to_coda is not None and goals.of_coda(at) is None)
         for at, signs in enumerate(bars)
     )
+
+
+class _Jumps:
+    """Those taken up to now; the latest led back from the bar `returned`, -1 where none did."""
+
+    def __init__(self, bars: Sequence[Signs]) -> None:
+        self.returned = -1
+        self._goals = _Goals(bars)
+        self._to_coda = False  # whether a sign to the coda is followed
+        self._taken: set[int] = set()  # bars whose jump back was
+
+    def goal(self, at: int) -> int | None:
+        """Takes the jump at the end of a bar, if there is one to be taken now."""
+        if self._to_coda and (coda := self._goals.of_coda(at)) is not None:
+            self._to_coda = False
+            return coda
+        if at in self._taken:
+            return None
+        self._taken.add(at)
+        goal = self._goals.of_return(at)
+        if goal is not None:
+            self.returned, self._to_coda = at, True
+        return goal
 
 
 class _Goals:

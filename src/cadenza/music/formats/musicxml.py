@@ -21,7 +21,7 @@ import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.formats.bar_order import Signs, played_order, without_goal
+from cadenza.music.formats.bar_order import played_order, without_goal
 from cadenza.music.formats.musicxml_marks import Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.source import read_bytes
@@ -309,7 +309,8 @@ def _sheet(data: bytes, path: Path) -> _Sheet:
             score = load_musicxml(io.BytesIO(ElementTree.tostring(root)))
             found = [part for part in score.parts if part.last_point != part.first_point]
             timelines = _timelines([(part, marks[part.id]) for part in found], symbols)
-            bars, signs = _bars(timelines)
+            longest = max(timelines, key=lambda each: len(each.units), default=None)
+            bars = _bars(longest) if longest else []
             parts = [_part(each, bars, symbols) for each in timelines]
             tempos: dict[float, float] = {}
             for each in reversed(timelines):  # so that the first part has the last word
@@ -320,8 +321,7 @@ def _sheet(data: bytes, path: Path) -> _Sheet:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: cannot be read as MusicXML ({reason})") from error
     title = printable(score.work_title or score.movement_title or score.title or "")
-    in_words = max((each.marks.in_words for each in timelines), default=0)
-    sections, unclear = _sections(signs, in_words)
+    sections, unclear = _sections(longest.marks if longest else Marks())
     return _Sheet(title, parts, bars, sections, tempos, [*remarks, *unclear])
 
 
@@ -361,19 +361,15 @@ def _timelines(parts: list[tuple[Any, Marks]], symbols: Any) -> list[_Timeline]:
     return timelines
 
 
-def _bars(timelines: list[_Timeline]) -> tuple[list[_Bar], list[Signs]]:
-    """Those of the part with most measures, the first of those, and their signs."""
-    if not timelines:
-        return [], []
-    longest = max(timelines, key=lambda each: len(each.units))
-    places = [place for place, _ in longest.marks.bars]
-    begin = [longest.quarter(measure, longest.units[measure] + into) for measure, into in places]
-    end = [*begin[1:], longest.quarters[-1]]
-    bars = [
-        _Bar(measure, begin[i], end[i], longest.marks.numbers[measure])
+def _bars(part: _Timeline) -> list[_Bar]:
+    """Those of the part with most measures."""
+    places = [place for place, _ in part.marks.bars]
+    begin = [part.quarter(measure, part.units[measure] + into) for measure, into in places]
+    end = [*begin[1:], part.quarters[-1]]
+    return [
+        _Bar(measure, begin[i], end[i], part.marks.numbers[measure])
         for i, (measure, _) in enumerate(places)
     ]
-    return bars, [signs for _, signs in longest.marks.bars]
 
 
 def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:
@@ -449,8 +445,9 @@ def _before_beat(note: Any, symbols: Any) -> int:
     return count
 
 
-def _sections(signs: list[Signs], in_words: int) -> tuple[list[tuple[int, int]], list[str]]:
+def _sections(marks: Marks) -> tuple[list[tuple[int, int]], list[str]]:
     """Which bars are played in which order, with remarks on signs that are not followed."""
+    signs = [each for _, each in marks.bars]
     sections: list[tuple[int, int]] = []
     for bar in islice(played_order(signs), _MAX_PLAYED + 1):
         if sections and sections[-1][1] == bar:
@@ -460,7 +457,7 @@ def _sections(signs: list[Signs], in_words: int) -> tuple[list[tuple[int, int]],
     unplayed = set(range(len(signs))).difference(*(range(*section) for section in sections))
     told = (
         (without_goal(signs), "jump", "without a segno or coda to go to left out"),
-        (in_words, "jump", "in words, without a sign for playback, left out"),
+        (marks.in_words, "jump", "in words, without a sign for playback, left out"),
         (len(unplayed), "bar", "passed over by all repeats and jumps"),
     )
     return sections, [f"{n} {what}{'s'[: n != 1]} {why}" for n, what, why in told if n]

@@ -16,6 +16,7 @@ Element = ElementTree.Element
 Place = tuple[int, int]
 
 _JUMP = re.compile(r"\b(d\. ?[cs]\.|da capo\b|dal segno\b)", re.IGNORECASE)
+_PASS = re.compile(r"\d{1,3}")
 _MINUTE = 60  # seconds
 
 
@@ -130,8 +131,8 @@ def _read_barline(
     signs = bars[-1][1]
     repeat, ending = barline.find("repeat"), barline.find("ending")
     if ending is not None and (ending.get("type") == "start" or not bracket):
-        named = ending.get("number", "") + " " + (ending.text or "")
-        signs.ending = bracket = frozenset(map(int, re.findall(r"\d{1,3}", named)))
+        passes = _PASS.findall(ending.get("number", "")) or _PASS.findall(ending.text or "")
+        signs.ending = bracket = frozenset(map(int, passes))
     if ending is not None and ending.get("type") != "start":
         bracket = frozenset()
     direction = repeat.get("direction") if repeat is not None else None
