@@ -45,6 +45,13 @@ def folder(tmp_path: Path) -> Path:
     return place
 
 
+def test_karaoke_and_wrapped_midi_files_are_listed(tmp_path: Path) -> None:
+    for name in ("song.mid", "sung.kar", "wrapped.RMI"):
+        write_midi(TUNE, tmp_path / name)
+    names = [Path(song.name).name for song in open_library(tmp_path).songs]
+    assert names == ["song.mid", "sung.kar", "wrapped.RMI"]
+
+
 def test_names_are_safe_and_unique_and_facts_come_along(folder: Path) -> None:
     imported = import_folder(folder, "mine")
     assert imported.left_out == []

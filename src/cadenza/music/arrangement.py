@@ -31,10 +31,16 @@ class Arrangement:
         """The bundled song or the file `song`, so arranged.
 
         Raises:
-            CadenzaError: it cannot be read, or has no such tracks.
+            CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
+        from cadenza.music.score import check_length
+
         score = self._reduced(song)
-        return score if self.first_seconds is None else score.beginning(self.first_seconds)
+        if self.first_seconds is not None:
+            score = score.beginning(self.first_seconds)
+        music = score.total_time - min((note.start for note in score.notes), default=0.0)
+        check_length(music, f"{song}: the song", "; play its beginning with --first-seconds")
+        return score
 
     def _reduced(self, song: str) -> Score:
         from cadenza.music.libraries.library import load_score

@@ -246,11 +246,12 @@ def check_beginning(seconds: float) -> None:
         raise CadenzaError(f"the first {seconds} s: give a positive number")
 
 
-def check_length(seconds: float, what: str) -> None:
+def check_length(seconds: float, what: str, advice: str = "") -> None:
     """Raises:
-    CadenzaError: `what` would last longer than is sensible.
+    CadenzaError: `what` would last longer than is sensible; it ends with the `advice`.
     """
     if seconds > MAX_SECONDS:
         raise CadenzaError(
             f"{what} would last {seconds / 60:.4g} minutes; the longest is {MAX_SECONDS / 60:.0f}"
+            f"{advice}"
         )

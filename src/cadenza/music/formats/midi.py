@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import io
-import re
 import sys
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import count, pairwise
 from pathlib import Path
-from typing import Literal
 
 import mido
-from mido.midifiles.meta import KeySignatureError
 
 from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.music.formats.general_midi import INSTRUMENTS
+from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs
@@ -30,7 +26,6 @@ from cadenza.music.score import (
     Note,
     PedalEvent,
     Score,
-    check_length,
 )
 from cadenza.music.tracks import Track, check_chosen
 
@@ -43,14 +38,13 @@ _MAX_TICKS = 2**28 - 1  # the longest time from one event to the next that the f
 _DEFAULT_TEMPO = 500_000  # [us] per quarter, until the file says otherwise
 _DRUM_CHANNEL = 9  # channel 10 of General MIDI, counted from 0
 _SUSTAIN = 64  # controller number of the sustain pedal
+_SOSTENUTO = 66
+_RESET = 121  # controller that lifts the pedals of a channel, among others
 _ALL_OFF = 120, 123  # controllers that end all notes of a channel
-_LONGEST_NUMBER = 8  # bytes; the format allows numbers of 4
+_PUNCTUATION = "‘’“”–—…"
+_DOWN = 64  # the least value of a pedal that is down
 _SHORTEST_BEAT = 64  # as a part of a whole note
 _MOST_BARS = 20_000  # more are taken for damage
-
-# Key signatures other than from 7 flats to 7 sharps, major (0) or minor (1).
-_NO_KEY = re.compile(rb"\xff\x59\x02(?![\xf9-\xff\x00-\x07][\x00\x01])..", re.DOTALL)
-_C_MAJOR = b"\xff\x59\x02\x00\x00"
 
 
 def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
@@ -59,10 +53,11 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
     All instruments but the drums (channel 10) are played together, or only `tracks`, by their
     numbers in `Score.tracks`: a track is what one channel plays in one track of the file. Of format
     2, whose tracks are songs of their own, the first with notes is read. The sustain pedals
-    (controller 64) of all channels that are played move the one pedal, which stands where the
-    latest event of any of them put it. Times follow the tempo changes, or the SMPTE division where
-    the file has one. Bars follow the time signatures, where there are any. Chunks of unknown types
-    are skipped. What cannot be played on one piano is repaired, and `Score.remarks` says so:
+    (controller 64, lifted by 121) of all channels that are played move the one pedal, which stands
+    where the latest event of any of them put it. Times follow the tempo changes, or the SMPTE
+    division where the file has one. Bars follow the time signatures, where there are any. Chunks of
+    unknown types are skipped. What cannot be played on one piano is repaired, and `Score.remarks`
+    says so:
 
     - notes outside the 88 keys are left out;
     - notes that end when they start are left out;
@@ -72,22 +67,23 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
       note of its track, channel and pitch);
     - a note that is never released ends with its track, or where all of its channel are ended
       (controllers 120 and 123);
-    - a key signature that no key has is ignored.
+    - of a track that is cut off, what is whole is read;
+    - values over 127 are taken for 127.
 
     Raises:
-        CadenzaError: no such file, not a MIDI file, damaged, without notes, without one of
-            `tracks`, or over an hour long.
+        CadenzaError: no such file, not a MIDI file, damaged, without notes, or without one
+            of `tracks`.
     """
     path = Path(path)
-    file, remarks = _parse(path)
-    chunks = list(file.tracks)
-    if file.type == 2:
+    file = _parse(path)
+    remarks, chunks = list(file.remarks), file.tracks
+    if file.format == 2:
         songs = [chunk for chunk in chunks if any(message.type == "note_on" for message in chunk)]
         if len(songs) > 1:
             remarks.append(f"the file holds {len(songs)} separate songs: the first is used")
         chunks = songs[:1]
 
-    clock = _Clock.of(file.ticks_per_beat, chunks, path)
+    clock = _Clock.of(file.division, chunks, path)
     parts: list[_Part] = []
     moves: list[tuple[int, PedalEvent]] = []  # with their channels
     for chunk in chunks:
@@ -107,16 +103,17 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
         counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
     played = repaired([note for part in melodic for note in part.notes], counts)
     remarks += repairs(counts)
+    if any(part.sostenuto for part in melodic):
+        remarks.append("the sostenuto pedal is left out")
 
     if not played:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
         raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
-    check_length(clock.seconds(max(note.end for note in played)), f"{path}: the song")
     notes = tuple(
         Note(clock.seconds(note.start), clock.seconds(note.end), note.pitch, note.velocity)
         for note in played
     )
-    bars = _bars(file.ticks_per_beat, chunks, clock, played[-1].start)
+    bars = _bars(file.division, chunks, clock, played[-1].start)
     return Score(notes, pedal, _title(chunks, path), tuple(remarks), listed, bars)
 
 
@@ -163,13 +160,17 @@ def write_midi(score: Score, path: str | Path) -> None:
 
 @dataclass(slots=True)
 class _Part:
-    """What one channel plays in one track of the file; `outside` counts what no key plays."""
+    """What one channel plays in one track of the file; `outside` counts what no key plays.
+
+    `sostenuto` counts how often that pedal goes down.
+    """
 
     channel: int
     name: str = ""
     program: int | None = None
     notes: list[Sounding] = field(default_factory=list)
     outside: int = 0
+    sostenuto: int = 0
 
     @property
     def sounds(self) -> bool:
@@ -222,60 +223,12 @@ class _Clock:
         return units / self.units_per_second
 
 
-class _Bytes(io.BytesIO):
-    """Stops at endless numbers, in which mido would lose itself for hours."""
-
-    _continued = 0
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        data = super().read(size)
-        self._continued = self._continued + 1 if size == 1 and data >= b"\x80" else 0
-        if self._continued > _LONGEST_NUMBER:
-            raise ValueError("a number has too many bytes")
-        return data
-
-
-def _parse(path: Path) -> tuple[mido.MidiFile, list[str]]:
-    """The file and remarks on what had to be ignored to read it."""
-    data = _midi_bytes(path)
-    remarks = []
-    try:
-        try:
-            file = mido.MidiFile(file=_Bytes(data))
-        except KeySignatureError:
-            data, count = _NO_KEY.subn(_C_MAJOR, data)
-            remarks.append(f"{count} impossible key signature{'s' if count > 1 else ''} ignored")
-            file = mido.MidiFile(file=_Bytes(data))
-    except EOFError:
-        raise CadenzaError(
-            f"{path}: the MIDI file is incomplete; download or export it again"
-        ) from None
-    except Exception as error:  # damaged bytes make mido raise almost anything
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CadenzaError(f"{path}: the MIDI file is damaged ({reason})") from error
-    if file.type not in (0, 1, 2):
-        raise CadenzaError(f"{path}: MIDI format {file.type} is unknown; give format 0, 1 or 2")
-    return file, remarks
-
-
-def _midi_bytes(path: Path) -> bytes:
-    """The header and the tracks in the file, without a wrapper and chunks of unknown types."""
+def _parse(path: Path) -> MidiFile:
     data = read_bytes(path)
-    if data.startswith(b"RIFF") and data[8:12] == b"RMID":
-        wrapped = (chunk[8:] for chunk in _chunks(data[12:], "little") if chunk[:4] == b"data")
-        data = next(wrapped, b"")
-    if not data.startswith(b"MThd"):
-        raise CadenzaError(f"{path}: not a MIDI file (it does not begin with MThd)")
-    return b"".join(chunk for chunk in _chunks(data, "big") if chunk[:4] in (b"MThd", b"MTrk"))
-
-
-def _chunks(data: bytes, order: Literal["big", "little"]) -> Iterator[bytes]:
-    """Chunks of a name, a size and as many bytes: MIDI's are big-endian, RIFF's little."""
-    at = 0
-    while at < len(data):
-        size = int.from_bytes(data[at + 4 : at + 8], order)
-        yield data[at : at + 8 + size]
-        at += 8 + size + (size % 2 if order == "little" else 0)  # RIFF pads to even sizes
+    try:
+        return parsed(data)
+    except CadenzaError as error:
+        raise CadenzaError(f"{path}: {error}") from error
 
 
 def _collect(
@@ -287,6 +240,7 @@ def _collect(
     """Adds what the channels of a track of the file play to `parts`, the pedals' to `moves`."""
     here: dict[int, _Part] = {}
     sounding: defaultdict[tuple[int, int], deque[Sounding]] = defaultdict(deque)
+    pedals: defaultdict[int, int] = defaultdict(int)  # where they stand, by channel
     name, tick = "", 0
     for message in chunk:
         tick += message.time
@@ -317,8 +271,11 @@ def _collect(
                 while waiting := sounding[channel, pitch]:
                     note = waiting.popleft()
                     note.end, note.released = clock.at(tick), True
-        elif message.control == _SUSTAIN:
-            moves.append((channel, PedalEvent(clock.seconds(clock.at(tick)), message.value)))
+        elif message.control == _SUSTAIN or (message.control == _RESET and pedals[channel]):
+            pedals[channel] = message.value if message.control == _SUSTAIN else 0
+            moves.append((channel, PedalEvent(clock.seconds(clock.at(tick)), pedals[channel])))
+        elif message.control == _SOSTENUTO:
+            part.sostenuto += message.value >= _DOWN
     for waiting in sounding.values():
         for note in waiting:
             note.end = clock.at(tick)
@@ -385,10 +342,24 @@ def _title(chunks: Sequence[mido.MidiTrack], path: Path) -> str:
 
 
 def _text(text: str) -> str:
-    """What a file says, printable and on one line; mido reads every text as Latin-1."""
-    with suppress(UnicodeDecodeError):
-        text = text.encode("latin1").decode("utf-8")
-    return printable(text)
+    """What a file says, printable and on one line; nothing where its letters are not known.
+
+    Args:
+        text: its bytes as Latin-1, as mido gives them.
+    """
+    written = text.encode("latin1")
+    try:
+        return printable(written.decode("utf-8"))
+    except UnicodeDecodeError:
+        text = written.decode("cp1252", "replace")
+        return printable(text) if _is_western(text) else ""
+
+
+def _is_western(text: str) -> bool:
+    """Whether few letters have accents; bytes of other alphabets seem to have hardly any others."""
+    plain = sum(letter.isascii() and letter.isalpha() for letter in text)
+    strange = sum(not letter.isascii() and letter not in _PUNCTUATION for letter in text)
+    return 2 * strange <= plain
 
 
 def _ticks(seconds: float) -> int:

@@ -12,14 +12,18 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from itertools import accumulate, islice, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar
+from xml.etree import ElementTree
 
 import numpy as np
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.formats.musicxml_mending import mended
+from cadenza.music.formats.bar_order import played_order, without_goal
+from cadenza.music.formats.musicxml_marks import Marks, marks_of
+from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs
@@ -30,10 +34,10 @@ from cadenza.music.score import (
     Note,
     PedalEvent,
     Score,
-    check_length,
 )
 from cadenza.music.tracks import Track, check_chosen
 
+_CONTENTS = "META-INF/container.xml"
 MAX_XML_BYTES = 16 * 2**20
 # A long sonata has a tenth of these. Some cost the library time by their square.
 MOST = {
@@ -51,22 +55,23 @@ _VELOCITIES = {"ppp": 16, "pp": 33, "p": 49, "mp": 64, "mf": 80, "f": 96, "ff": 
 _UNMARKED = 80  # velocity
 _PEDAL_DOWN, _PEDAL_UP = 127, 0
 _SIGNS = range(1, 6)  # of fingers
-_T = TypeVar("_T")
+_ROUNDING = 1e-6  # [quarters]
 
 
 def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     """The piano score in a MusicXML file (.musicxml, .xml or, compressed, .mxl).
 
     Parts with pitched notes are tracks, see `Score.tracks`; all are played together, or only
-    `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the first
-    part has them. Times follow the tempos given for playback (`<sound tempo>`), velocities the
-    dynamic markings. Grace notes last 0.1 s before the beat; signs of other ornaments are not
-    played. Of a part on two staves the fingering is taken over, that of the upper staff for the
-    right hand. What cannot be played on one piano is repaired as by `read_midi`.
+    `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the
+    part with most measures has them, the first of those. Times follow the tempos given for playback
+    (`<sound tempo>`), velocities the dynamic markings. Grace notes last 0.1 s before the beat;
+    signs of other ornaments are not played. Of a part on two staves the fingering is taken over,
+    that of the upper staff for the right hand. What cannot be played on one piano is repaired as by
+    `read_midi`.
 
     Raises:
-        CadenzaError: no such file, not MusicXML, damaged, too large, without notes, without one of
-            `tracks`, or over an hour long.
+        CadenzaError: no such file, not MusicXML, damaged, too large, without notes, or
+            without one of `tracks`.
     """
     path = Path(path)
     sheet = _sheet(_xml(path), path)
@@ -94,41 +99,72 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
 
 @dataclass(frozen=True, slots=True)
 class _Written:
-    """A note as written, its times in quarters; a grace note is the `grace`-th before its beat."""
+    """A note as written, in a bar, its times in quarters.
 
+    A grace note is the `grace`-th before its beat. `tied` and `ties` say whether a tie leads to it
+    and on from it.
+    """
+
+    bar: int
     start: float
     end: float
     pitch: int
     velocity: int
     finger: Finger | None
     grace: int
+    tied: bool
+    ties: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Move:
+    """Of the pedal to a value, in a bar, its time in quarters."""
+
+    bar: int
+    quarter: float
+    value: int
+
+
+_T = TypeVar("_T", _Written, _Move)
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
+    """Notes and moves of the pedal, in the order of their bars."""
+
     name: str
-    notes: list[_Written]  # in the order of their starts
-    pedal: list[tuple[float, int]]  # when, in quarters, it moves where
+    notes: list[_Written]
+    pedal: list[_Move]
+
+
+@dataclass(frozen=True, slots=True)
+class _Bar:
+    """A measure or a part of one: when it begins and ends, in quarters, and its number."""
+
+    measure: int
+    start: float
+    end: float
+    number: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Sheet:
     """What is written, times in quarters.
 
-    `sections` are played one after the other; `tempos` say from when on a quarter lasts how long.
-    `bars` are when bars begin, and their numbers.
+    `sections`, each from one bar up to another, are played one after the other; `tempos` say from
+    when on a quarter lasts how long.
     """
 
     title: str
     parts: list[_Part]
-    sections: list[tuple[float, float]]
+    bars: list[_Bar]
+    sections: list[tuple[int, int]]
     tempos: dict[float, float]
-    bars: list[tuple[float, int]]
     remarks: list[str]
 
 
 def _track(number: int, part: _Part) -> Track:
-    pitches = [note.pitch for note in part.notes]
+    pitches = [note.pitch for note in part.notes if not note.tied] or [part.notes[0].pitch]
     return Track(number, part.name, part.name, None, len(pitches), min(pitches), max(pitches))
 
 
@@ -137,24 +173,31 @@ def _played(
 ) -> tuple[list[Sounding], list[tuple[float, int]], list[tuple[float, int]]]:
     """The notes, when [s] the pedal moves where, and when which bar begins, by sections."""
     at = _clock(sheet)
-    check_length(sum(at(end) - at(start) for start, end in sheet.sections), f"{path}: the song")
     found: list[Sounding] = []
     pedal: list[tuple[float, int]] = []
     bars: list[tuple[float, int]] = []
+    tied: dict[tuple[int, int, float], Sounding] = {}  # by part, pitch and end
     now = 0.0
-    for start, end in sheet.sections:
+    for first, beyond in sheet.sections:
+        start, end = sheet.bars[first].start, sheet.bars[beyond - 1].end
         later = now - at(start)
-        for part in parts:
-            for note in _within(part.notes, start, end, lambda note: note.start):
-                if LOWEST_PITCH <= note.pitch <= HIGHEST_PITCH:
-                    found.append(_sounding(note, at, later))
+        for number, part in enumerate(parts):
+            for note in _within(part.notes, first, beyond):
+                if not LOWEST_PITCH <= note.pitch <= HIGHEST_PITCH:
+                    counts["outside"] += not note.tied
+                    continue
+                sounding = _sounding(note, at, later)
+                before = tied.get((number, note.pitch, sounding.start)) if note.tied else None
+                if before is None:
+                    found.append(sounding)
                 else:
-                    counts["outside"] += 1
-            for quarter, value in part.pedal:  # up where it ends, down where it begins
-                if start < quarter < end or quarter == (start if value else end):
-                    pedal.append((max(0.0, round(at(quarter) + later, 9)), value))
-        section = _within(sheet.bars, start, end, lambda bar: bar[0])
-        bars += [(round(at(quarter) + later, 9), number) for quarter, number in section]
+                    before.end, sounding = sounding.end, before
+                if note.ties:
+                    tied[number, note.pitch, sounding.end] = sounding
+            for move in _within(part.pedal, first, beyond):
+                pedal.append((max(0.0, round(at(move.quarter) + later, 9)), move.value))
+        section = sheet.bars[first:beyond]
+        bars += [(round(at(bar.start) + later, 9), bar.number) for bar in section]
         now += at(end) - at(start)
         if max(len(found), len(bars), len(pedal)) > _MAX_PLAYED:
             what = f"over {_MAX_PLAYED} notes, bars or moves of the pedal with all repeats"
@@ -164,16 +207,16 @@ def _played(
 
 def _clock(sheet: _Sheet) -> Callable[[float], float]:
     """The time [s] of a quarter as written, by the tempos."""
-    tempos = {min((start for start, _ in sheet.sections), default=0.0): _SECONDS_PER_QUARTER}
-    tempos = dict(sorted((tempos | sheet.tempos).items()))
+    tempos = dict(sorted(({0.0: _SECONDS_PER_QUARTER} | sheet.tempos).items()))
     quarters = np.array([*tempos, 1e6])
     seconds = np.cumsum([0.0, *np.diff(quarters) * list(tempos.values())])
     return lambda quarter: float(np.interp(quarter, quarters, seconds))
 
 
-def _within(items: list[_T], start: float, end: float, time: Callable[[_T], float]) -> list[_T]:
-    """Those of `items`, which are in the order of their times, from `start` on, before `end`."""
-    return items[bisect_left(items, start, key=time) : bisect_left(items, end, key=time)]
+def _within(items: list[_T], first: int, beyond: int) -> list[_T]:
+    """Those of `items`, which are in the order of their bars, from one bar up to another."""
+    begin, end = (bisect_left(items, bar, key=lambda item: item.bar) for bar in (first, beyond))
+    return items[begin:end]
 
 
 def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Sounding:
@@ -192,8 +235,11 @@ def _xml(path: Path) -> bytes:
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = data.decode("utf-16", "replace")
         data = re.sub(r"^<\?xml[^>]*>", "", text).encode("utf-8", "replace")
-    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") or b"\0" in data:
+    beginning = data[:100].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if not beginning.startswith(b"<") or b"\0" in data:
         raise CadenzaError(f"{path}: not a MusicXML file (it does not begin as XML)")
+    if beginning.startswith((b"<!doctype html", b"<html")):
+        raise CadenzaError(f"{path}: is a page (HTML), no music; download the file itself")
     if b"<!ENTITY" in data:
         raise CadenzaError(f"{path}: declares XML entities, which MusicXML does not use")
     for tag, most in MOST.items():
@@ -205,22 +251,35 @@ def _xml(path: Path) -> bytes:
 
 
 def _unpacked(data: bytes, path: Path) -> bytes:
-    """The first document that the archive's table of contents names."""
+    """The document of an archive."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            with archive.open("META-INF/container.xml") as file:
-                contents = file.read(2**16).decode("utf-8", "replace")
-            named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
-            if named is None:
-                raise CadenzaError("its table of contents names no document")
-            with archive.open(html.unescape(named[1])) as file:
-                unpacked = file.read(MAX_XML_BYTES + 1)
+        with (
+            zipfile.ZipFile(io.BytesIO(data)) as archive,
+            archive.open(_document_of(archive)) as file,
+        ):
+            unpacked = file.read(MAX_XML_BYTES + 1)
     except Exception as error:  # damage shows in many ways
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: the compressed MusicXML is damaged ({reason})") from error
     if len(unpacked) > MAX_XML_BYTES:
         raise CadenzaError(f"{path}: over {MAX_XML_BYTES >> 20} MiB unpacked, too large for a song")
     return unpacked
+
+
+def _document_of(archive: zipfile.ZipFile) -> str:
+    """The first that its table of contents names; without that, the only one."""
+    names = archive.namelist()
+    if _CONTENTS in names:
+        with archive.open(_CONTENTS) as file:
+            contents = file.read(2**16).decode("utf-8", "replace")
+        named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
+        if named is None:
+            raise CadenzaError("its table of contents names no document")
+        return html.unescape(named[1])
+    documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
+    if len(documents) != 1:
+        raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")
+    return documents[0]
 
 
 def _partitura() -> Any:
@@ -242,73 +301,131 @@ def _partitura() -> Any:
 def _sheet(data: bytes, path: Path) -> _Sheet:
     symbols, load_musicxml = _partitura()
     try:
-        data, mends = mended(data)
+        root = ElementTree.fromstring(data)
+        remarks = mend(root)
+        marks = {part.get("id", ""): marks_of(part) for part in root.iterfind("part")}
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            score = load_musicxml(io.BytesIO(data))
-            lasting = [part for part in score.parts if part.last_point != part.first_point]
+            score = load_musicxml(io.BytesIO(ElementTree.tostring(root)))
+            found = [part for part in score.parts if part.last_point != part.first_point]
+            timelines = _timelines([(part, marks[part.id]) for part in found], symbols)
+            longest = max(timelines, key=lambda each: len(each.units), default=None)
+            bars = _bars(longest) if longest else []
+            parts = [_part(each, bars, symbols) for each in timelines]
             tempos: dict[float, float] = {}
-            for part in lasting:
-                for tempo in part.iter_all(symbols.Tempo):
-                    if 0 < (lasts := tempo.microseconds_per_quarter) < 1e9:
-                        tempos.setdefault(float(part.quarter_map(tempo.start.t)), lasts / 1e6)
-            parts = [_part(part, symbols) for part in lasting]
-            sections, remarks = _sections(lasting[0], symbols) if parts else ([], [])
-            bars = _bars(lasting[0], symbols) if parts else []
+            for each in reversed(timelines):  # so that the first part has the last word
+                for (measure, into), seconds in each.marks.tempos:
+                    quarter = each.quarter(measure, each.units[measure] + into)
+                    tempos[round(quarter, 9)] = seconds
     except Exception as error:  # the library checks little and raises almost anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: cannot be read as MusicXML ({reason})") from error
     title = printable(score.work_title or score.movement_title or score.title or "")
-    return _Sheet(title, parts, sections, tempos, bars, [*mends, *remarks])
+    sections, unclear = _sections(longest.marks if longest else Marks())
+    return _Sheet(title, parts, bars, sections, tempos, [*remarks, *unclear])
 
 
-def _part(part: Any, symbols: Any) -> _Part:
-    written = [
-        note
-        for note in part.iter_all(symbols.Note, include_subclasses=True)
-        if note.tie_prev is None
+@dataclass(frozen=True, slots=True)
+class _Timeline:
+    """A part as the library has it, with what that leaves out.
+
+    Its measures begin at `units` and `own_quarters` of its own, and at `quarters` of the sheet:
+    where a measure is not as long in all parts, the next begins when it has ended in all of them.
+    """
+
+    part: Any
+    marks: Marks
+    units: list[int]
+    own_quarters: list[float]
+    own_quarter: Callable[[Any], Any]
+    quarters: list[float]
+
+    def quarter(self, measure: int, unit: int) -> float:
+        """When, on the sheet, it is `unit` in that measure."""
+        return self.quarters[measure] + (float(self.own_quarter(unit)) - self.own_quarters[measure])
+
+
+def _timelines(parts: list[tuple[Any, Marks]], symbols: Any) -> list[_Timeline]:
+    lengths: list[float] = []
+    quarters = [0.0]
+    timelines = []
+    for part, marks in parts:
+        measures = list(part.iter_all(symbols.Measure))
+        own_quarter = part.quarter_map
+        units = [measure.start.t for measure in measures]
+        begin, end = own_quarter(units), own_quarter([measure.end.t for measure in measures])
+        own_lengths = (end - begin).tolist()
+        lengths = [max(pair) for pair in zip_longest(lengths, own_lengths, fillvalue=0.0)]
+        timelines.append(_Timeline(part, marks, units, begin.tolist(), own_quarter, quarters))
+    quarters += accumulate(lengths)
+    return timelines
+
+
+def _bars(part: _Timeline) -> list[_Bar]:
+    """Those of the part with most measures."""
+    places = [place for place, _ in part.marks.bars]
+    begin = [part.quarter(measure, part.units[measure] + into) for measure, into in places]
+    end = [*begin[1:], part.quarters[-1]]
+    return [
+        _Bar(measure, begin[i], end[i], part.marks.numbers[measure])
+        for i, (measure, _) in enumerate(places)
     ]
-    marks = [
+
+
+def _part(timeline: _Timeline, bars: list[_Bar], symbols: Any) -> _Part:
+    part = timeline.part
+    written = list(part.iter_all(symbols.Note, include_subclasses=True))
+    loudness = [
         (direction.start.t, _VELOCITIES[direction.text])
         for direction in part.iter_all(symbols.ConstantLoudnessDirection)
         if direction.text in _VELOCITIES
     ]
-    marked = [time for time, _ in marks]
+    marked = [time for time, _ in loudness]
     shifts = [(each.start.t, each.chromatic or 0) for each in part.iter_all(symbols.Transposition)]
     shifted = [time for time, _ in shifts]
     staves = {note.staff for note in written}
-    quarters = part.quarter_map
     notes = []
     for note in written:
         start = note.start.t
         mark, shift = bisect_right(marked, start), bisect_right(shifted, start)
+        marks = timeline.marks.notes[note.doc_order]
+        begin = timeline.quarter(marks.measure, start)
         notes.append(
             _Written(
-                start=float(quarters(start)),
-                end=float(quarters(start + note.duration_tied)),
+                bar=_bar_at(bars, marks.measure, begin),
+                start=begin,
+                end=timeline.quarter(marks.measure, note.end.t),
                 pitch=int(note.midi_pitch) + (shifts[shift - 1][1] if shift else 0),
-                velocity=marks[mark - 1][1] if mark else _UNMARKED,
+                velocity=loudness[mark - 1][1] if mark else _UNMARKED,
                 finger=_finger(note, symbols) if staves == {1, 2} else None,
                 grace=_before_beat(note, symbols),
+                tied=marks.tied,
+                ties=marks.ties,
             )
         )
     pedal = []
     for down in part.iter_all(symbols.SustainPedalDirection):
-        pedal.append((float(quarters(down.start.t)), _PEDAL_DOWN))
-        if down.end is not None:
-            pedal.append((float(quarters(down.end.t)), _PEDAL_UP))
-    return _Part(printable(part.part_name or ""), notes, pedal)
+        measure = bisect_right(timeline.units, down.start.t) - 1
+        pedal.append(_move(timeline, bars, measure, down.start.t, _PEDAL_DOWN))
+        if down.end is not None:  # up before what begins there
+            measure = max(0, bisect_left(timeline.units, down.end.t) - 1)
+            pedal.append(_move(timeline, bars, measure, down.end.t, _PEDAL_UP))
+    return _Part(
+        printable(part.part_name or ""),
+        sorted(notes, key=lambda note: note.bar),
+        sorted(pedal, key=lambda move: move.bar),
+    )
 
 
-def _bars(part: Any, symbols: Any) -> list[tuple[float, int]]:
-    """When they begin, in quarters, and their numbers; as printed, where that is a number."""
-    return [
-        (
-            float(part.quarter_map(bar.start.t)),
-            int(bar.name or "") if (bar.name or "").isdecimal() else bar.number,
-        )
-        for bar in part.iter_all(symbols.Measure)
-    ]
+def _move(timeline: _Timeline, bars: list[_Bar], measure: int, unit: int, value: int) -> _Move:
+    quarter = timeline.quarter(measure, unit)
+    return _Move(_bar_at(bars, measure, quarter), quarter, value)
+
+
+def _bar_at(bars: list[_Bar], measure: int, quarter: float) -> int:
+    """The index of the one that is the measure, or the part of it where it is `quarter`."""
+    near = quarter + _ROUNDING
+    return bisect_right(bars, (measure, near), key=lambda bar: (bar.measure, bar.start)) - 1
 
 
 def _finger(note: Any, symbols: Any) -> Finger | None:
@@ -328,14 +445,19 @@ def _before_beat(note: Any, symbols: Any) -> int:
     return count
 
 
-def _sections(part: Any, symbols: Any) -> tuple[list[tuple[float, float]], list[str]]:
-    """What is played in which order, in quarters, with a remark where repeats make no sense."""
-    try:
-        path = symbols.get_paths(part, all_repeats=True, ignore_leap_info=False)[0].path
-        segments = symbols.get_segments(part)
-        played = [(segments[name].start.t, segments[name].end.t) for name in path]
-        remarks = []
-    except Exception:  # more or other signs than the library knows
-        played = [(part.first_point.t, part.last_point.t)]
-        remarks = ["repeats that could not be followed are left out"]
-    return [(float(part.quarter_map(s)), float(part.quarter_map(e))) for s, e in played], remarks
+def _sections(marks: Marks) -> tuple[list[tuple[int, int]], list[str]]:
+    """Which bars are played in which order, with remarks on signs that are not followed."""
+    signs = [each for _, each in marks.bars]
+    sections: list[tuple[int, int]] = []
+    for bar in islice(played_order(signs), _MAX_PLAYED + 1):
+        if sections and sections[-1][1] == bar:
+            sections[-1] = sections[-1][0], bar + 1
+        else:
+            sections.append((bar, bar + 1))
+    unplayed = set(range(len(signs))).difference(*(range(*section) for section in sections))
+    told = (
+        (without_goal(signs), "jump", "without a segno or coda to go to left out"),
+        (marks.in_words, "jump", "in words, without a sign for playback, left out"),
+        (len(unplayed), "bar", "passed over by all repeats and jumps"),
+    )
+    return sections, [f"{n} {what}{'s'[: n != 1]} {why}" for n, what, why in told if n]

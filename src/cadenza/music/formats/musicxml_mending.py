@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable
 from fractions import Fraction
 from xml.etree import ElementTree
@@ -11,37 +12,75 @@ from xml.etree import ElementTree
 Element = ElementTree.Element
 
 _MOST_FINE = 10_000  # times as fine as a file says that its durations may have to be counted
+_SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 
 
-def mended(document: bytes) -> tuple[bytes, list[str]]:
-    """The document, and what was changed of what it says; as it is where nothing is.
+def mend(root: Element) -> list[str]:
+    """Mends a document without entities, and says what was changed of what it says.
 
-    Fingerings without a number and tempos that cannot be are left out. Cue notes become rests,
-    since they are not to be played. Durations that are no whole numbers are counted in finer units.
-
-    Args:
-        document: without entities.
+    A score ordered by measures becomes one ordered by parts. Fingerings without a number and tempos
+    that cannot be are left out. Cue notes become rests, since they are not to be played. Durations
+    that are no whole numbers are counted in finer units, alterations by less than a semitone
+    rounded.
     """
-    try:
-        root = ElementTree.fromstring(document)
-    except ElementTree.ParseError:
-        return document, []  # the library says what is wrong
-    fingerings, tempos = _strange_fingerings(root), _strange_tempos(root)
-    cues, finer = _cues(root), _finer(root)
+    _forget_namespaces(root)
+    _order_by_parts(root)
+    _distinguish_parts(root)
+    fingerings, tempos, cues = _strange_fingerings(root), _strange_tempos(root), _cues(root)
     _remove(root, [*fingerings, *(note for note in cues if _takes_no_time(note))])
     for mark in tempos:
         del mark.attrib["tempo"]
     for note in cues:
         _silence(note)
-    _refine(root, finer)
+    _refine(root, _finer(root))
     told = (
         (len(fingerings), "unreadable fingering", "left out"),
-        (len(tempos), "unreadable tempo", "left out"),
-        (len(_more_often(root)), "repeat", "played twice instead of more often"),
+        (len(tempos), "impossible tempo", "left out"),
+        (_round_alterations(root), "microtone", "rounded to a semitone"),
+        (len([*root.iter("unpitched")]), "unpitched note", "left out"),
+        (len([*root.iter("tremolo")]), "tremolo", "played as a plain note"),
+        (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
     )
-    remarks = [f"{n} {what}{'s'[: n != 1]} {why}" for n, what, why in told if n]
-    changed = fingerings or tempos or cues or finer > 1
-    return (ElementTree.tostring(root) if changed else document), remarks
+    return [f"{n} {what}{'s'[: n != 1]} {done}" for n, what, done in told if n]
+
+
+def _forget_namespaces(root: Element) -> None:
+    if root.tag.startswith("{"):
+        for each in root.iter():
+            each.tag = each.tag.rpartition("}")[2]
+
+
+def _order_by_parts(root: Element) -> None:
+    """Makes a score of measures that hold parts one of parts that hold measures."""
+    if root.tag != "score-timewise":
+        return
+    root.tag = "score-partwise"
+    parts: dict[str, Element] = {}
+    for measure in root.findall("measure"):
+        for music in measure.findall("part"):
+            part = parts.setdefault(music.get("id", ""), Element("part", music.attrib))
+            ElementTree.SubElement(part, "measure", measure.attrib).extend(music)
+    root[:] = [each for each in root if each.tag != "measure"] + list(parts.values())
+
+
+def _distinguish_parts(root: Element) -> None:
+    """Makes the parts' names for themselves differ, by which the library knows them."""
+    for parts in (root.findall("part-list/score-part"), root.findall("part")):
+        seen = Counter[str]()
+        for part in parts:
+            name = part.get("id", "P1")
+            seen[name] += 1
+            part.set("id", name if seen[name] == 1 else f"{name} ({seen[name]})")
+
+
+def _round_alterations(root: Element) -> int:
+    """Returns how many were not whole."""
+    fractions = 0
+    for each in root.iter("alter"):
+        if re.fullmatch(r"-?\d{1,3}\.\d{1,12}", text := (each.text or "").strip()):
+            each.text = str(round(float(text)))
+            fractions += float(text) % 1 != 0
+    return fractions
 
 
 def _strange_fingerings(root: Element) -> list[Element]:
@@ -54,13 +93,13 @@ def _strange_tempos(root: Element) -> list[Element]:
 
 def _is_tempo(text: str) -> bool:
     try:
-        return 0 < float(text) < math.inf
+        return _SLOWEST <= float(text) <= _FASTEST
     except ValueError:
         return False
 
 
-def _more_often(root: Element) -> list[Element]:
-    return [mark for mark in root.iter("repeat") if mark.get("times", "2") not in ("1", "2")]
+def _bar_repeats(root: Element) -> list[Element]:
+    return [sign for sign in root.iter("measure-repeat") if sign.get("type") == "start"]
 
 
 def _cues(root: Element) -> list[Element]:

@@ -7,10 +7,13 @@ from collections.abc import Collection
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
+from cadenza.files import opened
 from cadenza.music.score import Score
 
-_MIDI = (".mid", ".midi")
+_MIDI = (".mid", ".midi", ".kar", ".rmi")
 _MUSICXML = (".musicxml", ".xml", ".mxl")
+_BEGINS_MIDI = (b"MThd", b"RIFF")
+_BEGINS_MUSICXML = (b"<", b"PK", b"\xef\xbb\xbf<", b"\xff\xfe<", b"\xfe\xff\0<")
 MUSIC = (*_MIDI, *_MUSICXML)
 """Endings of the files that are read."""
 
@@ -35,7 +38,8 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     fingers, see `cadenza.music.formats.fingering_file`.
 
     Args:
-        path: the file; of an ending that is not known, it is read as MIDI.
+        path: the file; by how it begins it is taken for the one or the other. If that does not
+            say, its ending does; of one that is not known, it is read as MIDI.
         tracks: numbers of those to be played, as in `Score.tracks`; all where none is given.
 
     Raises:
@@ -49,8 +53,21 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     suffix = path.suffix.lower()
     if suffix in NOT_READ:
         raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
-    score = (read_musicxml if suffix in _MUSICXML else read_midi)(path, tracks)
+    beginning = _beginning(path)
+    is_midi = beginning.startswith(_BEGINS_MIDI) or (
+        suffix not in _MUSICXML and not beginning.startswith(_BEGINS_MUSICXML)
+    )
+    score = (read_midi if is_midi else read_musicxml)(path, tracks)
     sidecar = path.with_suffix(SUFFIX)
     if not os.path.isfile(sidecar):  # also where that name is too long
         return score
     return read_fingering(sidecar, score, all_there=not tracks)
+
+
+def _beginning(path: Path) -> bytes:
+    """A few bytes; none of what cannot be read, of which the one that reads it says why."""
+    try:
+        with opened(path) as file:
+            return file.read(4)
+    except (OSError, ValueError):
+        return b""

@@ -18,6 +18,7 @@ from cadenza.music.formats.titles import printable
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import INDEX, Facts, read_index
 from cadenza.music.libraries.songs import Library, Song
+from cadenza.music.score import check_length
 
 _LONGEST = 120  # bytes of the name of a piece
 
@@ -79,6 +80,7 @@ def import_folder(
             progress(done, len(files))
             with library.leaving_out_what_is_wrong():
                 score = read_score(folder / file)
+                check_length(score.total_time, f"{folder / file}: the song")
                 copy = library.folder / f"{piece}{file.suffix.lower()}"
                 shutil.copyfile(folder / file, copy)
                 if os.path.isfile(fingers := (folder / file).with_suffix(SUFFIX)):

@@ -1,0 +1,141 @@
+"""In which order bars are played: repeats, endings, da capo, dal segno, coda and fine."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+
+@dataclass(slots=True)
+class Signs:
+    """The signs of a bar that say in which order bars are played.
+
+    A repeat, segno and coda stand where the bar begins; the others take effect where it ends.
+    """
+
+    begins_repeat: bool = False
+    times: int = 1
+    """How often the section is played that ends here with a repeat sign; 1 without that sign."""
+    ending: frozenset[int] = frozenset()
+    """On which passes through its section the bar is played; none: on all."""
+    segno: str | None = None
+    coda: str | None = None
+    dal_segno: str | None = None
+    to_coda: str | None = None
+    da_capo: bool = False
+    fine: bool = False
+
+
+def played_order(bars: Sequence[Signs]) -> Iterator[int]:
+    """The numbers of bars, from 0, one after the other as they are played.
+
+    A jump is taken once, on the last pass through its bar. From where it leads to up to the bar
+    where it stood, repeats are not taken again; a fine ends the music, and the first sign to the
+    coda leads there. A sign whose goal is missing has no effect, see `without_goal`.
+    """
+    jumps, sections = _Jumps(bars), _sections(bars)
+    at, turn = 0, 1  # the bar, and the how-manieth pass through its section
+    while at < len(bars):
+        signs = bars[at]
+        begin, end, turns = sections[bisect_right(sections, at, key=lambda each: each[0]) - 1]
+        if at <= jumps.returned:
+            turn = turns
+        if not signs.ending or turn in signs.ending:
+            yield at
+            if turn == max(signs.ending, default=turns):
+                if signs.fine and jumps.returned >= 0:
+                    return
+                if (goal := jumps.goal(at)) is not None:
+                    at, turn = goal, 1
+                    continue
+            bracket_ends = signs.ending and (at + 1 == end or bars[at + 1].ending != signs.ending)
+            if turn < turns and (signs.times > 1 or bracket_ends):
+                at, turn = begin, turn + 1
+                continue
+        at += 1
+        turn = 1 if at == end else turn
+
+
+def without_goal(bars: Sequence[Signs]) -> int:
+    """How many signs send the player to a segno or a coda that is not there."""
+    goals = _Goals(bars)
+    return sum(
+        (signs.dal_segno is not None and goals.of_return(at) is None)
+        + (signs.to_coda is not None and goals.of_coda(at) is None)
+        for at, signs in enumerate(bars)
+    )
+
+
+class _Jumps:
+    """Those taken up to now; the latest led back from the bar `returned`, -1 where none did."""
+
+    def __init__(self, bars: Sequence[Signs]) -> None:
+        self.returned = -1
+        self._goals = _Goals(bars)
+        self._to_coda = False  # whether a sign to the coda is followed
+        self._taken: set[int] = set()  # bars whose jump back was
+
+    def goal(self, at: int) -> int | None:
+        """Takes the jump at the end of a bar, if there is one to be taken now."""
+        if self._to_coda and (coda := self._goals.of_coda(at)) is not None:
+            self._to_coda = False
+            return coda
+        if at in self._taken:
+            return None
+        self._taken.add(at)
+        goal = self._goals.of_return(at)
+        if goal is not None:
+            self.returned, self._to_coda = at, True
+        return goal
+
+
+class _Goals:
+    """Where jumps lead to; where the label of a sign is that of no goal, any goal will do."""
+
+    def __init__(self, bars: Sequence[Signs]) -> None:
+        self._bars = bars
+        self._segnos: defaultdict[str | None, list[int]] = defaultdict(list)
+        self._codas: defaultdict[str | None, list[int]] = defaultdict(list)
+        for at, signs in enumerate(bars):
+            for goals, label in ((self._segnos, signs.segno), (self._codas, signs.coda)):
+                if label is not None:
+                    goals[label].append(at)
+                    goals[None].append(at)
+
+    def of_return(self, at: int) -> int | None:
+        """The first bar, or the nearest segno before."""
+        signs = self._bars[at]
+        if signs.dal_segno is not None:
+            for label in (signs.dal_segno, None):
+                if before := bisect_right(self._segnos[label], at):
+                    return self._segnos[label][before - 1]
+        return 0 if signs.da_capo else None
+
+    def of_coda(self, at: int) -> int | None:
+        """The nearest coda after."""
+        signs = self._bars[at]
+        if signs.to_coda is not None:
+            for label in (signs.to_coda, None):
+                before = bisect_left(self._codas[label], at + 1)
+                if before < len(self._codas[label]):
+                    return self._codas[label][before]
+        return None
+
+
+def _sections(bars: Sequence[Signs]) -> list[tuple[int, int, int]]:
+    """What is repeated as a whole: its first bar, the one after its last, and how many passes.
+
+    A section begins at a repeat sign, after the endings or the repeat sign of the one before.
+    """
+    begins = [0] if bars else []
+    for at, (before, signs) in enumerate(pairwise(bars), start=1):
+        ended = before.ending or before.times > 1
+        if signs.begins_repeat or (ended and not signs.ending):
+            begins.append(at)
+    return [
+        (begin, end, max(max(signs.times, *signs.ending, 1) for signs in bars[begin:end]))
+        for begin, end in pairwise([*begins, len(bars)])
+    ]

@@ -1,0 +1,169 @@
+"""What the parsing library leaves out of a part of MusicXML: jumps, tempos, ties, bars of notes.
+
+Places are a measure, from 0, and how far into it, in the divisions of a quarter that hold there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.etree import ElementTree
+
+from cadenza.music.formats.bar_order import Signs
+
+Element = ElementTree.Element
+Place = tuple[int, int]
+
+_JUMP = re.compile(r"\b(d\. ?[cs]\.|da capo\b|dal segno\b)", re.IGNORECASE)
+_PASS = re.compile(r"\d{1,3}")
+_MINUTE = 60  # seconds
+
+
+@dataclass(frozen=True, slots=True)
+class NoteMarks:
+    """In which measure a note or rest stands, and whether a tie leads to it and on from it."""
+
+    measure: int
+    tied: bool
+    ties: bool
+
+
+@dataclass(slots=True)
+class Marks:
+    """Of one part.
+
+    `notes` has notes and rests in the order of the document. `numbers` has
+    those of measures, as printed where that is a number. `bars` are measures, or what repeat signs
+    within them make of them: where they begin, and their signs. `tempos` have the seconds
+    that a quarter lasts. `in_words` counts jumps that are words without a sign for playback.
+    """
+
+    notes: list[NoteMarks] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    bars: list[tuple[Place, Signs]] = field(default_factory=list)
+    tempos: list[tuple[Place, float]] = field(default_factory=list)
+    in_words: int = 0
+
+
+def marks_of(part: Element) -> Marks:
+    """What stands in a `<part>`, whose numbers have been mended."""
+    marks = Marks()
+    bracket: frozenset[int] = frozenset()  # of the ending that goes on
+    following = Signs()
+    for number, measure in enumerate(part.iterfind("measure")):
+        signs, following = following, Signs()
+        signs.ending = bracket
+        marks.bars.append(((number, 0), signs))
+        printed = measure.get("number", "")
+        marks.numbers.append(int(printed) if printed.isdecimal() else number + 1)
+        placed = list(_placed(measure))
+        end = max(at for at, _ in placed)
+        for at, element in placed:
+            if element.tag == "note":
+                marks.notes.append(NoteMarks(number, *_ties(element)))
+            elif element.tag == "barline":
+                bracket = _read_barline(element, (number, at), marks.bars, following, bracket)
+            elif element.tag in ("direction", "sound"):
+                here = marks.bars[-1][1]
+                for sound in element.iter("sound"):
+                    _read_jumps(sound, here)
+                    _read_goals(sound, following if at >= end > 0 else here)
+                    if tempo := sound.get("tempo"):
+                        place = number, at + _offset(element, sound)
+                        marks.tempos.append((place, _MINUTE / float(tempo)))
+        marks.in_words += _jumps_in_words(measure, marks.bars[-1][1])
+    return marks
+
+
+def _placed(measure: Element) -> Iterator[tuple[int, Element]]:
+    """Its elements and, last, itself, each with how far into it that stands."""
+    now = begun = 0
+    for element in measure:
+        if element.tag == "note":
+            begun = begun if element.find("chord") is not None else now
+            yield begun, element
+            now = begun + _whole(element.findtext("duration"))
+            continue
+        yield now, element
+        if element.tag == "forward":
+            now += _whole(element.findtext("duration"))
+        elif element.tag == "backup":
+            now = max(0, now - _whole(element.findtext("duration")))
+    yield now, measure
+
+
+def _whole(text: str | None) -> int:
+    """0 where it is no whole number, as the library has it."""
+    try:
+        return int(text or "")
+    except ValueError:
+        return 0
+
+
+def _ties(note: Element) -> tuple[bool, bool]:
+    """Whether one leads to the note, and one on from it."""
+    kinds = {tie.get("type") for tie in (*note.iterfind("tie"), *note.iterfind("notations/tied"))}
+    return "stop" in kinds or "continue" in kinds, "start" in kinds or "continue" in kinds
+
+
+def _offset(element: Element, sound: Element) -> int:
+    """How much later than it stands a sound is meant."""
+    shown = element.find("offset")
+    if shown is not None and element is not sound and shown.get("sound") != "yes":
+        shown = None  # only on paper
+    return _whole(shown.text if shown is not None else sound.findtext("offset"))
+
+
+def _read_barline(
+    barline: Element,
+    place: Place,
+    bars: list[tuple[Place, Signs]],
+    following: Signs,
+    bracket: frozenset[int],
+) -> frozenset[int]:
+    """Notes its signs, beginning a new bar where it repeats within a measure.
+
+    Returns:
+        The bracket of the ending that goes on behind it.
+    """
+    location = barline.get("location", "right")
+    signs = bars[-1][1]
+    repeat, ending = barline.find("repeat"), barline.find("ending")
+    if ending is not None and (ending.get("type") == "start" or not bracket):
+        passes = _PASS.findall(ending.get("number", "")) or _PASS.findall(ending.text or "")
+        signs.ending = bracket = frozenset(map(int, passes))
+    if ending is not None and ending.get("type") != "start":
+        bracket = frozenset()
+    direction = repeat.get("direction") if repeat is not None else None
+    if repeat is not None and direction == "backward":
+        repeated = bars[-2][1] if location == "left" and len(bars) > 1 else signs
+        repeated.times = max(2, _whole(repeat.get("times")))
+    if direction and location == "middle" and place > bars[-1][0]:
+        signs = Signs(ending=bracket)
+        bars.append((place, signs))
+    if direction == "forward":
+        begun = following if location == "right" else signs
+        begun.begins_repeat = True
+        if ending is None:
+            begun.ending = bracket = frozenset()
+    return bracket
+
+
+def _read_jumps(sound: Element, signs: Signs) -> None:
+    signs.da_capo |= sound.get("dacapo", "no") != "no"
+    signs.fine |= sound.get("fine", "no") != "no"
+    signs.dal_segno = sound.get("dalsegno", signs.dal_segno)
+    signs.to_coda = sound.get("tocoda", signs.to_coda)
+
+
+def _read_goals(sound: Element, signs: Signs) -> None:
+    signs.segno = sound.get("segno", signs.segno)
+    signs.coda = sound.get("coda", signs.coda)
+
+
+def _jumps_in_words(measure: Element, signs: Signs) -> int:
+    if signs.da_capo or signs.dal_segno is not None:
+        return 0
+    words = measure.iterfind("direction/direction-type/words")
+    return sum(bool(_JUMP.search(each.text or "")) for each in words)
