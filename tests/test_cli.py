@@ -7,6 +7,7 @@ import os
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import av
@@ -264,6 +265,35 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
     assert subprocess.run(["bash", "-c", closing], check=False).returncode == 0
     assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 23
     assert load_episode(tmp_path / "episode.npz").num_steps == 23
+
+
+# Ctrl-C
+
+
+@pytest.mark.parametrize(
+    "module", ["numpy", "cadenza.tasks.registration", "cadenza.cli.train", "cadenza.music.goals"]
+)
+def test_ctrl_c_while_a_module_is_imported(module: str) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupts:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupts())\n"
+        "from cadenza_command import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", code, "info", "OdeToJoy"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr in ("", "cadenza: interrupted\n")
+
+
+def test_the_command_is_what_ctrl_c_ends_while_it_is_imported() -> None:
+    with open(Path(__file__).parents[1] / "pyproject.toml", "rb") as file:
+        assert tomllib.load(file)["project"]["scripts"] == {"cadenza": "cadenza_command:main"}
 
 
 # Playing
