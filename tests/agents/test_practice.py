@@ -31,6 +31,8 @@ from cadenza.files import ANY, check_arrays, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.performing import performance
+from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -515,3 +517,20 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.Monkey
     found: list[Any] = []
     folder_of(tmp_path)
     assert [len(history) for history in found] == [1]
+
+
+def test_ctrl_c_while_results_are_written_writes_them_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def encode_and_interrupt(*arguments: Any, **options: Any) -> bytes:
+        if not sounds:
+            signal.raise_signal(signal.SIGINT)
+        sounds.append(encode_mp3(*arguments, **options))
+        return sounds[-1]
+
+    sounds: list[bytes] = []
+    monkeypatch.setattr(performance, "encode_mp3", encode_and_interrupt)
+    with pytest.raises(SystemExit) as stop:
+        folder_of(tmp_path, "--effort", "0")
+    assert stop.value.code == 130
+    assert "</html>" in (tmp_path / "practised" / "report.html").read_text()

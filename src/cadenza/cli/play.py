@@ -78,28 +78,30 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
     if command.watch:
         need_server()
     with ExitStack() as kept:
-        with setting_up(selection, command, command.seed) as setup:
-            check_writable(folder)
-            check_replaceable(folder, command.song)
-            tell_how_long(setup)
-            setup, cut_short = kept.enter_context(_practised(setup, folder))
-            page = kept.enter_context(_shown(setup)) if command.watch else None
-            with stages("playing") as progress, asked_to_stop("this step") as stop:
-                performance = perform(setup, page.following(progress) if page else progress, stop)
-                stopped = stop()
-            length = setup.num_steps * performance.episode.dt
-        if page:
-            page.played(performance)
-        keep(performance, folder, command.video, picture, command.loudness)
+        with asked_to_stop("writing the results") as stop:
+            with setting_up(selection, command, command.seed) as setup:
+                check_writable(folder)
+                check_replaceable(folder, command.song)
+                tell_how_long(setup)
+                setup, cut_short = kept.enter_context(_practised(setup, folder))
+                page = kept.enter_context(_shown(setup)) if command.watch else None
+                with stages("playing") as progress:
+                    following = page.following(progress) if page else progress
+                    performance = perform(setup, following, stop)
+            if page:
+                page.played(performance)
+            keep(performance, folder, command.video, picture, command.loudness)
+            stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")
             page.stay()
     if cut_short:
         print(f"stopped practice; the same command goes on in {folder}", file=sys.stderr)
-        raise KeyboardInterrupt
-    if stopped:
+    if stopped and performance.episode.num_steps < setup.num_steps:
+        length = setup.num_steps * performance.episode.dt
         part = f"{performance.seconds:.1f} of {length:.1f} s"
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
+    if cut_short or stopped:
         raise KeyboardInterrupt
 
 
@@ -111,7 +113,11 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
     if not isinstance(setup.agent, ScorePlanner) or not setup.agent.config.effort:
         yield setup, False
         return
-    with practised(setup, folder, setup.agent.config.effort) as (practising, stopped):
+    with ExitStack() as kept:
+        with asked_to_stop("this passage") as stop:
+            effort = setup.agent.config.effort
+            practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
+            stopped = stop()
         yield replace(setup, agent=practising.hands()), stopped
 
 

@@ -15,6 +15,7 @@ from cadenza.cli.output import check_writable
 from cadenza.cli.performing import Again, Performing, default_folder, selected, setting_up
 from cadenza.cli.play import keep
 from cadenza.cli.practising import practised
+from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 
 
@@ -56,10 +57,12 @@ def run(command: PracticeCommand, _: Again[PracticeCommand]) -> None:
     effort = ENOUGH if command.effort is None else command.effort
     with (
         setting_up(selection, command, command.seed) as setup,
-        practised(setup, folder, effort, command.minutes) as (practising, stopped),
+        asked_to_stop("this passage, and writing the results") as stop,
+        practised(setup, folder, effort, command.minutes, stop=stop) as practising,
     ):
         assert practising.performance is not None
         keep(practising.performance, folder, command.video)
+        stopped = stop()
     if stopped:
         print(f"stopped; the same command goes on in {folder}", file=sys.stderr)
         raise KeyboardInterrupt
