@@ -351,6 +351,29 @@ def test_the_name_that_playback_had_still_works(
     np.testing.assert_array_equal(first["key_qpos"], again["key_qpos"])
 
 
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["play", "tune.mid", "--agent", "generalist", "--planner.effort", "1"], "planner.effort"),
+        (["play", "tune.mid", "--ilqg.iterations", "2"], "ilqg.iterations"),
+        (["compare", "tune.mid", "--agents", "zero", "--planner.method=none"], "planner.method"),
+        (["bench", "--agents", "zero", "--planner.horizon", "0.5"], "planner.horizon"),
+        (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),
+    ],
+)
+def test_options_of_agents_that_do_not_play_are_refused(
+    words: list[str], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 2
+    agent = option.split(".")[0]
+    assert capsys.readouterr().err == (
+        f"cadenza: --{option}: {agent} does not play; leave it out, or have it play\n"
+    )
+
+
 # Ctrl-C
 
 

@@ -15,7 +15,7 @@ from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
 from cadenza.cli.own_parts import OwnParts
-from cadenza.cli.performing import Again, Options
+from cadenza.cli.performing import Again, Options, check_all_play
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
@@ -138,6 +138,7 @@ def _who(command: Collect) -> Demonstrator:
             f"--student {student}: policies cannot be students; choose an agent with a name, such "
             "as generalist"
         )
+    check_all_play(command, [agent, *([] if student is None else [student])])
     student_config = None if student is None else command.configs.get(student)
     make_agent(agent, config)  # who is not there is told before anyone plays
     if student is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from itertools import islice, takewhile
@@ -129,6 +129,22 @@ def selected(command: Performing, agent: str | None, plan: Path | None = None) -
     return select(
         command.song, agent, arrangement=command.arrangement, configs=command.configs, plan=plan
     )
+
+
+def check_all_play(command: Options, agents: Collection[str]) -> None:
+    """Before these `agents` play.
+
+    Raises:
+        CadenzaError: the command gives an option of another one.
+    """
+    for agent, config in command.configs.items():
+        usual = type(config)()
+        given = [
+            f.name for f in fields(config) if getattr(config, f.name) != getattr(usual, f.name)
+        ]
+        if given and agent not in agents:
+            option = f"{command.options[agent]}.{given[0]}".replace("_", "-")
+            raise CadenzaError(f"--{option}: {agent} does not play; leave it out, or have it play")
 
 
 def with_defaults_of(command: Command, selection: Selection, again: Again[Command]) -> Command:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.output import check_writable
@@ -18,6 +19,7 @@ from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
     Performing,
+    check_all_play,
     default_folder,
     print_scores,
     print_what_was_lost,
@@ -33,7 +35,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
-    from cadenza.performing.setup import Setup
+    from cadenza.performing.setup import Selection, Setup
     from cadenza.sim.render import Picture
     from cadenza.studio.showing import Showing
 
@@ -72,6 +74,7 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
 
     picture = Picture(*command.video_size, command.video_camera)
     selection = selected(command, command.agent, command.plan)
+    check_all_play(command, _who_plays(selection))
     # tyro would call a flag that is on already --no-watch.
     command = with_defaults_of(replace(command, watch=False), selection, again)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
@@ -103,6 +106,14 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
     if cut_short or stopped:
         raise KeyboardInterrupt
+
+
+def _who_plays(selection: Selection) -> set[str]:
+    """Whose options count: where what was practised is played, the planner searches."""
+    from cadenza.agents.planning.practised_planner import PractisedHands
+
+    searches = isinstance(selection.agent, PractisedHands)
+    return {selection.name, *[PLANNER] * searches}
 
 
 @contextmanager
