@@ -129,7 +129,7 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
             effort = setup.agent.config.effort
             practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
             stopped = stop()
-        yield replace(setup, agent=practising.hands()), stopped
+        yield practising.best(), stopped
 
 
 def _shown(setup: Setup) -> AbstractContextManager[Showing]:
