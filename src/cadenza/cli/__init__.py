@@ -233,7 +233,7 @@ def _warnings_in_a_line() -> Iterator[None]:
             show(message, category, filename, lineno, file, line)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("always", CadenzaWarning)
+        warnings.simplefilter("default", CadenzaWarning)  # each once
         warnings.showwarning = print_ours
         yield
 

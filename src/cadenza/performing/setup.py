@@ -41,12 +41,14 @@ from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.goals import merged_notes
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import MOST_THREADS, default_threads
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import NamedSetup
 
@@ -300,9 +302,21 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
+        _warn_of_merged_notes(selection.song, piano_task.tracks[0])
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+
+
+def _warn_of_merged_notes(song: str, track: GoalTrack) -> None:
+    if count := merged_notes(track.score, track.goals):
+        repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
+        warnings.warn(
+            f"{song}: {count} {repeat} too fast for control steps of "
+            f"{track.config.control_timestep:g} s, and {are} played as one with the note before",
+            CadenzaWarning,
+            stacklevel=5,
+        )
 
 
 def _check_plan(
