@@ -141,3 +141,15 @@ def test_notes_too_fast_for_control_steps_are_told(
     assert said.count(f"{song}: 3 notes repeat too fast for control steps of 0.05 s, and are") == 1
     main([*command, "--control-timestep", "0.02"])
     assert "too fast" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["play", "practice", "plan", "compare", "train"])
+def test_a_folder_of_something_else_is_no_song(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([command, str(tmp_path)])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == (
+        f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a file\n"
+    )
