@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -380,6 +381,7 @@ def test_hands_that_are_pushed_find_back_before_a_finger_slips(practised: Practi
 
 
 def folder_of(tmp_path: Path, *options: str) -> Path:
+    tmp_path.mkdir(exist_ok=True)
     write_midi(HARD, tmp_path / "hard.mid")
     song, folder = str(tmp_path / "hard.mid"), tmp_path / "practised"
     usual = (
@@ -513,6 +515,53 @@ def test_practice_that_was_killed_has_its_plan_after_the_first_take(
     (folder / "plan.npz").unlink()
     with pytest.raises(CadenzaError, match="practice has not played the song to the end yet"):
         cadenza.play(folder)
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_the_folder_of_practice_goes_on_where_it_was_left(named: bool, tmp_path: Path) -> None:
+    options = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
+    folder = folder_of(tmp_path, *options)
+    with np.load(folder / "practice.npz") as file:
+        begun = len(file["practice/history"])
+    before = json.loads((folder / "settings.json").read_text())
+    assert 0 < before["planner"]["effort"] < 0.09
+    again = ["practice", str(folder), "--effort", "1", "--no-video"]
+    main([*again, *["-o", str(folder)] * named])
+    straight = folder_of(tmp_path / "straight", *options, "--effort", "1")
+    with np.load(folder / "practice.npz") as one, np.load(straight / "practice.npz") as other:
+        assert len(one["practice/history"]) > begun
+        for name in one.files:
+            np.testing.assert_array_equal(one[name], other[name], name)
+    after = json.loads((folder / "settings.json").read_text())
+    assert after["planner"].pop("effort") > before["planner"].pop("effort")
+    assert after == before
+    assert before["arrangement"]["first_seconds"] == 1.1
+
+
+def test_practice_of_what_was_practised_elsewhere_says_what_is_played(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "--effort", "0", "--first-seconds", "0.7")
+    other = str(tmp_path / "other")
+    main(["practice", str(folder), "--effort", "0", "--no-video", "-o", other])
+    settings = json.loads((tmp_path / "other" / "settings.json").read_text())
+    assert settings["arrangement"]["first_seconds"] == 0.7
+
+
+def test_a_folder_that_does_not_say_how_it_was_practised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, "--effort", "0")
+    (folder / "settings.json").unlink()
+    with pytest.raises(SystemExit):
+        main(["practice", str(folder)])
+    assert "run the same command again that practised there" in capsys.readouterr().err
+
+
+def test_episodes_that_end_early_cannot_be_practised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        folder_of(tmp_path, "--wrong-press-termination")
+    assert "cadenza: --wrong-press-termination: a song that ends" in capsys.readouterr().err
 
 
 def test_another_song_in_the_folder_is_told(

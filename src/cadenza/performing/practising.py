@@ -12,6 +12,7 @@ from cadenza.agents.planning.practice import OF, Practice
 from cadenza.agents.planning.practised_planner import Practised, PractisedHands
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically
 from cadenza.performing.performance import Performance, perform
@@ -89,7 +90,9 @@ class Practising:
         notes = self.practice.plan.track.score.notes  # the song's, in the same order
         score = self._setup.score.with_fingers(note.finger for note in notes)
         self._setup.task.draw_from([score])
-        return replace(self._setup, agent=hands, score=score)
+        settings, agent = self._setup.settings, options_name(self._setup.settings["agent"])
+        made = {agent: settings[agent] | {"effort": round(self.practice.effort, 2)}}
+        return replace(self._setup, agent=hands, score=score, settings=settings | made)
 
 
 def _played(tracking: Tracking, performance: Performance) -> Tracking:
