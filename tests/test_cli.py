@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
@@ -22,6 +23,7 @@ from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
+from cadenza.evaluation.at_work import failures_told
 from cadenza.files import write_json
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
@@ -265,6 +267,61 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
     assert subprocess.run(["bash", "-c", closing], check=False).returncode == 0
     assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 23
     assert load_episode(tmp_path / "episode.npz").num_steps == 23
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["play", "OdeToJoy", "-o", ""],
+        ["practice", "OdeToJoy", "--output="],
+        ["etude", "--output", ""],
+        ["bench", "--agents", "zero", "-o", ""],
+        ["studio", "--folder", ""],
+    ],
+    ids=lambda words: words[0],
+)
+def test_an_output_without_a_name_is_refused(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ": the name is empty; give one" in refused_in_a_line(capsys, *words)
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["play", "{tune}", *QUICK, "-o", "{out}"],
+        ["practice", "{tune}", "--effort", "0", "--planner.method", "none", "-o", "{out}"],
+        ["plan", "{tune}", "--planner.method", "none", "-o", "{out}/plan.npz"],
+        ["etude", "-o", "{out}/etude.mid"],
+        ["bench", "--agents", "zero", "-o", "{out}"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_full_disk_is_told_in_a_line(
+    words: list[str],
+    tune: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = refused(capsys, *(word.format(tune=tune, out=tmp_path / "out") for word in words))
+    assert said.splitlines()[-1].startswith(f"cadenza: {tmp_path / 'out'}")
+    assert said.endswith(": the disk is full; free some space, then give the same command again\n")
+
+
+def test_a_run_for_which_the_disk_is_full_says_so(tmp_path: Path) -> None:
+    with failures_told(tmp_path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "episode.npz")
+    assert "episode.npz: the disk is full; free some" in (tmp_path / "failed.json").read_text()
 
 
 # Ctrl-C
