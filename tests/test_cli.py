@@ -132,7 +132,8 @@ def test_help_all_has_every_option(
     assert "None" not in said
     performs = command in ("play", "practice", "plan", "compare", "bench")
     asks = performs or command == "train"
-    assert ("--gravity-compensation" in said) == ("--wrong-press-termination" in said) == asks
+    assert ("--gravity-compensation" in said) == asks
+    assert ("--wrong-press-termination" in said) == (asks and command != "practice")
     assert ("--planner.method" in said) == performs
     assert ("--ilqg.horizon" in said) == (performs and command not in ("plan", "practice"))
     assert ("--tau" in said) == ("--wandb" in said) == (command == "train")
@@ -267,6 +268,29 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
     assert subprocess.run(["bash", "-c", closing], check=False).returncode == 0
     assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 23
     assert load_episode(tmp_path / "episode.npz").num_steps == 23
+
+
+@pytest.mark.parametrize("command", [["dataset", "collect"], ["practice"]], ids=" ".join)
+def test_options_that_a_command_refuses_are_not_listed(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--help-all"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    assert "--control-timestep" in said
+    assert "--control-noise" not in said
+    assert "--wrong-press-termination" not in said
+
+
+def test_one_step_and_one_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_midi(Score((Note(0.0, 0.04, 60),)), tmp_path / "note.mid")
+    main(["info", str(tmp_path / "note.mid")])
+    assert "0.0 s, 1 step\n" in capsys.readouterr().out
+    options = ["--agent", "generalist", "--no-video", "-o", str(tmp_path / "out")]
+    main(["play", str(tmp_path / "note.mid"), *options])
+    assert " of 1 note" in (said := capsys.readouterr().out)
+    assert "1 notes" not in said
 
 
 @pytest.mark.parametrize(
@@ -556,9 +580,8 @@ def test_notes_without_a_finger_are_told(
 
 
 def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> None:
-    options = ["--predictive-sampling.num-candidates", "3", "--ilqg.iterations", "2"]
-    options += ["--planner.method", "none", "--agent", "predictive-sampling", "--no-video"]
-    main(["play", str(tune), *options, "-o", str(tmp_path)])
+    options = ["--agent", "predictive-sampling", "--predictive-sampling.num-candidates", "3"]
+    main(["play", str(tune), *options, "--no-video", "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
     assert settings["predictive_sampling"]["num_candidates"] == 3
     assert not settings.keys() & {"planner", "ilqg"}  # of who plays only

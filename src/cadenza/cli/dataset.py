@@ -13,7 +13,7 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.output import check_writable
+from cadenza.cli.output import check_writable, counted
 from cadenza.cli.own_parts import OwnParts
 from cadenza.cli.performing import Again, Options, check_all_play
 from cadenza.cli.progress import progress, stages
@@ -64,6 +64,8 @@ class Collect(Options):
     address: Advanced[str | None] = None
     """Of a Ray cluster, such as auto. By default one is started on this machine."""
     quiet: Quiet = False
+
+    refused = ("control_noise", "wrong_press_termination")
 
 
 def collect(command: Collect, _again: Again[Collect]) -> None:
@@ -159,7 +161,7 @@ def _how_it_went(folder: Path, _job: Job) -> str:
 
     made = about(folder)
     left_out = "" if made.kept else ", not kept"
-    return f"F1 {made.f1:.3f}, {made.num_steps} steps{left_out}"
+    return f"F1 {made.f1:.3f}, {counted(made.num_steps, 'step')}{left_out}"
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ class PracticeCommand(Performing):
     quiet: Quiet = False
 
     of_ours = (PLANNER,)
+    refused = ("control_noise", "model_error", "model_seed", "wrong_press_termination")
 
 
 def run(command: PracticeCommand, again: Again[PracticeCommand]) -> None:
