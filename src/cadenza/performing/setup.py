@@ -38,7 +38,7 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.sealed_folder import MANIFEST
 from cadenza.music.arrangement import Arrangement
@@ -251,6 +251,7 @@ def practised_plan(song: str | Path) -> Path | None:
             "that practised there"
         )
     if not (folder / MANIFEST).is_file():
+        check_is_no_run(folder)
         raise CadenzaError(f"{song}: is a folder, but not of a policy or of practice; give a file")
     return None
 
