@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import av
@@ -21,6 +23,7 @@ from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
+from cadenza.evaluation.at_work import failures_told
 from cadenza.files import write_json
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
@@ -129,7 +132,8 @@ def test_help_all_has_every_option(
     assert "None" not in said
     performs = command in ("play", "practice", "plan", "compare", "bench")
     asks = performs or command == "train"
-    assert ("--gravity-compensation" in said) == ("--wrong-press-termination" in said) == asks
+    assert ("--gravity-compensation" in said) == asks
+    assert ("--wrong-press-termination" in said) == (asks and command != "practice")
     assert ("--planner.method" in said) == performs
     assert ("--ilqg.horizon" in said) == (performs and command not in ("plan", "practice"))
     assert ("--tau" in said) == ("--wandb" in said) == (command == "train")
@@ -264,6 +268,113 @@ def test_playing_with_everything_closed(tune: Path, tmp_path: Path) -> None:
     assert subprocess.run(["bash", "-c", closing], check=False).returncode == 0
     assert json.loads((tmp_path / "metrics.json").read_text())["steps"] == 23
     assert load_episode(tmp_path / "episode.npz").num_steps == 23
+
+
+@pytest.mark.parametrize("command", [["dataset", "collect"], ["practice"]], ids=" ".join)
+def test_options_that_a_command_refuses_are_not_listed(
+    command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--help-all"])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    assert "--control-timestep" in said
+    assert "--control-noise" not in said
+    assert "--wrong-press-termination" not in said
+
+
+def test_one_step_and_one_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_midi(Score((Note(0.0, 0.04, 60),)), tmp_path / "note.mid")
+    main(["info", str(tmp_path / "note.mid")])
+    assert "0.0 s, 1 step\n" in capsys.readouterr().out
+    options = ["--agent", "generalist", "--no-video", "-o", str(tmp_path / "out")]
+    main(["play", str(tmp_path / "note.mid"), *options])
+    assert " of 1 note" in (said := capsys.readouterr().out)
+    assert "1 notes" not in said
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["play", "OdeToJoy", "-o", ""],
+        ["practice", "OdeToJoy", "--output="],
+        ["etude", "--output", ""],
+        ["bench", "--agents", "zero", "-o", ""],
+        ["studio", "--folder", ""],
+    ],
+    ids=lambda words: words[0],
+)
+def test_an_output_without_a_name_is_refused(
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ": the name is empty; give one" in refused_in_a_line(capsys, *words)
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["play", "{tune}", *QUICK, "-o", "{out}"],
+        ["practice", "{tune}", "--effort", "0", "--planner.method", "none", "-o", "{out}"],
+        ["plan", "{tune}", "--planner.method", "none", "-o", "{out}/plan.npz"],
+        ["etude", "-o", "{out}/etude.mid"],
+        ["bench", "--agents", "zero", "-o", "{out}"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_full_disk_is_told_in_a_line(
+    words: list[str],
+    tune: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    said = refused(capsys, *(word.format(tune=tune, out=tmp_path / "out") for word in words))
+    assert said.splitlines()[-1].startswith(f"cadenza: {tmp_path / 'out'}")
+    assert said.endswith(": the disk is full; free some space, then give the same command again\n")
+
+
+def test_a_run_for_which_the_disk_is_full_says_so(tmp_path: Path) -> None:
+    with failures_told(tmp_path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "episode.npz")
+    assert "episode.npz: the disk is full; free some" in (tmp_path / "failed.json").read_text()
+
+
+# Ctrl-C
+
+
+@pytest.mark.parametrize(
+    "module", ["numpy", "cadenza.tasks.registration", "cadenza.cli.train", "cadenza.music.goals"]
+)
+def test_ctrl_c_while_a_module_is_imported(module: str) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupts:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupts())\n"
+        "from cadenza_command import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", code, "info", "OdeToJoy"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (130, "")
+    assert result.stderr in ("", "cadenza: interrupted\n")
+
+
+def test_the_command_is_what_ctrl_c_ends_while_it_is_imported() -> None:
+    with open(Path(__file__).parents[1] / "pyproject.toml", "rb") as file:
+        assert tomllib.load(file)["project"]["scripts"] == {"cadenza": "cadenza_command:main"}
 
 
 # Playing
@@ -469,9 +580,8 @@ def test_notes_without_a_finger_are_told(
 
 
 def test_the_planners_have_options_of_their_own(tune: Path, tmp_path: Path) -> None:
-    options = ["--predictive-sampling.num-candidates", "3", "--ilqg.iterations", "2"]
-    options += ["--planner.method", "none", "--agent", "predictive-sampling", "--no-video"]
-    main(["play", str(tune), *options, "-o", str(tmp_path)])
+    options = ["--agent", "predictive-sampling", "--predictive-sampling.num-candidates", "3"]
+    main(["play", str(tune), *options, "--no-video", "-o", str(tmp_path)])
     settings = json.loads((tmp_path / "settings.json").read_text())
     assert settings["predictive_sampling"]["num_candidates"] == 3
     assert not settings.keys() & {"planner", "ilqg"}  # of who plays only

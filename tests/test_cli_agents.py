@@ -10,6 +10,7 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from cadenza.learning.policy_folder import load_policy, save_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.performing import performance
+from cadenza.report.sound import encode_mp3
 
 TUNE = Score((Note(0.0, 0.25, 60), Note(0.25, 0.5, 64), Note(0.25, 0.6, 67)))
 OTHER = Score((Note(0.0, 0.3, 62), Note(0.3, 0.6, 65)))
@@ -348,6 +351,29 @@ def test_the_name_that_playback_had_still_works(
     np.testing.assert_array_equal(first["key_qpos"], again["key_qpos"])
 
 
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["play", "tune.mid", "--agent", "generalist", "--planner.effort", "1"], "planner.effort"),
+        (["play", "tune.mid", "--ilqg.iterations", "2"], "ilqg.iterations"),
+        (["compare", "tune.mid", "--agents", "zero", "--planner.method=none"], "planner.method"),
+        (["bench", "--agents", "zero", "--planner.horizon", "0.5"], "planner.horizon"),
+        (["dataset", "collect", "--generalist.rehearsals", "2"], "generalist.rehearsals"),
+    ],
+)
+def test_options_of_agents_that_do_not_play_are_refused(
+    words: list[str], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    assert stop.value.code == 2
+    agent = option.split(".")[0]
+    assert capsys.readouterr().err == (
+        f"cadenza: --{option}: {agent} does not play; leave it out, or have it play\n"
+    )
+
+
 # Ctrl-C
 
 
@@ -370,6 +396,36 @@ def test_ctrl_c_keeps_what_was_played(here: Path, capsys: pytest.CaptureFixture[
     page = (here / "part" / "report.html").read_text()
     goal = base64.b64decode(page.split('class="goal">')[1].split("<")[0])
     assert 0 < len(goal) < 0.4 * 48_000 / 8  # what should have been heard in 0.15 s, 48 kbit/s
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_being_stopped_while_results_are_written_writes_them_all(
+    number: int, here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def encode_and_stop(*arguments: Any, **options: Any) -> bytes:
+        if not stopped:
+            stopped.append(number)
+            signal.raise_signal(number)
+        return encode_mp3(*arguments, **options)
+
+    stopped: list[int] = []
+    monkeypatch.setattr(performance, "encode_mp3", encode_and_stop)
+    said = interrupted(capsys, "own:Still")
+    assert "stopping after writing the results; press Ctrl-C again" in said
+    assert "cover only that part" not in said
+    assert "</html>" in (here / "part" / "report.html").read_text()
+
+
+def test_ctrl_c_twice_while_results_are_written_writes_no_more(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop_twice(*_: Any, **__: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(performance, "synthesize", stop_twice)
+    interrupted(capsys, "own:Still")
+    assert not (here / "part" / "report.html").exists()
 
 
 @pytest.mark.parametrize("agent", ["own:MoreImpatient", "own:NeverBegins"])

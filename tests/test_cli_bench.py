@@ -101,7 +101,7 @@ def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, h
     (folder / "songs" / "64.mid").unlink()
     said = of(started(f"bench_agents:{agent},zero"), status=2)
     assert "1 of 2 runs finished, 1 failed" in said
-    assert "1 of 2 runs failed; add --retry" in said
+    assert "1 of 2 runs failed, as told above; once the causes are mended, add --retry" in said
     assert "2 of 2: " in said
     found = read_results(folder / "out")
     assert [result.agent for result in found.results] == ["zero"]

@@ -13,6 +13,8 @@ import mido
 import pytest
 
 from cadenza.cli import main
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
 
 QUICK = ("--agent", "zero", "--no-video")
 
@@ -125,3 +127,29 @@ def test_songs_of_hours_are_refused(
 ) -> None:
     said = refused(capsys, "play", trio, "--tracks", 1, *QUICK, *options, "-o", tmp_path / "out")
     assert message in said
+
+
+def test_notes_too_fast_for_control_steps_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    song = tmp_path / "trill.mid"
+    notes = tuple(Note(round(0.08 * i, 9), round(0.08 * i, 9) + 0.04, 60) for i in range(10))
+    write_midi(Score(notes), song)
+    command = ["compare", str(song), "--agents", "zero", "random", "-o", str(tmp_path)]
+    main(command)
+    said = capsys.readouterr().err
+    assert said.count(f"{song}: 3 notes repeat too fast for control steps of 0.05 s, and are") == 1
+    main([*command, "--control-timestep", "0.02"])
+    assert "too fast" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["play", "practice", "plan", "compare", "train"])
+def test_a_folder_of_something_else_is_no_song(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([command, str(tmp_path)])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == (
+        f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a file\n"
+    )

@@ -1,5 +1,5 @@
 """`python -m cadenza` is the command `cadenza`."""
 
-from cadenza.cli import main
+from cadenza_command import main
 
 main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import traceback
 from collections.abc import Iterator
@@ -21,6 +22,14 @@ class CadenzaWarning(UserWarning):
 
     The message is one line. The command line prints it without a traceback.
     """
+
+
+def in_a_line(error: CadenzaError | OSError) -> str:
+    """What is wrong, and of a disk that is full what to do."""
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        where = f"{error.filename}: " * bool(error.filename)
+        return f"{where}the disk is full; free some space, then give the same command again"
+    return " ".join(str(error).split())
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,6 +32,8 @@ from cadenza.files import ANY, check_arrays, locked, read_arrays
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
+from cadenza.performing import performance
+from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -406,6 +409,7 @@ def test_hands_that_are_pushed_find_back_before_a_finger_slips(practised: Practi
 
 
 def folder_of(tmp_path: Path, *options: str) -> Path:
+    tmp_path.mkdir(exist_ok=True)
     write_midi(HARD, tmp_path / "hard.mid")
     song, folder = str(tmp_path / "hard.mid"), tmp_path / "practised"
     usual = (
@@ -435,14 +439,48 @@ def test_a_practised_plan_plays_again_bit_for_bit(hands: Hands, tmp_path: Path) 
     assert (folder / "report.html").exists()
 
 
-def test_practised_hands_that_are_pushed_search_as_the_planner_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize("by_play", [False, True])
+def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
+    by_play: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Other fingers than the task would find, and notes that no hand can reach."""
+    apart = tuple(Note(t, t + 0.3, pitch, 80) for t in (0.0, 0.4) for pitch in (48, 60, 71, 84))
+    write_midi(Score(apart), tmp_path / "apart.mid")
+    folder, out = tmp_path / "practised", tmp_path / "out"
+    practise = ["play", "--planner.effort"] if by_play else ["practice", "--effort"]
+    options = ["--hands", "right", "--planner.method", "none", "--no-video", "-o", str(folder)]
+    main([*practise, "0.1", str(tmp_path / "apart.mid"), *options])
+    said = capsys.readouterr().out
+    main(["play", str(folder), "--no-video", "-o", str(out)])
+    again = capsys.readouterr().out
+    for line in "F1 ", "missed ", "no finger ":
+        (told,) = [each for each in said.splitlines() if each.startswith(line)]
+        assert told in again
+    before, after = (load_episode(each / "episode.npz").arrays for each in (folder, out))
+    assert before.keys() == after.keys()
+    for name in before.keys() - {"metrics"}:
+        np.testing.assert_array_equal(before[name], after[name], name)
+    assert (folder / "misses.json").read_bytes() == (out / "misses.json").read_bytes()
+
+
+def test_practised_hands_that_are_pushed_search_as_the_planner_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def follow(self: SearchingHands, *arguments: Any) -> None:
+        searches.append(self)
+        follow_as_ever(self, *arguments)
+
+    searches: list[SearchingHands] = []
+    follow_as_ever = SearchingHands.follow
     folder = folder_of(tmp_path, "--effort", "0.1")
     noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.05)
+    monkeypatch.setattr(SearchingHands, "follow", follow)
+    cadenza.play(folder)
+    assert not searches
     pushed, actions = cadenza.play(folder, task=noisy), load_plan(folder / "plan.npz")
+    assert searches
     open_loop = play_episode(PianoTask([HARD], noisy), Playback(actions))
     assert pushed.metrics["f1"] > open_loop.metrics["f1"]
-    undisturbed = cadenza.play(folder)
-    assert (pushed.misses is None, undisturbed.misses is None) == (False, True)  # it had to plan
 
 
 def test_another_song_than_the_practised_one_is_told(practised: Practice) -> None:
@@ -507,6 +545,53 @@ def test_practice_that_was_killed_has_its_plan_after_the_first_take(
         cadenza.play(folder)
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_the_folder_of_practice_goes_on_where_it_was_left(named: bool, tmp_path: Path) -> None:
+    options = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
+    folder = folder_of(tmp_path, *options)
+    with np.load(folder / "practice.npz") as file:
+        begun = len(file["practice/history"])
+    before = json.loads((folder / "settings.json").read_text())
+    assert 0 < before["planner"]["effort"] < 0.09
+    again = ["practice", str(folder), "--effort", "1", "--no-video"]
+    main([*again, *["-o", str(folder)] * named])
+    straight = folder_of(tmp_path / "straight", *options, "--effort", "1")
+    with np.load(folder / "practice.npz") as one, np.load(straight / "practice.npz") as other:
+        assert len(one["practice/history"]) > begun
+        for name in one.files:
+            np.testing.assert_array_equal(one[name], other[name], name)
+    after = json.loads((folder / "settings.json").read_text())
+    assert after["planner"].pop("effort") > before["planner"].pop("effort")
+    assert after == before
+    assert before["arrangement"]["first_seconds"] == 1.1
+
+
+def test_practice_of_what_was_practised_elsewhere_says_what_is_played(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "--effort", "0", "--first-seconds", "0.7")
+    other = str(tmp_path / "other")
+    main(["practice", str(folder), "--effort", "0", "--no-video", "-o", other])
+    settings = json.loads((tmp_path / "other" / "settings.json").read_text())
+    assert settings["arrangement"]["first_seconds"] == 0.7
+
+
+def test_a_folder_that_does_not_say_how_it_was_practised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = folder_of(tmp_path, "--effort", "0")
+    (folder / "settings.json").unlink()
+    with pytest.raises(SystemExit):
+        main(["practice", str(folder)])
+    assert "run the same command again that practised there" in capsys.readouterr().err
+
+
+def test_episodes_that_end_early_cannot_be_practised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        folder_of(tmp_path, "--wrong-press-termination")
+    assert "cadenza: --wrong-press-termination: a song that ends" in capsys.readouterr().err
+
+
 def test_another_song_in_the_folder_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -543,3 +628,20 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path, monkeypatch: pytest.Monkey
     found: list[Any] = []
     folder_of(tmp_path)
     assert [len(history) for history in found] == [1]
+
+
+def test_ctrl_c_while_results_are_written_writes_them_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def encode_and_interrupt(*arguments: Any, **options: Any) -> bytes:
+        if not sounds:
+            signal.raise_signal(signal.SIGINT)
+        sounds.append(encode_mp3(*arguments, **options))
+        return sounds[-1]
+
+    sounds: list[bytes] = []
+    monkeypatch.setattr(performance, "encode_mp3", encode_and_interrupt)
+    with pytest.raises(SystemExit) as stop:
+        folder_of(tmp_path, "--effort", "0")
+    assert stop.value.code == 130
+    assert "</html>" in (tmp_path / "practised" / "report.html").read_text()

@@ -89,6 +89,19 @@ def test_a_folder_is_extended_and_what_is_finished_never_done_again(
     assert len(read_results(tmp_path).results) == 3
 
 
+def test_what_has_finished_before_it_was_stopped_counts(
+    jobs: Callable[..., list[Job]], tmp_path: Path
+) -> None:
+    class LateNews(OneByOne):
+        def ended(self, seconds: float) -> list[Ended]:
+            return []
+
+    asked = iter([True, False])
+    both = jobs("zero", "random")
+    state = bench(both, tmp_path, LateNews(), lambda *_: None, lambda _: next(asked))
+    assert (state.finished, state.left) == (1, 1)
+
+
 def test_what_failed_is_told_and_carried_out_again_on_demand(
     jobs: Callable[..., list[Job]], tmp_path: Path
 ) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.goals import score_to_goals
+from cadenza.music.goals import merged_notes, score_to_goals
 from cadenza.music.performance import key_runs
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores, seconds
@@ -79,6 +79,20 @@ def test_a_key_struck_again_comes_up_for_one_step():
     goals = score_to_goals(score, 0.05, hands=FIVE)
     assert goals.keys[:, 39].tolist() == [1, 1, 1, 1, 0, 1, 1, 1, 0]
     assert goals.fingers[:, 39].tolist() == [1, 1, 1, 1, -1, 2, 2, 2, -1]
+
+
+@pytest.mark.parametrize(("apart", "merged"), [(0.1, 0), (0.08, 4), (0.05, 9)])
+def test_notes_that_steps_do_not_tell_apart_are_counted(apart, merged):
+    starts = [round(apart * i, 9) for i in range(10)]
+    score = Score(
+        tuple(Note(start, start + 0.3 * apart, pitch) for start in starts for pitch in (60, 67))
+    )
+    assert merged_notes(score, score_to_goals(score, 0.05)) == 2 * merged
+
+
+def test_notes_of_two_voices_on_one_key_are_no_merged_ones():
+    score = Score((Note(0, 0.2, 60), Note(0, 0.4, 60), Note(0.2, 0.6, 60)))
+    assert merged_notes(score, score_to_goals(score, 0.05)) == 0
 
 
 def test_the_note_before_may_be_shortened_instead():

@@ -54,7 +54,7 @@ def test_stretching_scales_every_time_and_keeps_the_rest():
     assert slow.title == "two"
 
 
-@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf")])
+@pytest.mark.parametrize("factor", [0, -1, float("nan"), float("inf"), "2"])
 def test_stretching_needs_a_positive_number(factor):
     with pytest.raises(CadenzaError, match="positive"):
         TWO.stretched(factor)

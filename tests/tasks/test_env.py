@@ -354,6 +354,8 @@ def test_wrong_shape_of_actions() -> None:
     envs.reset(seed=0)
     with pytest.raises(CadenzaError, match=r"actions of shape \(39,\): give \(2, 39\)"):
         envs.step(np.zeros(39))
+    with pytest.raises(CadenzaError, match="actions of type <U1: give numbers"):
+        envs.step(np.full((2, 39), "a"))
 
 
 def test_final_info_holds_the_ended_episodes_scores() -> None:

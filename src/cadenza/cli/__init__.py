@@ -43,7 +43,7 @@ from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
 from cadenza.cli.setups import with_options_of_setup
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError, CadenzaWarning, in_a_line
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except BrokenPipeError:  # whoever read the output has left, as `head` does
         _exit(1)
     except (CadenzaError, OSError) as error:
-        _exit(2, str(error))
+        _exit(2, in_a_line(error))
     except RuntimeError as error:
         if "MUJOCO_GL" not in str(error):  # what MuJoCo says of a backend that it does not know
             raise
@@ -115,6 +115,7 @@ def _run(arguments: list[str]) -> None:
         name, chosen, rest = f"{name} {rest[0]}", chosen[rest[0]], rest[1:]
     kind, run = chosen
     rest = with_options_of_setup(kind, rest)
+    _check_output(rest)
     _load_chosen(rest)
     if issubclass(kind, Options):
         kind = with_options_of_agents(kind, rest)
@@ -126,6 +127,13 @@ def _run(arguments: list[str]) -> None:
             run(command, read)
         else:
             run(command)
+
+
+def _check_output(words: Sequence[str]) -> None:
+    """Raises: CadenzaError: it is given without a name, which would be the working folder."""
+    for option, name in pairwise(option_parts(words)):
+        if option in ("-o", "--output", "--folder", "--runs") and not name:
+            raise CadenzaError(f"{option}: the name is empty; give one, or . for this folder")
 
 
 def _load_chosen(words: Sequence[str]) -> None:
@@ -233,7 +241,7 @@ def _warnings_in_a_line() -> Iterator[None]:
             show(message, category, filename, lineno, file, line)
 
     with warnings.catch_warnings():
-        warnings.simplefilter("always", CadenzaWarning)
+        warnings.simplefilter("default", CadenzaWarning)  # each once
         warnings.showwarning = print_ours
         yield
 

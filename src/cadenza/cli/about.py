@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from cadenza.agents.registry import AGENTS
+from cadenza.cli.output import counted
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
@@ -58,18 +59,14 @@ def _song_facts(score: Score) -> dict[str, Any]:
     ends = min(pitches), max(pitches)
     return {
         "title": score.title,
-        "length": f"{trimmed.total_time:.1f} s, {goals.num_steps} steps",
+        "length": f"{trimmed.total_time:.1f} s, {counted(goals.num_steps, 'step')}",
         **({"bars": len(score.bars)} if score.bars else {}),
         "notes": len(score.notes),
         "range": f"{_notes(*ends)} (MIDI {ends[0]} to {ends[1]})",
-        "at once": f"up to {_counted(most, 'key')}",
+        "at once": f"up to {counted(most, 'key')}",
         "fingering": _about_fingering(score),
-        "pedal": _counted(len(score.pedal), "movement"),
+        "pedal": counted(len(score.pedal), "movement"),
     } | {f"repaired {i}": remark for i, remark in enumerate(score.remarks, start=1)}
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s'[: number != 1]}"
 
 
 def _notes(lowest: int, highest: int) -> str:
@@ -102,7 +99,7 @@ def _about_fingering(score: Score) -> str:
     given = sum(note.finger is not None for note in score.notes)
     reasons = Counter(playable(score, usual_players()).reasons.values())
     found = len(score.notes) - given - reasons.total()
-    parts = [f"given for {given} of {_counted(len(score.notes), 'note')}"]
+    parts = [f"given for {given} of {counted(len(score.notes), 'note')}"]
     parts += [f"found for {found}"] if found else []
     parts += [f"none for {count} ({reason})" for reason, count in reasons.most_common()]
     return "; ".join(parts)

@@ -97,7 +97,11 @@ def parse(
             description=inspect.getdoc(kind),
             args=["--help"] if asked else arguments,
             default=tyro.MISSING_NONPROP if default is None else default,
-            registry=_registry([kind], short=bool(asked) and "--help-all" not in asked),
+            registry=_registry(
+                [kind],
+                short=bool(asked) and "--help-all" not in asked,
+                left_out=getattr(kind, "refused", ()) if asked else (),
+            ),
         )
 
 
@@ -178,7 +182,9 @@ def similar(word: str, known: Sequence[str]) -> str:
 _HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
 
 
-def _registry(commands: Collection[type], short: bool) -> ConstructorRegistry:
+def _registry(
+    commands: Collection[type], short: bool, left_out: Collection[str] = ()
+) -> ConstructorRegistry:
     """How tyro makes options of the fields of `commands` and of their configurations."""
     registry = ConstructorRegistry()
     asking = False
@@ -193,7 +199,7 @@ def _registry(commands: Collection[type], short: bool) -> ConstructorRegistry:
             spec: Any = ConstructorRegistry.get_struct_spec(info)
         finally:
             asking = False
-        fields = [_option(field) for field in spec.fields]
+        fields = [_option(field) for field in spec.fields if field.name not in left_out]
         if info.type not in commands:
             return replace(spec, fields=tuple(fields))
         leaves = list(_leaves(info.type, fields))

@@ -17,7 +17,7 @@ import tyro
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable
-from cadenza.cli.performing import TRAIN, Again, Options, agents_in
+from cadenza.cli.performing import TRAIN, Again, Options, agents_in, check_all_play
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
 from cadenza.configs import MOST_SEED, whole_number
@@ -76,6 +76,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     from cadenza.music.libraries.library import open_library
 
     agents, seeds = _agents(command), _seeds(command.seeds)
+    check_all_play(command, agents)
     check_executor(command)
     who = _contenders(command, again, agents)
     jobs = matrix(open_library(command.songs), who, seeds, command.arrangement, command.pages)

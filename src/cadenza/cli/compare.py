@@ -17,6 +17,7 @@ from cadenza.cli.output import check_writable, in_columns
 from cadenza.cli.performing import (
     Again,
     Performing,
+    check_all_play,
     default_folder,
     selected,
     setting_up,
@@ -53,6 +54,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in map(current_name, command.agents):
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
+    check_all_play(command, command.agents)
     selections = {name: selected(command, name) for name in command.agents}
     commands = {
         name: with_defaults_of(command, selection, again) for name, selection in selections.items()

@@ -13,9 +13,9 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.output import check_writable
+from cadenza.cli.output import check_writable, counted
 from cadenza.cli.own_parts import OwnParts
-from cadenza.cli.performing import Again, Options
+from cadenza.cli.performing import Again, Options, check_all_play
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
@@ -64,6 +64,8 @@ class Collect(Options):
     address: Advanced[str | None] = None
     """Of a Ray cluster, such as auto. By default one is started on this machine."""
     quiet: Quiet = False
+
+    refused = ("control_noise", "wrong_press_termination")
 
 
 def collect(command: Collect, _again: Again[Collect]) -> None:
@@ -138,6 +140,7 @@ def _who(command: Collect) -> Demonstrator:
             f"--student {student}: policies cannot be students; choose an agent with a name, such "
             "as generalist"
         )
+    check_all_play(command, [agent, *([] if student is None else [student])])
     student_config = None if student is None else command.configs.get(student)
     make_agent(agent, config)  # who is not there is told before anyone plays
     if student is not None:
@@ -158,7 +161,7 @@ def _how_it_went(folder: Path, _job: Job) -> str:
 
     made = about(folder)
     left_out = "" if made.kept else ", not kept"
-    return f"F1 {made.f1:.3f}, {made.num_steps} steps{left_out}"
+    return f"F1 {made.f1:.3f}, {counted(made.num_steps, 'step')}{left_out}"
 
 
 @dataclass(frozen=True)

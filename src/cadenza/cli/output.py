@@ -30,6 +30,11 @@ def check_writable(folder: Path) -> None:
         ) from error
 
 
+def counted(number: int, noun: str) -> str:
+    """Such as "1 step" or "2 steps"."""
+    return f"{number} {noun}{'s'[: number != 1]}"
+
+
 def in_columns(rows: Sequence[Sequence[str]]) -> str:
     """A table: names to the left, and figures, in all other columns, to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from itertools import islice, takewhile
@@ -16,6 +16,7 @@ import tyro
 
 from cadenza.agents.registry import AGENTS, agent_options, options_name
 from cadenza.cli.arguments import Advanced, option_parts
+from cadenza.cli.output import counted
 from cadenza.cli.progress import stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.errors import CadenzaError
@@ -53,6 +54,8 @@ class Options:
 
     of_ours: ClassVar[Sequence[str]] = [name for name, entry in AGENTS.own.items() if entry.config]
     """Our agents whose options it has."""
+    refused: ClassVar[Sequence[str]] = ()
+    """Names of options that help does not list, since the command says why it takes none."""
     options: ClassVar[Mapping[str, str]] = {}
     """Agent -> the field that holds its options, see `with_options_of_agents`."""
 
@@ -131,6 +134,22 @@ def selected(command: Performing, agent: str | None, plan: Path | None = None) -
     )
 
 
+def check_all_play(command: Options, agents: Collection[str]) -> None:
+    """Before these `agents` play.
+
+    Raises:
+        CadenzaError: the command gives an option of another one.
+    """
+    for agent, config in command.configs.items():
+        usual = type(config)()
+        given = [
+            f.name for f in fields(config) if getattr(config, f.name) != getattr(usual, f.name)
+        ]
+        if given and agent not in agents:
+            option = f"{command.options[agent]}.{given[0]}".replace("_", "-")
+            raise CadenzaError(f"--{option}: {agent} does not play; leave it out, or have it play")
+
+
 def with_defaults_of(command: Command, selection: Selection, again: Again[Command]) -> Command:
     """The command with the selection's own task and scene where the command line says no other."""
     return again(replace(command, task=selection.task, scene=selection.scene))
@@ -165,7 +184,7 @@ def print_scores(performance: Performance) -> None:
         f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
     )
     print(
-        f"{performance.seconds:.1f} s of music in {metrics['steps']} steps, "
+        f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}, "
         f"return {metrics['return']:.1f}; planning took {metrics['planning_seconds']:.1f} s, "
         f"simulation {metrics['playing_seconds']:.1f} s"
     )
@@ -184,4 +203,4 @@ def print_what_was_lost(performance: Performance) -> None:
     print(*in_words(performance.misses, performance.episode), sep="\n")
     reasons = Counter(reason for _, reason in performance.track.dropped or ())
     for reason, count in reasons.most_common():
-        print(f"no finger for {count} note{'s'[: count > 1]}: {reason}")
+        print(f"no finger for {counted(count, 'note')}: {reason}")

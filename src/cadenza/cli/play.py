@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.output import check_writable
@@ -18,6 +19,7 @@ from cadenza.cli.performing import (
     AGENTS_HELP,
     Again,
     Performing,
+    check_all_play,
     default_folder,
     print_scores,
     print_what_was_lost,
@@ -33,7 +35,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
-    from cadenza.performing.setup import Setup
+    from cadenza.performing.setup import Selection, Setup
     from cadenza.sim.render import Picture
     from cadenza.studio.showing import Showing
 
@@ -72,35 +74,46 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
 
     picture = Picture(*command.video_size, command.video_camera)
     selection = selected(command, command.agent, command.plan)
+    check_all_play(command, _who_plays(selection))
     # tyro would call a flag that is on already --no-watch.
     command = with_defaults_of(replace(command, watch=False), selection, again)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
         need_server()
     with ExitStack() as kept:
-        with setting_up(selection, command, command.seed) as setup:
-            check_writable(folder)
-            check_replaceable(folder, command.song)
-            tell_how_long(setup)
-            setup, cut_short = kept.enter_context(_practised(setup, folder))
-            page = kept.enter_context(_shown(setup)) if command.watch else None
-            with stages("playing") as progress, asked_to_stop("this step") as stop:
-                performance = perform(setup, page.following(progress) if page else progress, stop)
-                stopped = stop()
-            length = setup.num_steps * performance.episode.dt
-        if page:
-            page.played(performance)
-        keep(performance, folder, command.video, picture, command.loudness)
+        with asked_to_stop("writing the results") as stop:
+            with setting_up(selection, command, command.seed) as setup:
+                check_writable(folder)
+                check_replaceable(folder, command.song)
+                tell_how_long(setup)
+                setup, cut_short = kept.enter_context(_practised(setup, folder))
+                page = kept.enter_context(_shown(setup)) if command.watch else None
+                with stages("playing") as progress:
+                    following = page.following(progress) if page else progress
+                    performance = perform(setup, following, stop)
+            if page:
+                page.played(performance)
+            keep(performance, folder, command.video, picture, command.loudness)
+            stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")
             page.stay()
     if cut_short:
         print(f"stopped practice; the same command goes on in {folder}", file=sys.stderr)
-        raise KeyboardInterrupt
-    if stopped:
+    if stopped and performance.episode.num_steps < setup.num_steps:
+        length = setup.num_steps * performance.episode.dt
         part = f"{performance.seconds:.1f} of {length:.1f} s"
         print(f"stopped after {part}: the results cover only that part", file=sys.stderr)
+    if cut_short or stopped:
         raise KeyboardInterrupt
+
+
+def _who_plays(selection: Selection) -> set[str]:
+    """Whose options count: where what was practised is played, the planner searches."""
+    from cadenza.agents.planning.practised_planner import PractisedHands
+
+    searches = isinstance(selection.agent, PractisedHands)
+    return {selection.name, *[PLANNER] * searches}
 
 
 @contextmanager
@@ -111,8 +124,12 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
     if not isinstance(setup.agent, ScorePlanner) or not setup.agent.config.effort:
         yield setup, False
         return
-    with practised(setup, folder, setup.agent.config.effort) as (practising, stopped):
-        yield replace(setup, agent=practising.hands()), stopped
+    with ExitStack() as kept:
+        with asked_to_stop("this passage") as stop:
+            effort = setup.agent.config.effort
+            practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
+            stopped = stop()
+        yield practising.best(), stopped
 
 
 def _shown(setup: Setup) -> AbstractContextManager[Showing]:

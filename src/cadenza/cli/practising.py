@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cadenza.cli.progress import progress, stages
-from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
 from cadenza.files import locked
 from cadenza.music.bars import places
@@ -26,8 +25,13 @@ _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 @contextmanager
 def practised(
-    setup: Setup, folder: Path, effort: float, minutes: float | None = None
-) -> Iterator[tuple[Practising, bool]]:
+    setup: Setup,
+    folder: Path,
+    effort: float,
+    minutes: float | None = None,
+    *,
+    stop: Callable[[], bool],
+) -> Iterator[Practising]:
     """Practises in a folder, which others keep out of for the block.
 
     Args:
@@ -35,9 +39,10 @@ def practised(
         folder: where practice is kept.
         effort: how much in all, counting what was made before.
         minutes: how long instead.
+        stop: is often asked whether that is enough.
 
     Yields:
-        What was practised, and whether it was stopped by Ctrl-C.
+        What was practised; it is kept.
     """
     from cadenza.performing.practising import Practising, check_is_practice
 
@@ -49,12 +54,10 @@ def practised(
             )
         with stages("planning") as tell:
             practising = Practising(setup, folder, tell)
-        with asked_to_stop("this passage") as stop:
-            _practise(practising, effort, minutes, stop)
-            stopped = stop()
+        _practise(practising, effort, minutes, stop)
         practising.save()
         practising.save_plan()
-        yield practising, stopped
+        yield practising
 
 
 def _practise(

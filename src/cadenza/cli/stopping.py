@@ -13,14 +13,18 @@ from typing import Any
 def asked_to_stop(what_comes: str) -> Iterator[Callable[[], bool]]:
     """Yields what says whether Ctrl-C was pressed or the process told to end.
 
-    Until it is asked for the first time, either ends the process at once, and so does doing it
-    again: then nobody wants to wait for `what_comes`.
+    Until it is asked for the first time, either ends the process at once, and so does either
+    afterwards: then nobody wants to wait for `what_comes`.
     """
     asked, before = list[int](), dict[int, Any]()
 
+    def as_before() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
     def ask(number: int, _frame: Any) -> None:
         asked.append(number)
-        signal.signal(number, before[number])
+        as_before()
         print(f"\nstopping after {what_comes}; press Ctrl-C again to stop at once", file=sys.stderr)
 
     def stop() -> bool:
@@ -31,5 +35,4 @@ def asked_to_stop(what_comes: str) -> Iterator[Callable[[], bool]]:
     try:
         yield stop
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        as_before()

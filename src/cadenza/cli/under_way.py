@@ -183,5 +183,6 @@ def tell_what_is_left(state: State, folder: Path, to_sum_up: Sequence[str]) -> N
     print(f"To sum them up: {shlex.join(to_sum_up)}")
     if state.failed:
         raise CadenzaError(
-            f"{len(state.failed)} of {state.total} runs failed; add --retry to carry them out again"
+            f"{len(state.failed)} of {state.total} runs failed, as told above; once the causes are "
+            "mended, add --retry to carry them out again"
         )

@@ -20,7 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, in_a_line
 from cadenza.evaluation.job import JobSpec
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.evaluation.songs import digest_of
@@ -67,7 +67,7 @@ def failures_told(folder: Path) -> Iterator[None]:
         yield
     except Exception as error:
         traceback.print_exc()
-        write_failure(folder, _in_a_line(error))
+        write_failure(folder, _what_failed(error))
 
 
 def write_failure(folder: Path, error: str) -> None:
@@ -89,11 +89,11 @@ def _tidy(folder: Path) -> None:
         half_written.unlink(missing_ok=True)
 
 
-def _in_a_line(error: Exception) -> str:
+def _what_failed(error: Exception) -> str:
     """What went wrong; where too, if it was not what somebody has given."""
-    said = " ".join(str(error).split())
     if isinstance(error, CadenzaError | OSError):
-        return said
+        return in_a_line(error)
+    said = " ".join(str(error).split())
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {said} ({frame.filename}, line {frame.lineno})"
 

@@ -107,6 +107,8 @@ def bench(
     while state.todo or state.running or state.elsewhere:
         if not goes_on(state):
             executor.stop()
+            for job in state.running.values():
+                _is_finished(state, job, "stopped")  # before it was
             break
         while state.todo and len(state.running) < executor.capacity:
             _start(state, state.todo.popleft(), executor)

@@ -190,15 +190,20 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
         ) from error
 
 
-def load_policy(folder: Path) -> LearntPolicy:
-    """Raises:
-    CadenzaError: there is no policy, or not one that this version wrote, unchanged.
-    """
+def check_is_no_run(folder: Path) -> None:
+    """Raises: CadenzaError: the folder is that of a training run, which holds policies."""
     for name, which in ("best", "best"), ("last", "latest"):
         if (folder / name).is_dir():
             raise CadenzaError(
                 f"{folder}: is the folder of a training run; its {which} policy is {folder / name}"
             )
+
+
+def load_policy(folder: Path) -> LearntPolicy:
+    """Raises:
+    CadenzaError: there is no policy, or not one that this version wrote, unchanged.
+    """
+    check_is_no_run(folder)
     plain, arrays = read_sealed(folder, _KIND)
     where = folder / "facts.json"
     if is_old_policy(folder, plain):

@@ -30,7 +30,7 @@ from cadenza.files import (
     write_atomically,
 )
 
-_MANIFEST, _ARRAYS = "manifest.json", "arrays.safetensors"
+MANIFEST, _ARRAYS = "manifest.json", "arrays.safetensors"
 _OLD_ARRAYS = "arrays.npz"  # of the version before; to go with the next one
 
 
@@ -59,7 +59,7 @@ def write_sealed(
         _ARRAYS: safetensors.numpy.save(in_order),
     }
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    files[_MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
+    files[MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
     try:
         for name, content in files.items():
             with write_atomically(new / name) as file:
@@ -94,9 +94,9 @@ def read_sealed(
         CadenzaError: the folder is not there, of another kind, or was changed or damaged.
     """
     folder = _held(folder)
-    if not (folder / _MANIFEST).exists():
-        raise CadenzaError(f"{folder}: holds no {_MANIFEST}, so it cannot be read")
-    manifest = read_json(folder / _MANIFEST, _Manifest)
+    if not (folder / MANIFEST).exists():
+        raise CadenzaError(f"{folder}: holds no {MANIFEST}, so it cannot be read")
+    manifest = read_json(folder / MANIFEST, _Manifest)
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
     packed = _OLD_ARRAYS if is_old(folder) else _ARRAYS

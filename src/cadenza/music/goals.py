@@ -116,6 +116,15 @@ def score_to_goals(
     return Goals(keys, fingers, sustain, hands.count)
 
 
+def merged_notes(score: Score, goals: Goals) -> int:
+    """How many notes of `score` its `goals` do not tell from the note before on the same key.
+
+    Notes of one key that begin at the same time count as one.
+    """
+    strokes = goals.keys & ~np.pad(goals.keys[:-1], ((1, 0), (0, 0)))
+    return len({(note.start, note.pitch) for note in score.notes}) - int(strokes.sum())
+
+
 def check_pitches(score: Score, pitches: range) -> None:
     """Raises:
     CadenzaError: the score has notes of other pitches.

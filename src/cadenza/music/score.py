@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from math import isfinite
+from numbers import Real
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
@@ -134,8 +135,8 @@ class Score:
         Raises:
             CadenzaError: `factor` is not a positive number, or the song would last over an hour.
         """
-        if not 0 < factor < float("inf"):
-            raise CadenzaError(f"cannot stretch by {factor}: give a positive number")
+        if not isinstance(factor, Real) or not 0 < factor < float("inf"):
+            raise CadenzaError(f"cannot stretch by {factor!r:.100}: give a positive number")
         check_length(self.total_time * factor, f"stretched by {factor:g}, the song")
         return self._with_times(lambda time: time * factor)
 

@@ -12,6 +12,7 @@ from cadenza.agents.planning.practice import OF, Practice
 from cadenza.agents.planning.practised_planner import Practised, PractisedHands
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically
 from cadenza.performing.performance import Performance, perform
@@ -34,7 +35,7 @@ class Practising:
 
     Attributes:
         practice: how far it has got.
-        performance: of the plan that was kept last.
+        performance: of what was played best when a plan was to be kept last.
     """
 
     def __init__(self, setup: Setup, folder: Path, progress: Progress = silent) -> None:
@@ -72,20 +73,26 @@ class Practising:
         if task.control_noise or task.model_error:
             return
         practised = self.practice.best().practised
-        self.performance = performance = perform(replace(self._setup, agent=self._hands(practised)))
-        if performance.episode.num_steps == self._setup.num_steps:
+        setup = self._setup_with(practised)
+        self.performance = performance = perform(setup)
+        if performance.episode.num_steps == setup.num_steps:
             played = practised._replace(tracking=_played(practised.tracking, performance))
-            plan = replace(plan_of(self._setup, performance), practised=played)
+            plan = replace(plan_of(setup, performance), practised=played)
             plan.save(self._path.with_name(PRACTISED))
 
-    def hands(self) -> PractisedHands:
-        """Play what is played best so far."""
-        return self._hands(self.practice.best().practised)
+    def best(self) -> Setup:
+        """To play what is played best so far, with the fingers that play it."""
+        return self._setup_with(self.practice.best().practised)
 
-    def _hands(self, practised: Practised) -> PractisedHands:
+    def _setup_with(self, practised: Practised) -> Setup:
         hands = PractisedHands(practised, self._agent.config, self.practice.plan)
         hands.num_threads = self._agent.num_threads
-        return hands
+        notes = self.practice.plan.track.score.notes  # the song's, in the same order
+        score = self._setup.score.with_fingers(note.finger for note in notes)
+        self._setup.task.draw_from([score])
+        settings, agent = self._setup.settings, options_name(self._setup.settings["agent"])
+        made = {agent: settings[agent] | {"effort": round(self.practice.effort, 2)}}
+        return replace(self._setup, agent=hands, score=score, settings=settings | made)
 
 
 def _played(tracking: Tracking, performance: Performance) -> Tracking:

@@ -38,15 +38,18 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.learning.policy_folder import LearntPolicy, load_policy
+from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
 from cadenza.learning.pretrained import pretrained_folder
+from cadenza.learning.sealed_folder import MANIFEST
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.goals import merged_notes
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import MOST_THREADS, default_threads
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import NamedSetup
 
@@ -177,12 +180,15 @@ def select(
     arrangement = arrangement or Arrangement()
     score = song if isinstance(song, Score) else load_song(song, arrangement)
     title = score.title if isinstance(song, Score) else str(song)
+    practised = None if isinstance(song, Score) else practised_plan(song)
+    made = None if practised is None else practised_song(practised)
+    if made is not None:
+        arrangement = made.arrangement
     selection = partial(Selection, song=title, score=score, arrangement=arrangement)
     if agent is None and not isinstance(song, Score) and is_own_folder(song):
-        if plan is None and (practised := practised_plan(song)) is not None:
-            made = practised_song(practised)
-            own = {"task": made.task, "scene": made.scene, "arrangement": made.arrangement}
-            return _played_back(partial(selection, **own), practised, configs)
+        if plan is None and practised is not None and made is not None:
+            own = partial(selection, task=made.task, scene=made.scene)
+            return _played_back(own, practised, configs)
         agent = song
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
@@ -232,7 +238,7 @@ def practised_plan(song: str | Path) -> Path | None:
     """The plan in the folder of a song that was practised; None if `song` is no such folder.
 
     Raises:
-        CadenzaError: practice was killed before it had a plan.
+        CadenzaError: practice was killed before it had a plan, or `song` is another folder.
     """
     folder = Path(song)
     if not is_own_folder(song):
@@ -244,6 +250,9 @@ def practised_plan(song: str | Path) -> Path | None:
             f"{song}: practice has not played the song to the end yet; run the same command again "
             "that practised there"
         )
+    if not (folder / MANIFEST).is_file():
+        check_is_no_run(folder)
+        raise CadenzaError(f"{song}: is a folder, but not of a policy or of practice; give a file")
     return None
 
 
@@ -300,9 +309,21 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
+        _warn_of_merged_notes(selection.song, piano_task.tracks[0])
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
+
+
+def _warn_of_merged_notes(song: str, track: GoalTrack) -> None:
+    if count := merged_notes(track.score, track.goals):
+        repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
+        warnings.warn(
+            f"{song}: {count} {repeat} too fast for control steps of "
+            f"{track.config.control_timestep:g} s, and {are} played as one with the note before",
+            CadenzaWarning,
+            stacklevel=5,
+        )
 
 
 def _check_plan(

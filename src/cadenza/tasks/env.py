@@ -295,6 +295,8 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(
                 f"actions of shape {np.shape(actions)}: give {self.action_space.shape}"
             )
+        if (kind := np.asarray(actions).dtype).kind not in "biuf":
+            raise CadenzaError(f"actions of type {kind}: give numbers")
         if mode == AutoresetMode.DISABLED and self._finished.any():
             over = np.flatnonzero(self._finished).tolist()
             raise CadenzaError(f"episodes {over} have ended: reset them before the next step")

@@ -107,7 +107,7 @@ class PianoTask:
         self.config = as_config(config, TaskConfig)
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
-        self.tracks = music.prepare(scores, self.config, self.scene, progress)
+        self.draw_from(scores, progress)
         if self.config.model_error:
             factors = np.random.default_rng(self.config.model_seed)
             self.scene = perturbed(self.scene, factors, self.config.model_error)
@@ -208,6 +208,12 @@ class PianoTask:
     def scores(self) -> tuple[Score, ...]:
         """The scores that are drawn from, as they are played."""
         return tuple(track.score for track in self.tracks)
+
+    def draw_from(
+        self, scores: Sequence[Score], progress: Callable[[int, int], None] | None = None
+    ) -> None:
+        """From the next reset on, what is played is drawn from these; see the constructor."""
+        self.tracks = music.prepare(scores, self.config, self.scene, progress)
 
     def find_song(self, song: int | str) -> int:
         """The index among `scores` of a song, given by index or title.

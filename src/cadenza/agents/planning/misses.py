@@ -99,7 +99,7 @@ def in_words(misses: Sequence[Miss], episode: Episode) -> list[str]:
     num_notes = len(key_runs(episode["goal_keys"])[0])
     missed = [miss.cause for miss in misses if not miss.sounded]
     early = [miss.cause for miss in misses if miss.sounded]
-    lines = [f"missed {len(missed)} of {num_notes} notes{_counted(missed)}"]
+    lines = [f"missed {len(missed)} of {num_notes} note{'s'[: num_notes != 1]}{_counted(missed)}"]
     if early:
         lines += [f"let go of {len(early)} note{'s'[: len(early) > 1]} early{_counted(early)}"]
     return lines

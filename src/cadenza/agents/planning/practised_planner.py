@@ -54,9 +54,6 @@ class PractisedPlanner:
 
     Feedback leads hands back to where they were in the rehearsal. Once they are pushed too far off
     for that, it searches as the planner does, around what was practised.
-
-    Attributes:
-        plan: before practice; None until a search needs it.
     """
 
     def __init__(
@@ -88,7 +85,7 @@ class PractisedPlanner:
         self._track, self._start = track, view.state.hand_qpos[0].copy()
         self._pedal = track.goals.sustain
         self._config, self._rng, self._threads = config, rng, Threads(num_threads)
-        self._progress, self.plan = progress, plan
+        self._progress, self._plan = progress, plan
         self._searching: SearchingHands | None = None
 
     def act(self, view: View) -> Array:
@@ -104,10 +101,16 @@ class PractisedPlanner:
             self._searching = self._searching_from(step)
         return np.append(self._searching.act(state), self._pedal[step])
 
+    @property
+    def plan(self) -> SongPlan:
+        """Before practice; made when it is first asked for."""
+        if self._plan is None:
+            dropped = self._track.dropped or ()  # the others have all fingers that they get
+            track = replace(self._way.of(self._track), dropped=dropped)
+            self._plan = plan_song(track, self._start, self._progress, self._way.later)
+        return self._plan
+
     def _searching_from(self, step: int) -> SearchingHands:
-        if self.plan is None:
-            track = replace(self._way.of(self._track), dropped=())  # has all fingers that it gets
-            self.plan = plan_song(track, self._start, self._progress, self._way.later)
         hands = SearchingHands(self.plan, self._config, self._rng, self._threads)
         parts = [HandPart(self.plan, side) for side in self.plan.scene.sides]
         hands.follow(self._tracking, parts, step, self._rng.spawn(len(parts)))
