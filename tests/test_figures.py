@@ -29,6 +29,7 @@ COUNTS = {5, 10, 88}
 ALLOWED = {
     ("agents/planning/hand_rehearsal.py", 5): "takes of a rehearsal",
     ("music/formats/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
+    ("music/formats/midi_chunks.py", 88): "the kind of a time signature in MIDI",
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",

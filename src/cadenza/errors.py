@@ -24,12 +24,12 @@ class CadenzaWarning(UserWarning):
     """
 
 
-def in_a_line(error: CadenzaError | OSError) -> str:
+def explained(error: CadenzaError | OSError) -> str:
     """What is wrong, and of a disk that is full what to do."""
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
-    return " ".join(str(error).split())
+    return str(error)
 
 
 @contextmanager

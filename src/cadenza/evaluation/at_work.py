@@ -20,7 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, in_a_line
+from cadenza.errors import CadenzaError, explained
 from cadenza.evaluation.job import JobSpec
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.evaluation.songs import digest_of
@@ -90,9 +90,9 @@ def _tidy(folder: Path) -> None:
 
 
 def _what_failed(error: Exception) -> str:
-    """What went wrong; where too, if it was not what somebody has given."""
+    """What went wrong, in a line; where too, if it was not what somebody has given."""
     if isinstance(error, CadenzaError | OSError):
-        return in_a_line(error)
+        return " ".join(explained(error).split())
     said = " ".join(str(error).split())
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {said} ({frame.filename}, line {frame.lineno})"

@@ -309,21 +309,23 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
-        _warn_of_merged_notes(selection.song, piano_task.tracks[0])
+        if merged := _merged(piano_task.tracks[0]):
+            warnings.warn(f"{selection.song}: {merged}", CadenzaWarning, stacklevel=4)
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
 
 
-def _warn_of_merged_notes(song: str, track: GoalTrack) -> None:
-    if count := merged_notes(track.score, track.goals):
-        repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
-        warnings.warn(
-            f"{song}: {count} {repeat} too fast for control steps of "
-            f"{track.config.control_timestep:g} s, and {are} played as one with the note before",
-            CadenzaWarning,
-            stacklevel=5,
-        )
+def _merged(track: GoalTrack) -> str | None:
+    """Which notes control steps do not tell from the ones before, if any."""
+    count = merged_notes(track.score, track.goals)
+    if not count:
+        return None
+    repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
+    return (
+        f"{count} {repeat} too fast for control steps of {track.config.control_timestep:g} s, "
+        f"and {are} played as one with the note before"
+    )
 
 
 def _check_plan(
