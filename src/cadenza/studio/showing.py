@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import secrets
 import subprocess
 import sys
@@ -45,9 +46,10 @@ class Showing:
 
     def stay(self) -> None:
         """Until Ctrl-C."""
-        self._send(as_json(state="kept", performance=""))
         with suppress(KeyboardInterrupt):
-            self._process.wait()
+            self._send(as_json(state="kept", performance=""))
+            # With a timeout it looks now and then: else Ctrl-C just before it waits is not heeded.
+            self._process.wait(math.inf)
 
     def _send(self, message: Message) -> None:
         assert self._process.stdin is not None
