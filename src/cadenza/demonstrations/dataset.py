@@ -278,12 +278,12 @@ def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
 
 
 def check_values(episode: Recorded, scene: Scene) -> None:
-    """Reads all of an episode's files.
+    """Reads all of an episode's arrays.
 
     Raises:
         CadenzaError: one is not as it was written, or what is in it cannot be.
     """
-    episode.check_files()
+    episode.check_files((STEPS, PLAN))
     for what in wrong_values(episode, scene):
         raise CadenzaError(what)
 

@@ -168,8 +168,8 @@ class Recorded:
             said = str(error) if str(path) in str(error) else f"{path}: {error}"
             raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
 
-    def check_files(self, names: Collection[str] = (STEPS, PLAN, SCORE)) -> None:
-        """Reads files as a whole.
+    def check_files(self, names: Collection[str]) -> None:
+        """Reads files as a whole; `score` does so by itself.
 
         Raises:
             CadenzaError: one is not there, or is not as it was written.

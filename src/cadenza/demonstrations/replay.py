@@ -13,7 +13,6 @@ from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.demonstrations.recorded import (
     MAKE_AGAIN,
     RESULT,
-    SCORE,
     STEPS,
     Recorded,
     played_actions,
@@ -40,7 +39,7 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
     Raises:
         CadenzaError: they cannot begin there, or a file is not as it was written.
     """
-    recorded.check_files((STEPS, SCORE))
+    recorded.check_files((STEPS,))
     if wrong := wrong_start(recorded, scene):
         raise CadenzaError(wrong)
     begun = replace(scene, hand_start=np.array(recorded.about.start))

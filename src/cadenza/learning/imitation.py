@@ -28,7 +28,7 @@ from cadenza.learning.config import ImitationConfig
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.run_folder import read_rows
+from cadenza.learning.run_folder import read_rows, taking_up
 from cadenza.learning.sealed_folder import is_there, read_sealed, write_sealed
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
@@ -134,7 +134,8 @@ class Imitation:
         if not (folder / _RUN).exists():  # now that nothing stands in its way
             write_json(folder / _RUN, asdict(about))
         if is_there(folder / "checkpoint"):
-            self._take_up()
+            with taking_up(folder):
+                self._restore()
 
     @property
     def error(self) -> float | None:
@@ -216,15 +217,6 @@ class Imitation:
             score=None,
         )
         save_policy(self._folder / "last", learnt, {"step": self.update, "songs": self.songs})
-
-    def _take_up(self) -> None:
-        try:
-            self._restore()
-        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-            raise CadenzaError(
-                f"{self._folder}: its checkpoint does not belong to this run ({error!r}); use "
-                "another copy, or start a new run"
-            ) from error
 
     def _restore(self) -> None:
         plain, arrays = read_sealed(self._folder / "checkpoint", _KIND, _EXPECTED)

@@ -411,6 +411,22 @@ def finite(value: float) -> float | None:
 _Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
 
 
+@contextmanager
+def taking_up(run: Path) -> Iterator[None]:
+    """Around what goes on from the checkpoint of a run.
+
+    Raises:
+        CadenzaError: the checkpoint does not fit, which shows in many ways.
+    """
+    try:
+        yield
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise CadenzaError(
+            f"{run}: its checkpoint does not belong to this run ({error!r}); use another copy, or "
+            "start a new run"
+        ) from error
+
+
 def read_rows(run: Path) -> list[dict[str, Any]]:
     """The rows of metrics of a run so far, each with `step` and `seconds`.
 

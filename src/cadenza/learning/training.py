@@ -27,7 +27,7 @@ from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
-from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite
+from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite, taking_up
 from cadenza.music.score import Score
 from cadenza.tasks.piano_task import PianoTask
 
@@ -108,13 +108,8 @@ class Training:
         if checkpoint is None:
             self._collector.begin()
             return
-        try:
+        with taking_up(self._folder.path):
             self._restore(checkpoint)
-        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
-            raise CadenzaError(
-                f"{self._folder.path}: its checkpoint does not belong to this run ({error!r}); "
-                "use another copy, or start a new run"
-            ) from error
 
     def _new_task(self, num_envs: int) -> PianoTask:
         return PianoTask([self._score], self.config.task, self.config.scene, num_envs)

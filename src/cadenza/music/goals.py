@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER, Fingers
+from cadenza.music.performance import key_runs
 from cadenza.music.score import PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
@@ -121,8 +122,8 @@ def merged_notes(score: Score, goals: Goals) -> int:
 
     Notes of one key that begin at the same time count as one.
     """
-    strokes = goals.keys & ~np.pad(goals.keys[:-1], ((1, 0), (0, 0)))
-    return len({(note.start, note.pitch) for note in score.notes}) - int(strokes.sum())
+    strokes, *_ = key_runs(goals.keys)
+    return len({(note.start, note.pitch) for note in score.notes}) - len(strokes)
 
 
 def check_pitches(score: Score, pitches: range) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from cadenza.fingers import Finger
@@ -51,18 +52,19 @@ def _merge(note: Sounding, other: Sounding) -> None:
         note.end, note.released = other.end, True
 
 
+def told(cases: Iterable[tuple[int, str, str]]) -> list[str]:
+    """Of what there is any of: how many, of what, and what became of them, in plain words."""
+    return [f"{count} {what}{'s'[: count != 1]} {done}" for count, what, done in cases if count]
+
+
 def repairs(counts: Counter[str]) -> list[str]:
     """What was changed, in plain words."""
     said = {
-        "drums": "{} on the drum channel (10) left out",
-        "outside": "{} outside the piano's 88 keys left out",
-        "zero": "{} of no length left out",
-        "doubled": "{} doubled at the same moment merged",
-        "cut": "{} cut short where the same key is struck again",
-        "unreleased": "{} never released: held to the end of the track",
+        "drums": "on the drum channel (10) left out",
+        "outside": "outside the piano's 88 keys left out",
+        "zero": "of no length left out",
+        "doubled": "doubled at the same moment merged",
+        "cut": "cut short where the same key is struck again",
+        "unreleased": "never released: held to the end of the track",
     }
-    return [
-        text.format(f"{counts[what]} note{'s' if counts[what] > 1 else ''}")
-        for what, text in said.items()
-        if counts[what]
-    ]
+    return told((counts[what], "note", done) for what, done in said.items())

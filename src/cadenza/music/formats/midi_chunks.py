@@ -10,6 +10,7 @@ import mido
 from mido.midifiles.meta import build_meta_message
 
 from cadenza.errors import CadenzaError
+from cadenza.music.repair import told
 
 _NAME, _END, _TEMPO, _TIME = 0x03, 0x2F, 0x51, 0x58
 _WANTED = (_NAME, _END, _TEMPO, _TIME)
@@ -51,14 +52,13 @@ def parsed(data: bytes) -> MidiFile:
     if form not in (0, 1, 2):
         raise CadenzaError(f"MIDI format {form} is unknown; give format 0, 1 or 2")
     tracks = [_Track(chunk) for chunk in chunks if chunk.name == b"MTrk"]
-    told = (
+    remarks = (
         (max(0, said - len(tracks)), "track", f"of {said} missing: the file may be incomplete"),
         (sum(track.is_cut for track in tracks), "track", "cut off: its end is missing"),
         (sum(track.beyond for track in tracks), "byte", "after the end of a track left out"),
         (sum(track.clipped for track in tracks), "value", "over 127 taken for 127"),
     )
-    remarks = [f"{n} {what}{'s'[: n != 1]} {why}" for n, what, why in told if n]
-    return MidiFile(form, division, [track.messages for track in tracks], remarks)
+    return MidiFile(form, division, [track.messages for track in tracks], told(remarks))
 
 
 @dataclass(frozen=True, slots=True)

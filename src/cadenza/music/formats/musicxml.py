@@ -26,7 +26,7 @@ from cadenza.music.formats.musicxml_marks import Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import Sounding, repaired, repairs
+from cadenza.music.repair import Sounding, repaired, repairs, told
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -455,9 +455,9 @@ def _sections(marks: Marks) -> tuple[list[tuple[int, int]], list[str]]:
         else:
             sections.append((bar, bar + 1))
     unplayed = set(range(len(signs))).difference(*(range(*section) for section in sections))
-    told = (
+    remarks = (
         (without_goal(signs), "jump", "without a segno or coda to go to left out"),
         (marks.in_words, "jump", "in words, without a sign for playback, left out"),
         (len(unplayed), "bar", "passed over by all repeats and jumps"),
     )
-    return sections, [f"{n} {what}{'s'[: n != 1]} {why}" for n, what, why in told if n]
+    return sections, told(remarks)

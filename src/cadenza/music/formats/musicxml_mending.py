@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from fractions import Fraction
 from xml.etree import ElementTree
 
+from cadenza.music.repair import told
+
 Element = ElementTree.Element
 
 _MOST_FINE = 10_000  # times as fine as a file says that its durations may have to be counted
@@ -33,7 +35,7 @@ def mend(root: Element) -> list[str]:
     for note in cues:
         _silence(note)
     _refine(root, _finer(root))
-    told = (
+    remarks = (
         (len(fingerings), "unreadable fingering", "left out"),
         (len(tempos), "impossible tempo", "left out"),
         (_round_alterations(root), "microtone", "rounded to a semitone"),
@@ -41,7 +43,7 @@ def mend(root: Element) -> list[str]:
         (len([*root.iter("tremolo")]), "tremolo", "played as a plain note"),
         (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
     )
-    return [f"{n} {what}{'s'[: n != 1]} {done}" for n, what, done in told if n]
+    return told(remarks)
 
 
 def _forget_namespaces(root: Element) -> None:
