@@ -26,7 +26,7 @@ from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
 _CHUNK = 1.0  # [s] that are played at a time
-_LATER = (1, 2)  # steps later than usual that hands let go before a jump
+_LATER = 0.1  # [s] later than usual, at most, that hands let go before a jump
 _TRIES = 4  # for each second, of hands that follow the best of all takes, put together
 
 Parts = dict[str, dict[str, Any]]
@@ -81,7 +81,8 @@ class FirstTakes:
         self.seed = int(rng.integers(2**63))
         self._chunk = steps_in(_CHUNK, track.config.control_timestep)
         fingers = [partial(self._with_fingers_by, costs) for costs in OTHER_COSTS if found]
-        jumps = [partial(self._letting_go, steps) for steps in _LATER]
+        self._latest = steps_in(_LATER, track.config.control_timestep)
+        jumps = [partial(self._letting_go, step) for step in range(1, self._latest + 1)]
         self._ways: list[Callable[[], Way]] = [
             *fingers,
             self._put_together,
@@ -233,7 +234,7 @@ class FirstTakes:
         return {
             "first/numbers": ([0, 0], counts),
             "*/fingers": (NO_FINGER, last),
-            "*/later": (0, len(_LATER)),
+            "*/later": (0, self._latest),
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Take) -> None:

@@ -46,7 +46,7 @@ class Manner(NamedTuple):
 _DEFAULT = Manner()
 
 
-class Take(NamedTuple):
+class HandTake(NamedTuple):
     """What came of a rehearsal of S steps."""
 
     cost: float
@@ -146,7 +146,9 @@ class HandRehearsal:
             posture = self._servos.of_joints.T @ np.stack(self._trials.hand_joints(), axis=1)
             yield self._servos.clip(planned - tracking.feedback(row, posture))
 
-    def _play(self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead) -> Take:
+    def _play(
+        self, ctrl: Array, tracking: Tracking, rows: NDArray[np.intp], ahead: Ahead
+    ) -> HandTake:
         """What comes of planned controls (S, A), with feedback."""
         controls = self._with_feedback(ctrl, tracking, rows)
         cost, mistakes, tips, qpos, keys = 0.0, 0, *(list[Array]() for _ in range(3))
@@ -161,9 +163,9 @@ class HandRehearsal:
             keys.append(np.stack([key_qpos, self._trials.key_qvel()]))
         if self._trials.unstable():
             cost = np.inf
-        return Take(cost, mistakes, *map(np.array, (tips, sounding[1:], qpos, keys)))
+        return HandTake(cost, mistakes, *map(np.array, (tips, sounding[1:], qpos, keys)))
 
-    def _changes(self, take: Take, gain: Array, ahead: Ahead) -> Array:
+    def _changes(self, take: HandTake, gain: Array, ahead: Ahead) -> Array:
         """(S, A) to the controls of a take that would have been better."""
         off, weight = ahead.mending(take.fingertips, take.sounding)
         motion = self._trials.fingertip_motion(take.hand_qpos) @ self._servos.joints.T
