@@ -339,6 +339,35 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
+def test_what_is_cancelled_at_its_last_moment_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a player that does not notice, and keeps it all the same."""
+    keeping = (
+        "import json, os\norder = json.loads(input())\ninput()\n"
+        "os.mkdir(os.path.join(order['folder'], order['id']))"
+    )
+
+    async def player(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", keeping]
+        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path / "studio", Trainings(tmp_path))
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        while job.process is None:
+            await asyncio.sleep(0.01)
+        queue.cancel(job.id)
+        while job.is_busy:
+            await asyncio.sleep(0.01)
+        assert list((tmp_path / "studio").iterdir()) == []
+        await queue.close()
+
+    (tmp_path / "studio").mkdir()
+    monkeypatch.setattr(jobs, "started", player)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
 def test_one_player_waits_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun = []
 
