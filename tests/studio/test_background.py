@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from asyncio.subprocess import PIPE
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +72,7 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
         assert room.summary["status"]["state"] == "stopped"
         await room.close()
 
-    monkeypatch.setattr(practice, "started", waiting)
+    monkeypatch.setattr(practice, "bound", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -113,7 +116,7 @@ def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
 def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings that begin from now on are processes of this script."""
     fake = folder / "python"
-    fake.write_text(f"#!{sys.executable}\n{script}\n")
+    fake.write_text(f"#!{sys.executable}\nprint(flush=True)\n{script}\n")
     fake.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(fake))
 
@@ -246,6 +249,64 @@ class Ended:
 
     def run(self) -> None:
         pass
+
+
+SERVER = """
+import asyncio, sys
+from pathlib import Path
+from cadenza.studio.practice import PracticeRoom
+from cadenza.studio.request import PRACTISED, Order, PlayRequest
+from cadenza.studio.trainings import Trainings
+
+async def training(folder):
+    found, request = Trainings(folder), PlayRequest("OdeToJoy")
+    name = await found.begin(request, "Ode", "OdeToJoy", 1_000_000)
+    while not (folder / name / "run.json").exists():
+        await asyncio.sleep(0.1)
+    return found, found._learning[name].process
+
+async def held(folder):
+    (found := Trainings(folder)).pause(True)  # before it has even begun
+    name = await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 1_000_000)
+    return found, found._learning[name].process
+
+async def practice(folder):
+    room, request = PracticeRoom(), PlayRequest("OdeToJoy", PRACTISED)
+    room.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, str(folder)))
+    while "stage" not in room.status:
+        await asyncio.sleep(0.1)
+    return room, room._process
+
+async def run():
+    what, process = await globals()[sys.argv[1]](Path(sys.argv[2]))
+    what.pause(True)
+    print(process.pid, flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(run())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
+@pytest.mark.parametrize("what", ["training", "held", "practice"])
+def test_what_goes_on_ends_with_a_server_that_is_killed(what: str, tmp_path: Path) -> None:
+    """Also while it stands still for a song: nothing would wake it again."""
+    command = [sys.executable, "-c", SERVER, what, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        pid = int(server.stdout.readline())
+        while state_of(pid) != "T":
+            time.sleep(0.01)
+        server.kill()
+    try:
+        end = time.monotonic() + 10
+        while Path(f"/proc/{pid}").exists() and state_of(pid) != "Z":
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 @pytest.mark.slow
