@@ -276,6 +276,10 @@ def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) 
     press(browser, "#songs", "×")
     wait(browser, f"{shown} === {uploads - 1}")
     assert len(list((folder / "uploads").iterdir())) == before - 2  # the file, and what it is
+    press(browser, "#kept", "Watch")  # which was played of it
+    wait(browser, "cadenza.began")
+    assert browser.evaluate("cadenza.error") is None
+    assert browser.evaluate("document.getElementById('start').disabled")
     assert browser.problems() == []
 
 
@@ -505,5 +509,6 @@ def test_what_is_played_on_the_command_line_can_be_watched(
         browser.call("Page.navigate", url=address)
         wait(browser, "!!window.cadenza && cadenza.finished && cadenza.state === 'kept'")
         shown = browser.evaluate("cadenza.live.scores[0]")
+        assert browser.evaluate("cadenza.error") is None
         assert browser.problems() == []
     assert shown == pytest.approx(json.loads((out / "metrics.json").read_text())["f1"], abs=1e-9)

@@ -80,9 +80,9 @@ function request() {
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
   return wanted;
 }
+/** Has the page ask for what was played, and the same way; without a song where that is gone. */
 function set(wanted) {
   choose(wanted.song);
-  if (!chosen) complain(GONE);
   const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
   if (button) {
     const { top, bottom } = list.getBoundingClientRect(), at = button.getBoundingClientRect();
@@ -92,6 +92,11 @@ function set(wanted) {
   showAgent();
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
+}
+/** As `set`, for who wants it played and not only watched. */
+function setToPlay(wanted) {
+  set(wanted);
+  if (!chosen) complain(GONE);
 }
 /** What a link says after its #. */
 const asHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();

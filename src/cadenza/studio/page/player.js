@@ -87,7 +87,7 @@ function showStatus(performance) {
   }
   if (state === "gone") {
     const [id, , wanted] = remembered();
-    if (id === performance.id && wanted) set(wanted);
+    if (id === performance.id && wanted) setToPlay(wanted);
     history.replaceState(null, "", chosen ? `#${asHash(request())}` : location.pathname);
   }
   if (performance !== heard) return;
