@@ -425,6 +425,26 @@ def test_two_users_take_turns(
         other.close()
 
 
+def test_what_a_closed_page_asked_for_can_be_cancelled(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    """Else all others would wait for it, and nobody could end it."""
+    visit(browser, address)
+    drop(browser, song(tmp_path / "long.mid", 2000), "long.mid")
+    wait(browser, "cadenza.live")
+    assert "Playing long" not in text(browser, "background")  # but in the picture
+    visit(browser, address)
+    wait(browser, "document.getElementById('works').innerText.includes('Playing long')")
+    browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
+    wait(browser, "document.getElementById('doing').innerText.includes('1 before it')")
+    press(browser, "#works", "Cancel")
+    wait(browser, "cadenza.live && document.title.startsWith('Ode')")
+    wait(browser, "!document.getElementById('works').innerText.includes('Playing')")
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+    assert browser.problems() == []
+
+
 def test_half_an_hour_begins_at_once_and_more_is_refused(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:
