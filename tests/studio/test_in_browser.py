@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import signal
 import subprocess
@@ -425,6 +426,24 @@ def test_two_users_take_turns(
         other.close()
 
 
+def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    file, notes = mido.MidiFile(), mido.MidiTrack()
+    notes += [mido.Message("note_on", note=pitch, time=480) for pitch in (60, 64)]  # never released
+    file.tracks.append(notes)
+    content = io.BytesIO()
+    file.save(file=content)
+    drop(browser, content.getvalue(), "held.mid")
+    wait(browser, "!document.getElementById('remarks').hidden")
+    assert "1 note never released" in text(browser, "remarks")
+    wait(browser, "cadenza.finished")
+    browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
+    wait(browser, "cadenza.live && document.title.startsWith('Ode')")
+    assert browser.evaluate("document.getElementById('remarks').hidden")
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+
+
 def test_what_a_closed_page_asked_for_can_be_cancelled(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:
@@ -443,6 +462,21 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
     browser.evaluate("document.getElementById('cancel').click()")
     wait(browser, "cadenza.state === 'cancelled'")
     assert browser.problems() == []
+
+
+def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.began")
+    apart = """((legend, looks) => legend.right <= looks.left || legend.bottom <= looks.top)(
+        ...["#stage .legend", "#looks"].map((each) =>
+            document.querySelector(each).getBoundingClientRect()))"""
+    screen = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
+    for width in 390, 701, 901, 1000, 1081, 1400:
+        browser.call("Emulation.setDeviceMetricsOverride", width=width, **screen)
+        browser.settle()
+        assert browser.evaluate(apart), width
+    browser.call("Emulation.setDeviceMetricsOverride", width=1000, **screen | {"height": 1700})
 
 
 def test_half_an_hour_begins_at_once_and_more_is_refused(

@@ -61,7 +61,9 @@ function choose(id) {
   chosen = songs.find((song) => song.id === id) ?? null;
   for (const id of ["start", "link", "train"]) $(id).disabled = !chosen;
   $("start").textContent = $("start").title = chosen ? `Play ${chosen.title}` : "Play";
-  const tracks = chosen?.tracks ?? [];
+  const { tracks = [], remarks = [] } = chosen ?? {};
+  $("remarks").textContent = `In this file: ${remarks.join("; ")}.`;
+  $("remarks").hidden = !remarks.length;
   $("tracks").hidden = tracks.length < 2;
   $("tracks").replaceChildren(make("legend", "Tracks"), ...tracks.map(({ number, name, instrument, notes: count }) => {
     const label = make("label"), box = make("input", "", { type: "checkbox", value: number, checked: true });
