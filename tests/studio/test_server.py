@@ -190,6 +190,24 @@ def test_links_stay_valid(tmp_path: Path) -> None:
     assert heard[3].split("/")[3] != heard[0].split("/")[3]
 
 
+@pytest.mark.parametrize(
+    "content", ["", '{"token": "", "port": 0}', '{"token": "abcdefghijklmnopqrst", "port": 70000}']
+)
+def test_a_damaged_address_is_replaced(content: str, tmp_path: Path) -> None:
+    (known := tmp_path / "address.json").write_text(content)
+    heard = list[str]()
+
+    def stop(address: str) -> None:
+        heard.append(address)
+        raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            serve(Studio(tmp_path), ready=stop, known=known)
+    assert heard[0] == heard[1]
+    assert known.stat().st_mode & 0o077 == 0
+
+
 def test_strangers_do_not_keep_the_page_out() -> None:
     """However many connect and say nothing, or half of something."""
     serving = "serve(Watchable(), ready=lambda address: print(address, flush=True))"
