@@ -898,6 +898,9 @@ def test_a_file_where_results_should_go(
     folder = tmp_path / "a file" / place
     message = refused_in_a_line(capsys, "play", tune, *QUICK, "-o", folder)
     assert message.startswith(f"cadenza: {folder}: results cannot be written there (")
+    assert message.rstrip().endswith("--output")
+    message = refused_in_a_line(capsys, "studio", "--folder", folder)
+    assert message.rstrip().endswith("--folder")
 
 
 def test_a_plan_for_something_else(

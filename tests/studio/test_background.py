@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from asyncio.subprocess import PIPE
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ import pytest
 
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
+from cadenza.files import locked
 from cadenza.learning.config import preset
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
@@ -69,7 +73,7 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
         assert room.summary["status"]["state"] == "stopped"
         await room.close()
 
-    monkeypatch.setattr(practice, "started", waiting)
+    monkeypatch.setattr(practice, "bound", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -113,7 +117,7 @@ def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
 def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Trainings that begin from now on are processes of this script."""
     fake = folder / "python"
-    fake.write_text(f"#!{sys.executable}\n{script}\n")
+    fake.write_text(f"#!{sys.executable}\nprint(flush=True)\n{script}\n")
     fake.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(fake))
 
@@ -238,6 +242,33 @@ def test_practice_that_cannot_go_on_begins_anew(
     assert (folder / "practice.npz.old").read_bytes() == b"of another version"
 
 
+def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
+    song = tmp_path / "three.mid"
+    write_midi(SCORE, song)
+    folder = worker.practised_in(order(str(song), tmp_path))
+    folder.mkdir(parents=True)
+    (folder / "plan.npz").write_bytes(b"of another version")
+    played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
+    assert played.settings["agent"] == "planner"
+    assert [path.name for path in folder.iterdir()] == ["plan.npz.old"]
+
+
+def test_practice_of_so_many_songs_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that were practised last, and those that another studio practises."""
+    song = tmp_path / "three.mid"
+    write_midi(SCORE, song)
+    ours = worker.practised_in(order(str(song), tmp_path))
+    for i, name in enumerate(("busy", "oldest", "older", "newer", ours.name)):
+        (ours.parent / name).mkdir(parents=True)
+        os.utime(ours.parent / name, (i, i))
+    monkeypatch.setattr(practising, "_Session", Ended)
+    monkeypatch.setattr(practising, "_MOST_KEPT", 2)
+    with locked(ours.parent / "busy"):
+        os.utime(ours.parent / "busy", (0, 0))
+        practising.practise(order(str(song), tmp_path), lambda _: None)
+    assert {path.name for path in ours.parent.iterdir()} == {"busy", "newer", ours.name}
+
+
 class Ended:
     """A session of practice that is over before it begins."""
 
@@ -246,6 +277,64 @@ class Ended:
 
     def run(self) -> None:
         pass
+
+
+SERVER = """
+import asyncio, sys
+from pathlib import Path
+from cadenza.studio.practice import PracticeRoom
+from cadenza.studio.request import PRACTISED, Order, PlayRequest
+from cadenza.studio.trainings import Trainings
+
+async def training(folder):
+    found, request = Trainings(folder), PlayRequest("OdeToJoy")
+    name = await found.begin(request, "Ode", "OdeToJoy", 1_000_000)
+    while not (folder / name / "run.json").exists():
+        await asyncio.sleep(0.1)
+    return found, found._learning[name].process
+
+async def held(folder):
+    (found := Trainings(folder)).pause(True)  # before it has even begun
+    name = await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 1_000_000)
+    return found, found._learning[name].process
+
+async def practice(folder):
+    room, request = PracticeRoom(), PlayRequest("OdeToJoy", PRACTISED)
+    room.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, str(folder)))
+    while "stage" not in room.status:
+        await asyncio.sleep(0.1)
+    return room, room._process
+
+async def run():
+    what, process = await globals()[sys.argv[1]](Path(sys.argv[2]))
+    what.pause(True)
+    print(process.pid, flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(run())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
+@pytest.mark.parametrize("what", ["training", "held", "practice"])
+def test_what_goes_on_ends_with_a_server_that_is_killed(what: str, tmp_path: Path) -> None:
+    """Also while it stands still for a song: nothing would wake it again."""
+    command = [sys.executable, "-c", SERVER, what, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        pid = int(server.stdout.readline())
+        while state_of(pid) != "T":
+            time.sleep(0.01)
+        server.kill()
+    try:
+        end = time.monotonic() + 10
+        while Path(f"/proc/{pid}").exists() and state_of(pid) != "Z":
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import signal
 import subprocess
@@ -276,6 +277,10 @@ def test_an_upload_can_be_deleted(browser: Browser, address: str, folder: Path) 
     press(browser, "#songs", "×")
     wait(browser, f"{shown} === {uploads - 1}")
     assert len(list((folder / "uploads").iterdir())) == before - 2  # the file, and what it is
+    press(browser, "#kept", "Watch")  # which was played of it
+    wait(browser, "cadenza.began")
+    assert browser.evaluate("cadenza.error") is None
+    assert browser.evaluate("document.getElementById('start').disabled")
     assert browser.problems() == []
 
 
@@ -421,6 +426,59 @@ def test_two_users_take_turns(
         other.close()
 
 
+def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    file, notes = mido.MidiFile(), mido.MidiTrack()
+    notes += [mido.Message("note_on", note=pitch, time=480) for pitch in (60, 64)]  # never released
+    file.tracks.append(notes)
+    content = io.BytesIO()
+    file.save(file=content)
+    drop(browser, content.getvalue(), "held.mid")
+    wait(browser, "!document.getElementById('remarks').hidden")
+    assert "1 note never released" in text(browser, "remarks")
+    wait(browser, "cadenza.finished")
+    browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
+    wait(browser, "cadenza.live && document.title.startsWith('Ode')")
+    assert browser.evaluate("document.getElementById('remarks').hidden")
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+
+
+def test_what_a_closed_page_asked_for_can_be_cancelled(
+    browser: Browser, address: str, tmp_path: Path
+) -> None:
+    """Else all others would wait for it, and nobody could end it."""
+    visit(browser, address)
+    drop(browser, song(tmp_path / "long.mid", 2000), "long.mid")
+    wait(browser, "cadenza.live")
+    assert "Playing long" not in text(browser, "background")  # but in the picture
+    visit(browser, address)
+    wait(browser, "document.getElementById('works').innerText.includes('Playing long')")
+    browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
+    wait(browser, "document.getElementById('doing').innerText.includes('1 before it')")
+    press(browser, "#works", "Cancel")
+    wait(browser, "cadenza.live && document.title.startsWith('Ode')")
+    wait(browser, "!document.getElementById('works').innerText.includes('Playing')")
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "cadenza.state === 'cancelled'")
+    assert browser.problems() == []
+
+
+def test_nothing_lies_over_the_legend_of_the_picture(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.began")
+    apart = """((legend, looks) => legend.right <= looks.left || legend.bottom <= looks.top)(
+        ...["#stage .legend", "#looks"].map((each) =>
+            document.querySelector(each).getBoundingClientRect()))"""
+    screen = {"height": 900, "deviceScaleFactor": 1, "mobile": False}
+    for width in 390, 701, 901, 1000, 1081, 1400:
+        browser.call("Emulation.setDeviceMetricsOverride", width=width, **screen)
+        browser.settle()
+        assert browser.evaluate(apart), width
+    browser.call("Emulation.setDeviceMetricsOverride", width=1000, **screen | {"height": 1700})
+
+
 def test_half_an_hour_begins_at_once_and_more_is_refused(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:
@@ -505,5 +563,6 @@ def test_what_is_played_on_the_command_line_can_be_watched(
         browser.call("Page.navigate", url=address)
         wait(browser, "!!window.cadenza && cadenza.finished && cadenza.state === 'kept'")
         shown = browser.evaluate("cadenza.live.scores[0]")
+        assert browser.evaluate("cadenza.error") is None
         assert browser.problems() == []
     assert shown == pytest.approx(json.loads((out / "metrics.json").read_text())["f1"], abs=1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -97,6 +98,18 @@ def test_no_upload_is_lost_for_another(songs: Shelf, monkeypatch: pytest.MonkeyP
     assert sorted(listed) == sorted([first.id, second.id])
     songs.remove_upload(first.id)
     add(songs, b"MThd2", "2.mid")
+
+
+def test_uploads_that_nobody_has_read_do_not_stay(songs: Shelf) -> None:
+    """Where the studio was killed meanwhile; but one that another studio just reads does."""
+    listed = add(songs, b"MThd0", "0.mid")
+    killed, (now, *_) = songs.put(b"MThd1", "1.mid")[0], songs.put(b"MThd2", "2.mid")
+    begun, theirs = songs.uploads / ".cadenza-1", songs.uploads / "mine.mid"
+    for path in killed, begun, theirs:
+        path.touch()
+        os.utime(path, (0, 0))
+    left = {f"{listed.id}.json", f"{listed.id}.mid", now.name, theirs.name}
+    assert {path.name for path in Shelf(songs.folder).uploads.iterdir()} == left
 
 
 def test_practice_is_of_what_a_song_holds_now() -> None:

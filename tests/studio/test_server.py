@@ -190,6 +190,24 @@ def test_links_stay_valid(tmp_path: Path) -> None:
     assert heard[3].split("/")[3] != heard[0].split("/")[3]
 
 
+@pytest.mark.parametrize(
+    "content", ["", '{"token": "", "port": 0}', '{"token": "abcdefghijklmnopqrst", "port": 70000}']
+)
+def test_a_damaged_address_is_replaced(content: str, tmp_path: Path) -> None:
+    (known := tmp_path / "address.json").write_text(content)
+    heard = list[str]()
+
+    def stop(address: str) -> None:
+        heard.append(address)
+        raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            serve(Studio(tmp_path), ready=stop, known=known)
+    assert heard[0] == heard[1]
+    assert known.stat().st_mode & 0o077 == 0
+
+
 def test_strangers_do_not_keep_the_page_out() -> None:
     """However many connect and say nothing, or half of something."""
     serving = "serve(Watchable(), ready=lambda address: print(address, flush=True))"
@@ -336,6 +354,35 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
 
     monkeypatch.setattr(jobs, "started", player)
     programs.append(programs[-1])  # which gets ready when the rude one has gone
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_what_is_cancelled_at_its_last_moment_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a player that does not notice, and keeps it all the same."""
+    keeping = (
+        "import json, os\norder = json.loads(input())\ninput()\n"
+        "os.mkdir(os.path.join(order['folder'], order['id']))"
+    )
+
+    async def player(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", keeping]
+        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path / "studio", Trainings(tmp_path))
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        while job.process is None:
+            await asyncio.sleep(0.01)
+        queue.cancel(job.id)
+        while job.is_busy:
+            await asyncio.sleep(0.01)
+        assert list((tmp_path / "studio").iterdir()) == []
+        await queue.close()
+
+    (tmp_path / "studio").mkdir()
+    monkeypatch.setattr(jobs, "started", player)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 

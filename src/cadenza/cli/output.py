@@ -16,8 +16,8 @@ def check_name(path: Path, suffix: str, what: str) -> None:
         raise CadenzaError(f"{path}: is a folder; choose another name")
 
 
-def check_writable(folder: Path) -> None:
-    """Before anything is played for it."""
+def check_writable(folder: Path, option: str = "--output") -> None:
+    """Before anything is played for it; `option` chooses another."""
     import tempfile
 
     try:
@@ -26,7 +26,7 @@ def check_writable(folder: Path) -> None:
     except OSError as error:
         raise CadenzaError(
             f"{folder}: results cannot be written there ({error.strerror}); "
-            "choose another folder with --output"
+            f"choose another folder with {option}"
         ) from error
 
 

@@ -43,7 +43,7 @@ class StudioCommand:
 def run(command: StudioCommand) -> None:
     port = whole_number(command.port, "--port", 0, 65535)
     jobs = whole_number(command.jobs, "--jobs", 1, 64)
-    check_writable(command.folder)
+    check_writable(command.folder, "--folder")
     need_server()
     from cadenza.studio.server import Studio
     from cadenza.studio.watchable import announce, serve

@@ -177,8 +177,9 @@ class Jobs:
             job.process, job.is_busy = None, False
             if not job.is_over:
                 job.status = {"state": "failed", "error": "the player ended unexpectedly"}
-            if job.status["state"] != "kept":
-                shutil.rmtree(performance_folder(self._folder, job.id), ignore_errors=True)
+            if job.status["state"] != "kept":  # it may be whole, if it was cancelled just then
+                for folder in performance_folder(self._folder, job.id), self._folder / job.id:
+                    shutil.rmtree(folder, ignore_errors=True)
             job.wake()
             self._pump()
             await self.warm()

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from cadenza.studio.messages import JSON
-from cadenza.studio.processes import hold, kill, messages, started, tell
+from cadenza.studio.processes import bound, hold, kill, messages, tell
 from cadenza.studio.request import Order
 
 
@@ -75,7 +75,7 @@ class PracticeRoom:
             await before
         if self.order is not order or not self._goes_on:
             return
-        process = self._process = await started("cadenza.studio.practising")
+        process = self._process = await bound("cadenza.studio.practising")
         await tell(process, order)
         if self.order is not order or not self._goes_on:  # in between
             kill(process)

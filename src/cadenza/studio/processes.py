@@ -20,10 +20,22 @@ from cadenza.studio.messages import HEADER, MOST_BYTES
 from cadenza.studio.request import Order
 
 
-async def started(module: str, *arguments: str) -> Process:
+async def started(module: str, *arguments: str, **how: Any) -> Process:
     """A process of ours, which imports nothing from the working folder."""
     command = [sys.executable, "-P", "-m", module, *arguments]
-    return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+    return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **how)
+
+
+async def bound(module: str, *arguments: str, **how: Any) -> Process:
+    """One that ends with this process, whatever ends it, and may be held; see the module."""
+    process = await started("cadenza.studio.bound", module, *arguments, **how)
+    assert process.stdout is not None
+    try:
+        await process.stdout.read(1)
+    except BaseException:
+        kill(process)  # nobody else knows of it
+        raise
+    return process
 
 
 def kill(process: Process) -> None:

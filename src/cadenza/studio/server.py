@@ -159,9 +159,11 @@ class Studio(Watchable):
         return Response(status_code=204)
 
     async def background(self, _: Request) -> Response:
-        """What is practised, and who learns."""
+        """What is practised, who learns, and what is played or waits its turn."""
         runs = await run_in_threadpool(self.jobs.trainings.runs)
-        return JSONResponse({"practice": self.jobs.practice.summary, "trainings": runs})
+        jobs = [job.summary for job in self.jobs.jobs.values() if not job.is_over]
+        practice = self.jobs.practice.summary
+        return JSONResponse({"practice": practice, "trainings": runs, "jobs": jobs})
 
     async def stop_practice(self, _: Request) -> Response:
         """Ends practice."""

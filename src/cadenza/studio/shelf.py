@@ -31,7 +31,7 @@ _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
 _MOST_UPLOADS = 200
 _LONGEST_TITLE = 100
-_LEFT_OVER = 3600.0  # [s] after which a performance that nobody finished is given up
+_LEFT_OVER = 3600.0  # [s] after which what nobody finished is given up
 FILES = {
     "report.html": "text/html; charset=utf-8",
     "played.mid": "audio/midi",
@@ -82,8 +82,10 @@ class Shelf:
         for path in self.folder.glob(".*"):
             if _ID.fullmatch(path.name[1:]) and path.stat().st_mtime < old:
                 shutil.rmtree(path, ignore_errors=True)
-        for path in self.uploads.glob(f"{TEMPORARY}*"):
-            path.unlink(missing_ok=True)
+        for path in self.uploads.iterdir():
+            unread = _ID.fullmatch(path.stem) and not self.is_listed(path.stem)
+            if (unread or path.name.startswith(TEMPORARY)) and path.stat().st_mtime < old:
+                path.unlink(missing_ok=True)
 
     # Songs
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import signal
-import sys
-from asyncio.subprocess import DEVNULL, PIPE, Process
+from asyncio.subprocess import STDOUT, Process
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 from cadenza.learning.run_folder import RunFolder, read_rows
-from cadenza.studio.processes import hold, kill
+from cadenza.studio.processes import bound, hold, kill
 from cadenza.studio.request import PlayRequest
 
 _MOST_AT_ONCE = 1
@@ -170,11 +169,8 @@ class Trainings:
 
     async def _train(self, name: str, *arguments: str) -> None:
         """As `cadenza train` does, in a session of its own: Ctrl-C is for the server."""
-        command = [sys.executable, "-P", "-m", "cadenza", "train", *arguments]
-        process = await asyncio.create_subprocess_exec(
-            *command, "--no-video", "--quiet",
-            stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, start_new_session=True,
-        )  # fmt: skip
+        command = ["cadenza", "train", *arguments, "--no-video", "--quiet"]
+        process = await bound(*command, stderr=STDOUT, start_new_session=True)
         self._errors.pop(name, None)
         learning = self._learning[name] = _Learning(process)
         hold(process, self._paused)
@@ -184,8 +180,8 @@ class Trainings:
 
     async def _listen(self, name: str, learning: _Learning) -> None:
         process, said = learning.process, b""
-        assert process.stderr is not None
-        while more := await process.stderr.read(_MOST_SAID):
+        assert process.stdout is not None
+        while more := await process.stdout.read(_MOST_SAID):
             said = (said + more)[-_MOST_SAID:]
         code = await process.wait()
         del self._learning[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import secrets
 import signal
 import socket
@@ -39,6 +40,7 @@ _OWN = (
     *("kept.js", "background.js", "studio.js"),
 )
 _MOST_WATCHERS = 16  # at once
+_TOKEN = re.compile(r"[\w-]{16,}")  # a shorter one could be guessed
 _FOR_LONG = {"cache-control": "private, max-age=31536000, immutable"}
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -182,18 +184,23 @@ class _Address:
     token: str
     port: int
 
+    def __post_init__(self) -> None:
+        """Raises: ValueError: there is no such port, or the token is none that we make."""
+        if self.port not in range(1 << 16) or not _TOKEN.fullmatch(self.token):
+            raise ValueError("no address of a page")
 
-def _known(path: Path | None) -> _Address:
-    """What was used before, or a new token at any port."""
-    if path is not None:
-        with suppress(CadenzaError, OSError):
-            return read_json(path, _Address)
-    return _Address(secrets.token_urlsafe(16), 0)
+
+def _known(path: Path | None) -> _Address | None:
+    """What was used before, if there is a file that says so."""
+    with suppress(CadenzaError):
+        return None if path is None else read_json(path, _Address)
+    return None
 
 
 def _keep(path: Path, address: _Address) -> None:
     """For nobody else to read."""
-    path.touch(0o600)  # which the file that takes its place keeps
+    path.touch(0o600)
+    path.chmod(0o600)  # which the file that takes its place keeps
     write_json(path, asdict(address))
 
 
@@ -233,10 +240,11 @@ def serve(
     Raises:
         CadenzaError: somebody else listens there, or there is no such address.
     """
-    token, before = astuple(_known(known))
+    kept = _known(known)
+    token, before = astuple(kept or _Address(secrets.token_urlsafe(16), 0))
     with _listening(host, [port] if port else [before, 0]) as listening:
         port = listening.getsockname()[1]
-        if known is not None and not known.exists():
+        if known is not None and kept is None:
             _keep(known, _Address(token, port))
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown

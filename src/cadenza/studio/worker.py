@@ -163,7 +163,12 @@ def _as_practised(order: Order) -> AbstractContextManager[Setup] | None:
     folder = practised_in(order)
     if not (folder / PLAN).exists():
         return None
-    return set_up(select(str(folder)), seed=order.request.seed)
+    try:
+        selection = select(str(folder))
+    except CadenzaError:  # of another version, or damaged: practice makes another
+        (folder / PLAN).replace(folder / f"{PLAN}.old")
+        return None
+    return set_up(selection, seed=order.request.seed)
 
 
 def practised_in(order: Order) -> Path:

@@ -1,4 +1,4 @@
-// What goes on in the background: practice, and policies that learn.
+// What goes on in the background: practice, policies that learn, and songs that other pages asked for.
 
 const f1 = (value) => `F1 ${value.toFixed(3)}`;
 
@@ -6,9 +6,10 @@ const f1 = (value) => `F1 ${value.toFixed(3)}`;
 async function listBackground() {
   if (only) return;
   clearTimeout(listBackground.again);
-  const { practice, trainings } = await ask("api/background");
-  const works = trainings.map(training);
+  const { practice, trainings, jobs } = await ask("api/background");
+  const others = jobs.filter(({ id }) => !shown.some((each) => each.id === id)), works = trainings.map(training);
   if (practice.title) works.unshift(practised(practice));
+  works.unshift(...others.map(planned));
   $("works").replaceChildren(...works);
   $("background").hidden = !works.length;
   const active = trainings.some(({ state }) => state === "learning") || ["preparing", "practising"].includes(practice.status.state);
@@ -17,7 +18,7 @@ async function listBackground() {
   if (listBackground.learnt !== learnt) await listSongs(); // there may be another policy
   listBackground.learnt = learnt;
   cadenza.background = { practice, trainings };
-  if (active) listBackground.again = setTimeout(listBackground, 2000);
+  if (active || others.length) listBackground.again = setTimeout(listBackground, 2000);
 }
 function work(title, about, points, acts) {
   const item = make("li"), nav = make("nav");
@@ -46,6 +47,11 @@ function curve(points) {
   draw("path", { d: "M0 2H100M0 42H100" });
   draw("polyline", { points: points.map(([x, y]) => `${(100 * (x - first)) / (last - first || 1)},${42 - 40 * y}`).join(" ") });
   return svg;
+}
+/** A song that a page asked for which may have been closed: else nobody could end what others wait for. */
+function planned({ id, title, status: { state } }) {
+  const doing = { queued: "waits for its turn", preparing: "getting ready", playing: "being planned" }[state] ?? "being kept";
+  return work(`Playing ${title}`, doing, [], [["Watch", () => watch([id])], ["Cancel", () => ask(`api/jobs/${id}`, "DELETE")]]);
 }
 function practised({ title, request: wanted, status: { state, f1: values = [], share = 0, error } }) {
   const active = ["preparing", "practising"].includes(state);

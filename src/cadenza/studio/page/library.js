@@ -61,7 +61,9 @@ function choose(id) {
   chosen = songs.find((song) => song.id === id) ?? null;
   for (const id of ["start", "link", "train"]) $(id).disabled = !chosen;
   $("start").textContent = $("start").title = chosen ? `Play ${chosen.title}` : "Play";
-  const tracks = chosen?.tracks ?? [];
+  const { tracks = [], remarks = [] } = chosen ?? {};
+  $("remarks").textContent = `In this file: ${remarks.join("; ")}.`;
+  $("remarks").hidden = !remarks.length;
   $("tracks").hidden = tracks.length < 2;
   $("tracks").replaceChildren(make("legend", "Tracks"), ...tracks.map(({ number, name, instrument, notes: count }) => {
     const label = make("label"), box = make("input", "", { type: "checkbox", value: number, checked: true });
@@ -80,9 +82,9 @@ function request() {
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
   return wanted;
 }
+/** Has the page ask for what was played, and the same way; without a song where that is gone. */
 function set(wanted) {
   choose(wanted.song);
-  if (!chosen) complain(GONE);
   const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
   if (button) {
     const { top, bottom } = list.getBoundingClientRect(), at = button.getBoundingClientRect();
@@ -92,6 +94,11 @@ function set(wanted) {
   showAgent();
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
+}
+/** As `set`, for who wants it played and not only watched. */
+function setToPlay(wanted) {
+  set(wanted);
+  if (!chosen) complain(GONE);
 }
 /** What a link says after its #. */
 const asHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();

@@ -81,13 +81,11 @@ function changed(performance, what) {
 function showStatus(performance) {
   const { state, error } = performance.status;
   if (state === "failed") complain(error);
-  if (state === "kept") {
-    listKept();
-    listBackground();
-  }
+  if (state === "kept") listKept();
+  if (state === "kept" || state === "queued") listBackground();
   if (state === "gone") {
     const [id, , wanted] = remembered();
-    if (id === performance.id && wanted) set(wanted);
+    if (id === performance.id && wanted) setToPlay(wanted);
     history.replaceState(null, "", chosen ? `#${asHash(request())}` : location.pathname);
   }
   if (performance !== heard) return;

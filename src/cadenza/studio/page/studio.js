@@ -60,7 +60,7 @@ function open() {
     const [id, time] = remembered();
     watch(ids, id === ids[0] ? time : 0);
   } else if (asked.song) {
-    set(asked);
+    setToPlay(asked);
     $("more").open = true;
   }
 }
