@@ -19,7 +19,6 @@ import pytest
 
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import locked
 from cadenza.learning.config import preset
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
@@ -251,22 +250,6 @@ def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
     played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "planner"
     assert [path.name for path in folder.iterdir()] == ["plan.npz.old"]
-
-
-def test_practice_of_so_many_songs_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that were practised last, and those that another studio practises."""
-    song = tmp_path / "three.mid"
-    write_midi(SCORE, song)
-    ours = worker.practised_in(order(str(song), tmp_path))
-    for i, name in enumerate(("busy", "oldest", "older", "newer", ours.name)):
-        (ours.parent / name).mkdir(parents=True)
-        os.utime(ours.parent / name, (i, i))
-    monkeypatch.setattr(practising, "_Session", Ended)
-    monkeypatch.setattr(practising, "_MOST_KEPT", 2)
-    with locked(ours.parent / "busy"):
-        os.utime(ours.parent / "busy", (0, 0))
-        practising.practise(order(str(song), tmp_path), lambda _: None)
-    assert {path.name for path in ours.parent.iterdir()} == {"busy", "newer", ours.name}
 
 
 class Ended:

@@ -9,7 +9,6 @@ folder has the plan for it.
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import sys
 import time
@@ -26,7 +25,6 @@ from cadenza.studio.messages import Message
 from cadenza.studio.request import Order
 from cadenza.studio.worker import Told, practised_in, set_up_as_asked, what_failed
 
-_MOST_KEPT = 100  # songs that have been practised
 _TOLD = 1.0  # [s] between two times that it tells how far it is
 _SAVED = 20.0  # [s] at least between two times that practice is kept
 
@@ -58,8 +56,6 @@ def practise(order: Order, send: Send) -> None:
     with locked(folder) as ours, set_up_as_asked(order, tell) as setup:
         if not ours:
             raise CadenzaError("another studio practises this song already")
-        os.utime(folder)
-        _let_go(folder.parent)
         for left in folder.glob(f"{TEMPORARY}*"):  # by a process that was killed
             left.unlink(missing_ok=True)
         try:
@@ -70,15 +66,6 @@ def practise(order: Order, send: Send) -> None:
             (folder / PRACTICE).replace(folder / f"{PRACTICE}.old")
             practising = Practising(setup, folder, tell)
         _Session(practising, folder, send).run()
-
-
-def _let_go(practised: Path) -> None:
-    """Removes what was practised longest ago: nobody else would, and it takes megabytes a song."""
-    folders = sorted(practised.iterdir(), key=lambda folder: folder.stat().st_mtime)
-    for folder in folders[:-_MOST_KEPT]:
-        with locked(folder) as ours:
-            if ours:
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Session:
