@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -374,7 +376,8 @@ def test_the_planner_practises_before_it_plays() -> None:
     result = play_episode(
         PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: told.append(stage)
     )
-    assert "practising" in told
+    stages = list(dict.fromkeys(told))
+    assert stages[-3:] == ["first take", "practising", "playing"]
     assert result.metrics["f1"] > 0.5
 
 
@@ -572,6 +575,21 @@ def test_practice_of_what_was_practised_elsewhere_says_what_is_played(tmp_path: 
     main(["practice", str(folder), "--effort", "0", "--no-video", "-o", other])
     settings = json.loads((tmp_path / "other" / "settings.json").read_text())
     assert settings["arrangement"]["first_seconds"] == 0.7
+
+
+def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seconds = itertools.count(0, 100)
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(seconds)))
+    write_midi(HARD, tmp_path / "hard.mid")
+    usual = "--no-video", "--num-threads", "1", "--planner.method", "none"
+    main(["practice", str(tmp_path / "hard.mid"), "-o", str(tmp_path), "--effort", "0.3", *usual])
+    said = capsys.readouterr().err.splitlines()
+    shown = [line.split(",")[0] for line in said if line.startswith(("first take", "practising"))]
+    assert shown[0] == "first take: 20 of 35 steps"  # a second of it
+    assert all(line.startswith("practising") for line in shown[1:])
+    assert len(shown) > 1
 
 
 def test_a_folder_that_does_not_say_how_it_was_practised(
