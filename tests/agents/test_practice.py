@@ -35,6 +35,7 @@ from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing import performance
+from cadenza.performing.practising import Practising
 from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -590,6 +591,33 @@ def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
     assert shown[0] == "first take: 20 of 35 steps"  # a second of it
     assert all(line.startswith("practising") for line in shown[1:])
     assert len(shown) > 1
+
+
+def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, saved = [0.0], []
+
+    def now() -> float:
+        clock[0] += 5.0
+        return clock[0]
+
+    def saves(what: str, seconds: float) -> Callable[[Practising], None]:
+        method = getattr(Practising, what)
+
+        def save(practising: Practising) -> None:
+            saved.append(what)
+            method(practising)
+            clock[0] += seconds
+
+        return save
+
+    monkeypatch.setattr(time, "monotonic", now)
+    monkeypatch.setattr(Practising, "save", saves("save", 0.0))
+    monkeypatch.setattr(Practising, "save_plan", saves("save_plan", 1000.0))
+    folder_of(tmp_path, "--effort", "0.3")
+    assert saved.count("save_plan") == 2  # after the first take, and in the end
+    assert saved.count("save") > 4
 
 
 def test_a_folder_that_does_not_say_how_it_was_practised(

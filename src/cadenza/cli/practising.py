@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
 
-_BETWEEN = 20.0  # [s] at least between two times that practice is kept
+_BETWEEN = 20.0  # [s] at least between two times that practice is saved, or its plan
 _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 
@@ -66,24 +66,22 @@ def _practise(
     """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
     from cadenza.agents.planning.practice import MOST_EFFORT
 
-    practice, kept, saving = practising.practice, time.monotonic(), 0.0
+    practice = practising.practice
     score, told = practice.plan.track.on_the_clock, len(practice.history)
+    # Apart: the whole song is played to save its plan, which takes much longer.
+    saved, plan_saved = _NowAndThen(practising.save), _NowAndThen(practising.save_plan)
     with _shown(practice, effort, minutes) as show:
 
         def goes_on() -> bool:
-            nonlocal told, kept, saving
+            nonlocal told
             played_first = not told and bool(practice.history)
             for row in practice.history[told:]:
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
             time_left = show(_where(practice, score))
-            now = time.monotonic()
-            if played_first or now - kept > max(_BETWEEN, 20 * saving):
-                practising.save()
-                if practice.history:
-                    practising.save_plan()
-                kept = time.monotonic()
-                saving = kept - now
+            saved.again(at_once=played_first)
+            if practice.history:
+                plan_saved.again(at_once=played_first)
             return not stop() and time_left
 
         practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
@@ -92,6 +90,21 @@ def _practise(
         print("stopped within the first take; what follows is played as planned, without a search")
     elif left := practice.losing() if score.bars else practice.passages():
         print(f"not yet right: {_places(practice, score, left)}")
+
+
+class _NowAndThen:
+    """Something that is done again and again, in a twentieth of the time at most."""
+
+    def __init__(self, do: Callable[[], None]) -> None:
+        self._do, self._done, self._took = do, time.monotonic(), 0.0
+
+    def again(self, at_once: bool) -> None:
+        """Does it if it is time to, or anyway."""
+        began = time.monotonic()
+        if at_once or began - self._done > max(_BETWEEN, 20 * self._took):
+            self._do()
+            self._done = time.monotonic()
+            self._took = self._done - began
 
 
 @contextmanager
