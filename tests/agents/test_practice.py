@@ -589,8 +589,25 @@ def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
     said = capsys.readouterr().err.splitlines()
     shown = [line.split(",")[0] for line in said if line.startswith(("first take", "practising"))]
     assert shown[0] == "first take: 20 of 35 steps"  # a second of it
-    assert all(line.startswith("practising") for line in shown[1:])
-    assert len(shown) > 1
+    assert shown[1].startswith("practising")
+    assert not any(line.startswith("first take") for line in shown[1:])
+
+
+def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
+    done, told = practice(score=LONG), list[tuple[str, int, int]]()
+
+    def goes_on() -> bool:
+        told.append(done.how_far(0.002))
+        return True
+
+    done.run(0.002, goes_on)
+    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    assert stages == ["first take", "practising", "finishing a take"]
+    assert ("practising", 100, 100) not in told
+    finishing = [(played, of) for stage, played, of in told if stage == stages[-1]]
+    assert finishing == sorted(set(finishing))  # goes forward, up to
+    assert finishing[-1][1] == done.num_steps
+    assert done.how_far(0.002) == ("practising", 100, 100)
 
 
 def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(

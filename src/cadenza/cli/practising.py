@@ -113,8 +113,8 @@ def _shown(
 ) -> Iterator[Callable[[str], bool]]:
     """What to call with a remark to show how far practice is; it says whether any time is left.
 
-    The first take is shown by itself: it counts for no effort, so that what it took says nothing of
-    how long the rest will take.
+    The first take, which counts for no effort, and what is finished after the effort are shown by
+    themselves: what they take says nothing of how long the rest will take.
     """
     began, stage = time.monotonic(), ""
     advance: Advance
@@ -139,7 +139,7 @@ def _how_far(
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes
     stage, done, total = practice.how_far(effort)
-    return stage, "steps" if stage == "first take" else "%", done, total
+    return stage, "%" if stage == "practising" else "steps", done, total
 
 
 def _where(practice: Practice, score: Score) -> str:

@@ -147,10 +147,15 @@ class Practice:
     def how_far(self, effort: float) -> tuple[str, int, int]:
         """What is being done for that effort, how much of it is done, and of how much in all.
 
-        Steps of the first take, which is no part of the effort; then per cent.
+        Steps of the first take, which is no part of the effort; per cent; and steps of what has
+        begun when the effort is made.
         """
         if not self.history:
             return "first take", self._first.played, self.num_steps
+        if self.effort >= effort and self._first.is_playing:
+            return "finishing a take", self._first.played, self.num_steps
+        if self.effort >= effort and self._sweep:
+            return "finishing a sweep", self._sweep.first, self.num_steps
         return "practising", int(100 * self.share_made(effort)), 100
 
     def _steps_of(self, effort: float) -> float:

@@ -22,7 +22,8 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
 
     With an effort, it plans and practises the whole song before it begins to play.
 
-    Its progress is that of "fingers", "postures", "first take" and "practising".
+    Its progress is that of "fingers" and "postures", and with an effort that of what `Practice`
+    says it is doing.
     """
 
     def __init__(self, config: ScorePlannerConfig | None = None) -> None:
