@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,17 @@ def test_a_note_that_is_struck_again_begins_a_step_late_at_best() -> None:
     keys[2:5, KEY] = keys[6:9, KEY] = True
     assert np.flatnonzero(last_in_time(keys, 0.05)[:, KEY] >= 0).tolist() == [3, 6]
     assert np.flatnonzero(last_in_time(keys, 0.02)[:, KEY] >= 0).tolist() == [4, 7]
+
+
+def test_what_is_due_in_a_long_song_takes_little_memory() -> None:
+    keys = np.zeros((20_000, 88), bool)
+    tracemalloc.start()
+    try:
+        last_in_time(keys, 0.05)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 8 * keys.nbytes
 
 
 def test_steps_since_keys_began_to_sound() -> None:

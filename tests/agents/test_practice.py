@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +35,7 @@ from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing import performance
+from cadenza.performing.practising import Practising
 from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -374,7 +377,8 @@ def test_the_planner_practises_before_it_plays() -> None:
     result = play_episode(
         PianoTask([HARD], QUICK), planner, 0, lambda stage, *_: told.append(stage)
     )
-    assert "practising" in told
+    stages = list(dict.fromkeys(told))
+    assert stages[-3:] == ["first take", "practising", "playing"]
     assert result.metrics["f1"] > 0.5
 
 
@@ -572,6 +576,65 @@ def test_practice_of_what_was_practised_elsewhere_says_what_is_played(tmp_path: 
     main(["practice", str(folder), "--effort", "0", "--no-video", "-o", other])
     settings = json.loads((tmp_path / "other" / "settings.json").read_text())
     assert settings["arrangement"]["first_seconds"] == 0.7
+
+
+def test_the_time_of_the_first_take_says_nothing_of_how_long_practice_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seconds = itertools.count(0, 100)
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(seconds)))
+    write_midi(HARD, tmp_path / "hard.mid")
+    usual = "--no-video", "--num-threads", "1", "--planner.method", "none"
+    main(["practice", str(tmp_path / "hard.mid"), "-o", str(tmp_path), "--effort", "0.3", *usual])
+    said = capsys.readouterr().err.splitlines()
+    shown = [line.split(",")[0] for line in said if line.startswith(("first take", "practising"))]
+    assert shown[0] == "first take: 20 of 35 steps"  # a second of it
+    assert shown[1].startswith("practising")
+    assert not any(line.startswith("first take") for line in shown[1:])
+
+
+def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
+    done, told = practice(score=LONG), list[tuple[str, int, int]]()
+
+    def goes_on() -> bool:
+        told.append(done.how_far(0.002))
+        return True
+
+    done.run(0.002, goes_on)
+    stages = list(dict.fromkeys(stage for stage, _, _ in told))
+    assert stages == ["first take", "practising", "finishing a take"]
+    assert ("practising", 100, 100) not in told
+    finishing = [(played, of) for stage, played, of in told if stage == stages[-1]]
+    assert finishing == sorted(set(finishing))  # goes forward, up to
+    assert finishing[-1][1] == done.num_steps
+    assert done.how_far(0.002) == ("practising", 100, 100)
+
+
+def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, saved = [0.0], []
+
+    def now() -> float:
+        clock[0] += 5.0
+        return clock[0]
+
+    def saves(what: str, seconds: float) -> Callable[[Practising], None]:
+        method = getattr(Practising, what)
+
+        def save(practising: Practising) -> None:
+            saved.append(what)
+            method(practising)
+            clock[0] += seconds
+
+        return save
+
+    monkeypatch.setattr(time, "monotonic", now)
+    monkeypatch.setattr(Practising, "save", saves("save", 0.0))
+    monkeypatch.setattr(Practising, "save_plan", saves("save_plan", 1000.0))
+    folder_of(tmp_path, "--effort", "0.3")
+    assert saved.count("save_plan") == 2  # after the first take, and in the end
+    assert saved.count("save") > 4
 
 
 def test_a_folder_that_does_not_say_how_it_was_practised(

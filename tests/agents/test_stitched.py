@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -103,6 +105,18 @@ def test_letting_go_and_striking_soon_after_are_one_change() -> None:
         (20, Change((), (), other, 0)),
         (22, Change(other, (), (), 0)),
     ]
+
+
+def test_the_time_that_changes_take_grows_with_the_song_and_not_with_its_square() -> None:
+    def seconds(count: int) -> float:
+        presses = [Press("right", i % 5, 30 + i % 11, 4 * i, 4 * i + 3) for i in range(count)]
+        begin = time.process_time()
+        changes = list(changes_of(presses, 4 * count, longest_gap=4))
+        assert len(changes) == count + 1
+        return time.process_time() - begin
+
+    short, long = (min(seconds(count) for _ in range(3)) for count in (500, 4000))
+    assert long < 30 * short  # and not 64 times
 
 
 def test_hands_that_do_not_slide_are_told_apart() -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cadenza.cli.progress import progress, stages
+from cadenza.cli.progress import Advance, progress, stages
 from cadenza.errors import CadenzaError
 from cadenza.files import locked
 from cadenza.music.bars import places
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
 
-_BETWEEN = 20.0  # [s] at least between two times that practice is kept
+_BETWEEN = 20.0  # [s] at least between two times that practice is saved, or its plan
 _LATE = 0.999  # of a step, so that a bar that begins within it has begun
 
 
@@ -66,30 +66,23 @@ def _practise(
     """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
     from cadenza.agents.planning.practice import MOST_EFFORT
 
-    practice, began = practising.practice, time.monotonic()
-    score = practice.plan.track.on_the_clock
-    told, kept, saving = len(practice.history), began, 0.0
-    with progress("practising", "%" if minutes is None else "s") as advance:
+    practice = practising.practice
+    score, told = practice.plan.track.on_the_clock, len(practice.history)
+    # Apart: the whole song is played to save its plan, which takes much longer.
+    saved, plan_saved = _NowAndThen(practising.save), _NowAndThen(practising.save_plan)
+    with _shown(practice, effort, minutes) as show:
 
         def goes_on() -> bool:
-            nonlocal told, kept, saving
-            now = time.monotonic()
+            nonlocal told
             played_first = not told and bool(practice.history)
             for row in practice.history[told:]:
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
-            if minutes is None:
-                done, total = 100 * practice.share_made(effort), 100.0
-            else:
-                done, total = now - began, 60 * minutes
-            advance(int(min(done, total)), int(total), _where(practice, score))
-            if played_first or now - kept > max(_BETWEEN, 20 * saving):
-                practising.save()
-                if practice.history:
-                    practising.save_plan()
-                kept = time.monotonic()
-                saving = kept - now
-            return not stop() and (minutes is None or done < total)
+            time_left = show(_where(practice, score))
+            saved.again(at_once=played_first)
+            if practice.history:
+                plan_saved.again(at_once=played_first)
+            return not stop() and time_left
 
         practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
         goes_on()
@@ -97,6 +90,56 @@ def _practise(
         print("stopped within the first take; what follows is played as planned, without a search")
     elif left := practice.losing() if score.bars else practice.passages():
         print(f"not yet right: {_places(practice, score, left)}")
+
+
+class _NowAndThen:
+    """Something that is done again and again, in a twentieth of the time at most."""
+
+    def __init__(self, do: Callable[[], None]) -> None:
+        self._do, self._done, self._took = do, time.monotonic(), 0.0
+
+    def again(self, at_once: bool) -> None:
+        """Does it if it is time to, or anyway."""
+        began = time.monotonic()
+        if at_once or began - self._done > max(_BETWEEN, 20 * self._took):
+            self._do()
+            self._done = time.monotonic()
+            self._took = self._done - began
+
+
+@contextmanager
+def _shown(
+    practice: Practice, effort: float, minutes: float | None
+) -> Iterator[Callable[[str], bool]]:
+    """What to call with a remark to show how far practice is; it says whether any time is left.
+
+    The first take, which counts for no effort, and what is finished after the effort are shown by
+    themselves: what they take says nothing of how long the rest will take.
+    """
+    began, stage = time.monotonic(), ""
+    advance: Advance
+    with ExitStack() as shown:
+
+        def show(remark: str) -> bool:
+            nonlocal stage, advance
+            now, unit, done, total = _how_far(practice, effort, minutes, time.monotonic() - began)
+            if now != stage:
+                shown.close()
+                stage, advance = now, shown.enter_context(progress(now, unit))
+            advance(int(min(done, total)), int(total), remark)
+            return minutes is None or done < total
+
+        yield show
+
+
+def _how_far(
+    practice: Practice, effort: float, minutes: float | None, seconds: float
+) -> tuple[str, str, float, float]:
+    """What is being done, in which unit, how much is done and of how much, after `seconds`."""
+    if minutes is not None:
+        return "practising", "s", seconds, 60 * minutes
+    stage, done, total = practice.how_far(effort)
+    return stage, "%" if stage == "practising" else "steps", done, total
 
 
 def _where(practice: Practice, score: Score) -> str:

@@ -83,8 +83,9 @@ def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
     """
     first, steps = first_steps(keys), _steps_in_time(dt)
     again, sooner = first & later(keys, 2), max(steps - 1, 0)
-    last = np.where(later(first & ~again, steps), steps, -1)
-    return np.where(later(again, sooner), sooner, last).astype(np.int8)
+    # Small numbers: of a long song, whole arrays of large ones take most of the time of its part.
+    last = np.where(later(first & ~again, steps), np.int8(steps), np.int8(-1))
+    return np.where(later(again, sooner), np.int8(sooner), last)
 
 
 def may_begin(keys: Mask, dt: float) -> Mask:

@@ -144,6 +144,20 @@ class Practice:
             return 1.0
         return min(self.simulated / max(self._steps_of(effort), 1.0), 1.0)
 
+    def how_far(self, effort: float) -> tuple[str, int, int]:
+        """What is being done for that effort, how much of it is done, and of how much in all.
+
+        Steps of the first take, which is no part of the effort; per cent; and steps of what has
+        begun when the effort is made.
+        """
+        if not self.history:
+            return "first take", self._first.played, self.num_steps
+        if self.effort >= effort and self._first.is_playing:
+            return "finishing a take", self._first.played, self.num_steps
+        if self.effort >= effort and self._sweep:
+            return "finishing a sweep", self._sweep.first, self.num_steps
+        return "practising", int(100 * self.share_made(effort)), 100
+
     def _steps_of(self, effort: float) -> float:
         return effort * EFFORT * self.take.loss.size
 

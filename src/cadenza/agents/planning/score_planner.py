@@ -22,7 +22,8 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
 
     With an effort, it plans and practises the whole song before it begins to play.
 
-    Its progress is that of "fingers", "postures" and "practising".
+    Its progress is that of "fingers" and "postures", and with an effort that of what `Practice`
+    says it is doing.
     """
 
     def __init__(self, config: ScorePlannerConfig | None = None) -> None:
@@ -55,7 +56,7 @@ class ScorePlanner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         practice = Practice(view, rng, config, self.threads, self.progress)
 
         def goes_on() -> bool:
-            self.progress("practising", int(100 * practice.share_made(effort)), 100)
+            self.progress(*practice.how_far(effort))
             return True
 
         practice.run(effort, goes_on)

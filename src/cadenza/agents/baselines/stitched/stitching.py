@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -11,6 +12,8 @@ from cadenza.agents.baselines.stitched.motions import Change, Held, Motions
 from cadenza.agents.planning.presses import Press
 
 Array = NDArray[np.float64]
+_Down = set[tuple[int, int]]
+"""Fingers that are down, and their keys."""
 
 
 def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:
@@ -60,10 +63,16 @@ def changes_of(
 
 def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
     """What one hand holds down, and from which state on, by time."""
+    struck, left = defaultdict[int, _Down](set), defaultdict[int, _Down](set)
+    for press in presses:
+        if press.first < press.last:
+            struck[press.first].add((press.finger, press.key))
+            left[press.last].add((press.finger, press.key))
+    down: _Down = set()
     before: Held = ()
-    for state in sorted({state for press in presses for state in (press.first, press.last)}):
-        down = (press for press in presses if press.first <= state < press.last)
-        held = tuple(sorted((press.finger, press.key) for press in down))
+    for state in sorted(struck.keys() | left.keys()):
+        down = (down - left[state]) | struck[state]
+        held = tuple(sorted(down))
         if held != before and state < num_states:
             yield state, held
         before = held
