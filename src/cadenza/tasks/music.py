@@ -84,7 +84,8 @@ def _check(config: TaskConfig) -> None:
 def _check_longest(seconds: float, config: TaskConfig) -> None:
     """That the longest episode, of a song of so many `seconds`, is one that memory has room for."""
     seconds = seconds * (1 + config.random_stretch) + config.initial_buffer_time
-    check_length(seconds, "with its silence and any random stretch, the song")
+    what = "with its silence and any random stretch, the song"
+    check_length(seconds, what, "; shorten the silence, or play its beginning (--first-seconds)")
     check_steps(seconds / config.control_timestep)
 
 
