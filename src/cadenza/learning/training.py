@@ -298,6 +298,20 @@ class Training:
             stack.callback(self._learning.shutdown)
 
 
+def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
+    """A new run in a folder, which holds none if it cannot be made.
+
+    Raises:
+        CadenzaError: see `Training`, or the folder holds a run already.
+    """
+    folder.begin(config, score)
+    try:
+        return Training(config, score, folder)
+    except CadenzaError:
+        folder.forget()
+        raise
+
+
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
     """Since which step the run was to end at which, with the end that it has now."""
     ends = checkpoint.facts.ends if checkpoint else ()
