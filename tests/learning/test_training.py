@@ -167,6 +167,25 @@ def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder])
     assert 0 <= rows[-1]["episodes/f1"] <= 1
 
 
+def test_a_figure_that_no_update_has_had_is_left_out(runs: Callable[[], RunFolder]) -> None:
+    """The actor waits for more updates than there are between two rows."""
+    run = runs()
+    train(replace(CONFIG, learner=replace(TINY, policy_delay=1000)), run)
+    rows = figures(run)
+    assert "train/actor_loss" in rows[1]
+    assert "train/actor_loss" not in rows[-1]
+    assert np.isfinite(rows[-1]["train/critic_loss"])
+
+
+def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> None:
+    run = runs()
+    wild = replace(TINY, actor_learning_rate=1e38, critic_learning_rate=1e38)
+    with pytest.raises(CadenzaError, match="no longer finite; start a new run with smaller"):
+        train(replace(CONFIG, learner=wild, checkpoint_interval=0), run)
+    weights = load_policy(run.path / "last").policy.state()[1]
+    assert all(np.isfinite(array).all() for array in weights.values())
+
+
 def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
     run = undisturbed("in turn")
     with closing(Training(CONFIG, SONG, RunFolder(run.path / "unused"))) as fresh:

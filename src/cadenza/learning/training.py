@@ -156,11 +156,11 @@ class Training:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
             learning.result()
-            self._policy = self._learner.behavior_policy(self._state)
+            self._take_policy()
         else:
             self._collect(random=False)
             self._learn(self._batches())
-            self._policy = self._learner.behavior_policy(self._state)
+            self._take_policy()
 
     def _collect(self, random: bool) -> None:
         config = self.config
@@ -178,6 +178,20 @@ class Training:
         self._state, metrics = self._learner.update(self._state, batches)
         self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
         self._updates += self.config.gradient_steps
+
+    def _take_policy(self) -> None:
+        """Acts from now on as was learnt; before that is evaluated or kept.
+
+        Raises:
+            CadenzaError: it is not finite.
+        """
+        self._policy = self._learner.behavior_policy(self._state)
+        _, arrays = self._policy.state()
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise CadenzaError(
+                f"{self._folder.path}: the policy is no longer finite; start a new run with "
+                "smaller learning rates"
+            )
 
     def _learnt(self) -> LearntPolicy:
         config, policy = self.config, self._learner.policy(self._state)
@@ -197,7 +211,11 @@ class Training:
 
     def _log(self) -> None:
         metrics = _one_after_another(self._metrics)
-        row = {f"train/{name}": float(np.nanmean(values)) for name, values in metrics.items()}
+        row = {
+            f"train/{name}": float(np.nanmean(values))
+            for name, values in metrics.items()
+            if not np.isnan(values).all()  # no update has had one
+        }
         if self._finished:
             row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
             row["episodes/return"] = float(
