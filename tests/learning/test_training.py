@@ -28,7 +28,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.sealed_folder import read_sealed
 from cadenza.learning.training import Training
@@ -156,6 +156,23 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     metrics = play_episode(task, learnt.agent).metrics
     for name in ("f1", "precision", "return", "reward/key_press", "steps"):
         assert metrics[name] == best[f"eval/{name}"]
+
+
+def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
+    runs: Callable[[], RunFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the first note everything is right, and a wrong key may end an episode there."""
+    results = iter([(0.9, 2), (0.7, 13), (0.6, 14), (0.5, 14)])
+
+    def played(_: Training, learnt: LearntPolicy, step: int) -> tuple[Any, LearntPolicy]:
+        f1, steps = next(results)
+        return {"eval_step": step, "eval/f1": f1, "eval/steps": steps}, learnt
+
+    monkeypatch.setattr(Training, "_play_once", played)
+    run = runs()
+    train(CONFIG, run)
+    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
 
 
 def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder]) -> None:

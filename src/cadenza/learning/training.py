@@ -47,7 +47,7 @@ class Training:
 
     Attributes:
         step: control steps so far, of all environments together.
-        best: the best evaluation so far, empty before the first.
+        best: the evaluation with the most right steps so far, empty before the first.
         rows: metrics since the last look, oldest first; whoever shows them takes them out.
     """
 
@@ -247,7 +247,7 @@ class Training:
         row, learnt = self._evaluation.result()
         self._evaluation = None
         self._add_row(row)
-        if row["eval/f1"] > self.best.get("eval/f1", -1.0):
+        if not self.best or _right(row) > _right(self.best):
             self.best = row
             save_policy(self._folder.path / "best", learnt, row)
 
@@ -338,6 +338,11 @@ def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[
     if checkpoint and ends[-1][1] != config.num_steps:
         return (*ends, (checkpoint.facts.step, config.num_steps))
     return ends
+
+
+def _right(row: Row) -> float:
+    """How many steps of an evaluation were right; none after a wrong key that ended it early."""
+    return row["eval/f1"] * row["eval/steps"]
 
 
 def _number(value: float | None) -> float:
