@@ -134,6 +134,8 @@ def test_only_its_end_can_change(run: RunFolder) -> None:
     assert run.settings() == (longer, melody(60))
     with pytest.raises(CadenzaError, match="leave out all but --num-steps"):
         run.set_end(replace(longer, num_steps=300, seed=1))
+    with pytest.raises(CadenzaError, match="num_steps 0: choose 1 or more"):
+        run.set_end(replace(longer, num_steps=0))
     assert run.settings() == (longer, melody(60))
 
 

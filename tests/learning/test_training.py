@@ -366,6 +366,27 @@ def test_a_damaged_checkpoint_costs_only_time(
     assert_same_runs(run, undisturbed("in turn"))
 
 
+@pytest.mark.parametrize("damage", ["gone", "changed"])
+def test_a_best_policy_that_is_lost_is_made_up_for(
+    damage: str, runs: Callable[[], RunFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the best of the evaluations to come."""
+    run = runs()
+    with closing(Training(CONFIG, SONG, run)) as one:
+        one.run(lambda: one.step < 100)
+        one.best["eval/f1"] = 2.0  # none is better
+        one.run(lambda: one.step < 120)
+    assert one.best["eval/f1"] == 2.0
+    if damage == "gone":
+        shutil.rmtree(run.path / "best")
+    else:
+        (run.path / "best" / "facts.json").write_text("{}")
+    train(CONFIG, run)
+    assert str(run.path / "best") in capsys.readouterr().err
+    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    assert about["eval_step"] > 120
+
+
 def test_a_full_disk_ends_a_run_with_what_to_do(
     runs: Callable[[], RunFolder],
     undisturbed: Callable[[str], RunFolder],

@@ -44,7 +44,7 @@ from cadenza.files import (
     read_json,
     write_atomically,
 )
-from cadenza.learning.config import TrainingConfig
+from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import DROQ, learner_config, name_of
 from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
 from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
@@ -185,9 +185,10 @@ class RunFolder:
         """Has the run end as `config` says.
 
         Raises:
-            CadenzaError: it differs in something else too.
+            CadenzaError: it differs in something else too, or makes no sense.
         """
         about = self._read()
+        check(config)
         if replace(config, num_steps=about.config.num_steps) != about.config:
             raise CadenzaError(
                 f"{self.path}: a resumed run keeps its own options; leave out all but --num-steps"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from cadenza.learning.control import control_of
 from cadenza.learning.learner import name_of
 from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import LearntPolicy, save_policy
+from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
@@ -284,7 +285,8 @@ class Training:
     def _restore(self, checkpoint: Checkpoint) -> None:
         facts, parts = checkpoint.facts, _parted(checkpoint.arrays)
         self.step, self._seconds = facts.step, facts.seconds
-        self.best = {name: _number(value) for name, value in facts.best.items()}
+        if facts.best and self._best_is_there():
+            self.best = {name: _number(value) for name, value in facts.best.items()}
         self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
         self._sample_rng.bit_generator.state = facts.sample_rng
         self._updates = facts.updates
@@ -295,6 +297,15 @@ class Training:
         self._restore_replay(checkpoint)
         self._collector.restore(facts.collector, parts["collector"])
         self._save_last()  # a kill may have come before it
+
+    def _best_is_there(self) -> bool:
+        """Whether the best policy can be read; else the best of those to come takes its place."""
+        try:
+            load_policy(self._folder.path / "best")
+        except CadenzaError as error:
+            print(error, file=sys.stderr)
+            return False
+        return True
 
     def _restore_replay(self, checkpoint: Checkpoint) -> None:
         for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
