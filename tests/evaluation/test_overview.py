@@ -251,6 +251,15 @@ def test_without_a_finished_run_there_is_nothing_to_tell(tmp_path: Path) -> None
         told(tmp_path)
 
 
+def test_the_seed_of_training_is_to_differ(tmp_path: Path) -> None:
+    for seed in range(2):
+        trained = result("a", "train:fast", seed, {"f1": 0.5})
+        trained["job"]["config"] = {"seed": seed, "num_steps": 100}
+        trained["training"] = {"steps": 100, "seconds": 1.0}
+        write_result(tmp_path, f"s{seed}", trained)
+    assert told(tmp_path).remarks == []
+
+
 def test_versions_and_settings_that_differ_are_named(tmp_path: Path) -> None:
     write(tmp_path, TWO_AGENTS)
     other = result("c", "good", 0, {"f1": 0.5})

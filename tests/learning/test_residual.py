@@ -17,6 +17,7 @@ from cadenza.errors import CadenzaError
 from cadenza.learning.residual import ReferenceTracker, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
+from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
@@ -59,6 +60,16 @@ def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, An
         assert_allclose(ours.episode.arrays[name], planner.episode.arrays[name], atol=1e-4)
     assert ours.metrics["f1"] == planner.metrics["f1"] > 0.9
     assert ours.metrics["sustain_f1"] == 1
+
+
+def test_it_begins_where_the_hands_do() -> None:
+    """Which is not where all joints are at zero, as they are before the first reset."""
+    task = PianoTask([SONG], TaskConfig(**BUFFER), SceneConfig(hand="allegro", hands="right"))
+    expected = reference_of(task).expected
+    task.reset([np.random.default_rng(0)], [0])
+    begins = task.state.hand_qpos[0] @ servos_of(task.scene).of_joints
+    assert np.abs(begins).max() > 1
+    assert_allclose(expected[0, :, 0], begins, atol=1e-6)
 
 
 def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> None:

@@ -104,6 +104,14 @@ def test_a_run_is_begun_once(run: RunFolder) -> None:
     assert run.settings()[0].seed == 0
 
 
+def test_what_is_left_of_a_run_is_not_taken_for_a_new_one(run: RunFolder) -> None:
+    run.begin(TrainingConfig(), melody(60))
+    Saving(run).at(10)
+    (run.path / "run.json").unlink()
+    with pytest.raises(CadenzaError, match=r"run\.json: missing, but there are checkpoints"):
+        run.begin(TrainingConfig(seed=1), melody(62))
+
+
 def test_no_two_runs_have_the_same_id(tmp_path: Path) -> None:
     runs = [RunFolder(tmp_path / name / "run") for name in "ab"]
     for run in runs:
@@ -126,6 +134,8 @@ def test_only_its_end_can_change(run: RunFolder) -> None:
     assert run.settings() == (longer, melody(60))
     with pytest.raises(CadenzaError, match="leave out all but --num-steps"):
         run.set_end(replace(longer, num_steps=300, seed=1))
+    with pytest.raises(CadenzaError, match="num_steps 0: choose 1 or more"):
+        run.set_end(replace(longer, num_steps=0))
     assert run.settings() == (longer, melody(60))
 
 

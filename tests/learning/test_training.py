@@ -28,7 +28,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.policy_folder import load_policy
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.sealed_folder import read_sealed
 from cadenza.learning.training import Training
@@ -158,6 +158,23 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
         assert metrics[name] == best[f"eval/{name}"]
 
 
+def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
+    runs: Callable[[], RunFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the first note everything is right, and a wrong key may end an episode there."""
+    results = iter([(0.9, 2), (0.7, 13), (0.6, 14), (0.5, 14)])
+
+    def played(_: Training, learnt: LearntPolicy, step: int) -> tuple[Any, LearntPolicy]:
+        f1, steps = next(results)
+        return {"eval_step": step, "eval/f1": f1, "eval/steps": steps}, learnt
+
+    monkeypatch.setattr(Training, "_play_once", played)
+    run = runs()
+    train(CONFIG, run)
+    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
+
+
 def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder]) -> None:
     rows = [row for row in undisturbed("in turn").rows() if "eval_step" not in row]
     assert [row["step"] for row in rows] == [40, 80, 120, 160, 200]
@@ -165,6 +182,25 @@ def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder])
     assert [row["updates"] for row in rows] == [2 * max(row["step"] - 48, 0) // 8 for row in rows]
     assert all(np.isfinite(row["train/critic_loss"]) for row in rows[1:])
     assert 0 <= rows[-1]["episodes/f1"] <= 1
+
+
+def test_a_figure_that_no_update_has_had_is_left_out(runs: Callable[[], RunFolder]) -> None:
+    """The actor waits for more updates than there are between two rows."""
+    run = runs()
+    train(replace(CONFIG, learner=replace(TINY, policy_delay=1000)), run)
+    rows = figures(run)
+    assert "train/actor_loss" in rows[1]
+    assert "train/actor_loss" not in rows[-1]
+    assert np.isfinite(rows[-1]["train/critic_loss"])
+
+
+def test_a_policy_that_diverges_is_not_kept(runs: Callable[[], RunFolder]) -> None:
+    run = runs()
+    wild = replace(TINY, actor_learning_rate=1e38, critic_learning_rate=1e38)
+    with pytest.raises(CadenzaError, match="no longer finite; start a new run with smaller"):
+        train(replace(CONFIG, learner=wild, checkpoint_interval=0), run)
+    weights = load_policy(run.path / "last").policy.state()[1]
+    assert all(np.isfinite(array).all() for array in weights.values())
 
 
 def test_the_policy_is_trained(undisturbed: Callable[[str], RunFolder]) -> None:
@@ -328,6 +364,27 @@ def test_a_damaged_checkpoint_costs_only_time(
     (newest(run) / "arrays.safetensors").write_bytes(b"")
     train(CONFIG, run)
     assert_same_runs(run, undisturbed("in turn"))
+
+
+@pytest.mark.parametrize("damage", ["gone", "changed"])
+def test_a_best_policy_that_is_lost_is_made_up_for(
+    damage: str, runs: Callable[[], RunFolder], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the best of the evaluations to come."""
+    run = runs()
+    with closing(Training(CONFIG, SONG, run)) as one:
+        one.run(lambda: one.step < 100)
+        one.best["eval/f1"] = 2.0  # none is better
+        one.run(lambda: one.step < 120)
+    assert one.best["eval/f1"] == 2.0
+    if damage == "gone":
+        shutil.rmtree(run.path / "best")
+    else:
+        (run.path / "best" / "facts.json").write_text("{}")
+    train(CONFIG, run)
+    assert str(run.path / "best") in capsys.readouterr().err
+    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    assert about["eval_step"] > 120
 
 
 def test_a_full_disk_ends_a_run_with_what_to_do(

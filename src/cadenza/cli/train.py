@@ -132,7 +132,7 @@ def train(command: Train) -> None:
 
 def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
-    from cadenza.learning.training import Training
+    from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
     from cadenza.performing.setup import load_song
 
@@ -140,23 +140,25 @@ def _train(command: Train, folder: Path) -> None:
     if command.song is not None:
         score = load_song(command.song, command.arrangement)
         check_writable(folder)
-    with run.locked():
+    with run.locked(), _saying_how_to_go_on(folder, command.training):
         if command.song is not None:
-            run.begin(command.training, score)
-        run.set_end(command.training)
-        with _saying_how_to_go_on(folder, command.training):
+            config = command.training
+            training = begin(config, score, run)
+        else:
+            run.set_end(command.training)
             config, score = run.settings()
-            with closing(Training(config, score, run)) as training:
-                finished = _train_on(training, command, run, score.title)
-            if finished:
-                with stages("playing") as tell:
-                    performance = play(folder / "best", progress=tell)
-                keep(performance, folder / "best_played", command.video)
-            if run.rows():
-                _write_curves(folder, score.title, config)
-                print(f"Learning curves in {folder / 'report.html'}")
-            if not finished:
-                raise KeyboardInterrupt
+            training = Training(config, score, run)
+        with closing(training):
+            finished = _train_on(training, command, run, score.title)
+        if finished:
+            with stages("playing") as tell:
+                performance = play(folder / "best", progress=tell)
+            keep(performance, folder / "best_played", command.video)
+        if run.rows():
+            _write_curves(folder, score.title, config)
+            print(f"Learning curves in {folder / 'report.html'}")
+        if not finished:
+            raise KeyboardInterrupt
 
 
 @contextmanager

@@ -82,7 +82,10 @@ def _common_settings(result: Result) -> dict[str, Any]:
 
 
 def _own_settings(result: Result) -> dict[str, Any]:
-    return dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
+    own = dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
+    if result.training is not None:
+        own.pop("config.seed", None)  # the run's, so it is to differ
+    return own
 
 
 def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:

@@ -42,7 +42,7 @@ def reference_of(task: PianoTask) -> Reference:
     """
     check_one_score(task.config)
     (track,) = task.tracks
-    plan = plan_song(track, task.state.hand_qpos[0])
+    plan = plan_song(track, task.scene.hand_start)  # before any reset
     reach = servos_of(task.scene).correction
     arrays = (*plan.nominal.tracking, plan.goals.sustain, reach)
     return Reference._make(array.astype(np.float32) for array in arrays)

@@ -44,7 +44,7 @@ from cadenza.files import (
     read_json,
     write_atomically,
 )
-from cadenza.learning.config import TrainingConfig
+from cadenza.learning.config import TrainingConfig, check
 from cadenza.learning.learner import DROQ, learner_config, name_of
 from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
 from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
@@ -161,24 +161,34 @@ class RunFolder:
         """Writes down what is asked for.
 
         Raises:
-            CadenzaError: the folder holds a run already.
+            CadenzaError: the folder holds a run already, or what is left of one.
         """
         if self.begun:
             raise CadenzaError(
                 f"{self.path}: already holds a run; continue it with --resume {self.path}, or "
                 "choose another folder with --output"
             )
+        if self._saved():  # the run would go on from them, whatever is asked for
+            raise CadenzaError(
+                f"{self._about}: missing, but there are checkpoints; use another copy, or choose "
+                "another folder with --output"
+            )
         song, learner = WrittenScore.of(score), name_of(config.learner)
         about = _About(config, song, _versions(), secrets.token_hex(8), learner)
         self._write(about)
+
+    def forget(self) -> None:
+        """Undoes `begin`, of a run that cannot be made: the folder is free for another."""
+        self._about.unlink(missing_ok=True)
 
     def set_end(self, config: TrainingConfig) -> None:
         """Has the run end as `config` says.
 
         Raises:
-            CadenzaError: it differs in something else too.
+            CadenzaError: it differs in something else too, or makes no sense.
         """
         about = self._read()
+        check(config)
         if replace(config, num_steps=about.config.num_steps) != about.config:
             raise CadenzaError(
                 f"{self.path}: a resumed run keeps its own options; leave out all but --num-steps"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from cadenza.learning.control import control_of
 from cadenza.learning.learner import name_of
 from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
-from cadenza.learning.policy_folder import LearntPolicy, save_policy
+from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
@@ -47,7 +48,7 @@ class Training:
 
     Attributes:
         step: control steps so far, of all environments together.
-        best: the best evaluation so far, empty before the first.
+        best: the evaluation with the most right steps so far, empty before the first.
         rows: metrics since the last look, oldest first; whoever shows them takes them out.
     """
 
@@ -156,11 +157,11 @@ class Training:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
             learning.result()
-            self._policy = self._learner.behavior_policy(self._state)
+            self._take_policy()
         else:
             self._collect(random=False)
             self._learn(self._batches())
-            self._policy = self._learner.behavior_policy(self._state)
+            self._take_policy()
 
     def _collect(self, random: bool) -> None:
         config = self.config
@@ -178,6 +179,20 @@ class Training:
         self._state, metrics = self._learner.update(self._state, batches)
         self._metrics.append({name: np.asarray(values) for name, values in metrics.items()})
         self._updates += self.config.gradient_steps
+
+    def _take_policy(self) -> None:
+        """Acts from now on as was learnt; before that is evaluated or kept.
+
+        Raises:
+            CadenzaError: it is not finite.
+        """
+        self._policy = self._learner.behavior_policy(self._state)
+        _, arrays = self._policy.state()
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            raise CadenzaError(
+                f"{self._folder.path}: the policy is no longer finite; start a new run with "
+                "smaller learning rates"
+            )
 
     def _learnt(self) -> LearntPolicy:
         config, policy = self.config, self._learner.policy(self._state)
@@ -197,7 +212,11 @@ class Training:
 
     def _log(self) -> None:
         metrics = _one_after_another(self._metrics)
-        row = {f"train/{name}": float(np.nanmean(values)) for name, values in metrics.items()}
+        row = {
+            f"train/{name}": float(np.nanmean(values))
+            for name, values in metrics.items()
+            if not np.isnan(values).all()  # no update has had one
+        }
         if self._finished:
             row["episodes/f1"] = float(np.mean([episode.f1 for episode in self._finished]))
             row["episodes/return"] = float(
@@ -229,7 +248,7 @@ class Training:
         row, learnt = self._evaluation.result()
         self._evaluation = None
         self._add_row(row)
-        if row["eval/f1"] > self.best.get("eval/f1", -1.0):
+        if not self.best or _right(row) > _right(self.best):
             self.best = row
             save_policy(self._folder.path / "best", learnt, row)
 
@@ -266,7 +285,8 @@ class Training:
     def _restore(self, checkpoint: Checkpoint) -> None:
         facts, parts = checkpoint.facts, _parted(checkpoint.arrays)
         self.step, self._seconds = facts.step, facts.seconds
-        self.best = {name: _number(value) for name, value in facts.best.items()}
+        if facts.best and self._best_is_there():
+            self.best = {name: _number(value) for name, value in facts.best.items()}
         self._finished += [Finished(*map(_number, episode)) for episode in facts.finished]
         self._sample_rng.bit_generator.state = facts.sample_rng
         self._updates = facts.updates
@@ -277,6 +297,15 @@ class Training:
         self._restore_replay(checkpoint)
         self._collector.restore(facts.collector, parts["collector"])
         self._save_last()  # a kill may have come before it
+
+    def _best_is_there(self) -> bool:
+        """Whether the best policy can be read; else the best of those to come takes its place."""
+        try:
+            load_policy(self._folder.path / "best")
+        except CadenzaError as error:
+            print(error, file=sys.stderr)
+            return False
+        return True
 
     def _restore_replay(self, checkpoint: Checkpoint) -> None:
         for chunk, gathered in zip(checkpoint.facts.replay, checkpoint.replay, strict=True):
@@ -298,6 +327,20 @@ class Training:
             stack.callback(self._learning.shutdown)
 
 
+def begin(config: TrainingConfig, score: Score, folder: RunFolder) -> Training:
+    """A new run in a folder, which holds none if it cannot be made.
+
+    Raises:
+        CadenzaError: see `Training`, or the folder holds a run already.
+    """
+    folder.begin(config, score)
+    try:
+        return Training(config, score, folder)
+    except CadenzaError:
+        folder.forget()
+        raise
+
+
 def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[int, int], ...]:
     """Since which step the run was to end at which, with the end that it has now."""
     ends = checkpoint.facts.ends if checkpoint else ()
@@ -306,6 +349,11 @@ def _ends(config: TrainingConfig, checkpoint: Checkpoint | None) -> tuple[tuple[
     if checkpoint and ends[-1][1] != config.num_steps:
         return (*ends, (checkpoint.facts.step, config.num_steps))
     return ends
+
+
+def _right(row: Row) -> float:
+    """How many steps of an evaluation were right; none after a wrong key that ended it early."""
+    return row["eval/f1"] * row["eval/steps"]
 
 
 def _number(value: float | None) -> float:

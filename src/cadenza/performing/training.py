@@ -10,7 +10,7 @@ from typing import Any
 from cadenza.agents.agent import Progress, silent
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.training import Training
+from cadenza.learning.training import begin
 from cadenza.music.score import Score
 from cadenza.performing.setup import Song, load_song
 
@@ -46,15 +46,13 @@ def train(
     config = replace(config or preset("fast"), **options)
     score = song if isinstance(song, Score) else load_song(song)
     run = RunFolder(Path(folder))
-    with run.locked():
-        run.begin(config, score)
-        with closing(Training(config, score, run)) as training:
+    with run.locked(), closing(begin(config, score, run)) as training:
 
-            def goes_on() -> bool:
-                training.rows.clear()  # they are in the run's folder
-                progress("learning", training.step, config.num_steps)
-                return True
+        def goes_on() -> bool:
+            training.rows.clear()  # they are in the run's folder
+            progress("learning", training.step, config.num_steps)
+            return True
 
-            training.run(goes_on)
-            goes_on()
+        training.run(goes_on)
+        goes_on()
     return run.path / "best"
