@@ -22,7 +22,7 @@ from cadenza.agents.planning.config import (
     TrackedPressesConfig,
 )
 from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.playback import Playback, load_plan
+from cadenza.agents.playback import Playback, load_plan, options_of
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
@@ -361,6 +361,12 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
         load_episode(path)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> None:
+    task = TaskConfig(random_stretch=0.1 if drawn else 0.0, control_noise=0.1)
+    assert options_of(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
 
 
 # Wrong options
