@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.agents.agent import Agent, ZeroAgent
+from cadenza.agents.agent import Agent, PlannerPerEnv, ZeroAgent
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
@@ -50,11 +50,12 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
     task.reset([task_rng], [0])
     started = time.perf_counter()
     agent.reset([0], [agent_rng])
-    action = agent.act(task.view())
+    if isinstance(agent, PlannerPerEnv):
+        agent.planners[0] = agent.begin(task.view(), agent_rng)
     beforehand = time.perf_counter() - started
     planning = beforehand * num_steps / int(task.sheets.num_steps[0])
-    fingering = float(task.step(action).terms["fingering"][0])
-    for _ in range(num_steps - 1):
+    fingering = 0.0
+    for _ in range(num_steps):
         started = time.perf_counter()
         action = agent.act(task.view())
         planning += time.perf_counter() - started

@@ -14,8 +14,8 @@ takes for possible (they are left out of the cost).
 
 from __future__ import annotations
 
+import argparse
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -34,7 +34,11 @@ HANDS = players_of(build_scene())
 
 
 def main() -> None:
-    pianoplayer, *names = sys.argv[1:] or [None]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("pianoplayer", nargs="?", help="the Python of its environment")
+    parser.add_argument("pieces", nargs="*", help="bundled pieces; all by default")
+    options = parser.parse_args()
+    pianoplayer, names = options.pianoplayer, options.pieces
     print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)")
     for name in names or [piece.name for piece in songs()]:
         written = load_score(name)

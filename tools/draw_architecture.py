@@ -5,6 +5,7 @@ python tools/draw_architecture.py
 
 from __future__ import annotations
 
+import argparse
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -157,4 +158,5 @@ def drawn() -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0]).parse_args()
     PICTURE.write_text(drawn(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Draws each robot of docs/related.md at its piano.
+"""Draws robots of docs/related.md at their pianos.
 
     python tools/draw_related.py [NAME ...]
 
@@ -7,7 +7,7 @@ writes docs/related/NAME.webp.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,15 @@ def draw(name: str) -> None:
         picture.save(file, "webp", quality=70)
 
 
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("robots", nargs="*", metavar="NAME", help=f"of {', '.join(ROBOTS)}")
+    names = parser.parse_args().robots or list(ROBOTS)
+    if unknown := sorted({*names} - ROBOTS.keys()):
+        parser.error(f"no robot {unknown[0]!r}: choose from {', '.join(ROBOTS)}")
+    for name in names:
+        draw(name)
+
+
 if __name__ == "__main__":
-    for robot in sys.argv[1:] or ROBOTS:
-        draw(robot)
+    main()

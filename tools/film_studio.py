@@ -7,6 +7,7 @@ writes docs/studio.webp. It needs Chromium.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import io
 import subprocess
@@ -74,4 +75,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0]).parse_args()
     main()

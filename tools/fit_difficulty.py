@@ -132,6 +132,7 @@ def fitted_model(features: Array, errors: Array) -> Model:
     """Least squares with weights of zero or more."""
     x = np.log1p(features)
     scale = x.std(axis=0)
+    scale[scale == 0] = 1.0  # what all songs have as much of gets no weight
     ridge = np.eye(x.shape[1]) * np.sqrt(RIDGE * len(x))
     centred = np.concatenate([(x - x.mean(axis=0)) / scale, ridge])
     weights, _ = nnls(centred, np.append(errors - errors.mean(), np.zeros(len(ridge))))

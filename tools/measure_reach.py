@@ -14,6 +14,7 @@ come from scipy.optimize.least_squares, from several starts. They may pass throu
 
 from __future__ import annotations
 
+import argparse
 import sys
 from itertools import combinations
 
@@ -193,8 +194,10 @@ def measured(hand: Hand) -> dict[str, Array]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("hand", help="its name, or module:NAME")
     sys.path.append("")  # `module:NAME` may lie in the working folder
-    hand = Hand(sys.argv[1])
+    hand = Hand(parser.parse_args().hand)
     print_rest(hand)
     reach = measured(hand)
     print("reach=Reach(")

@@ -20,9 +20,9 @@ All pieces are in the public domain; the arrangements and the fingering are Cade
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -618,5 +618,11 @@ def write_pieces(folder: Path) -> None:
         file.write(index().encode())
 
 
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Writes the bundled pieces.")
+    parser.add_argument("folder", nargs="?", type=Path, default=PIECES_FOLDER)
+    write_pieces(parser.parse_args().folder)
+
+
 if __name__ == "__main__":
-    write_pieces(Path(sys.argv[1]) if len(sys.argv) > 1 else PIECES_FOLDER)
+    main()

@@ -9,12 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.agents.agent import Agent, RandomAgent, ZeroAgent
+from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
-from cadenza.agents.planning.config import PredictiveSamplingConfig
-from cadenza.agents.playback import Playback, load_plan
+from cadenza.agents.baselines.stitched.agent import Stitched
+from cadenza.agents.baselines.tracked_presses import TrackedPresses
+from cadenza.agents.planning.config import (
+    ICPConfig,
+    PredictiveSamplingConfig,
+    TrackedPressesConfig,
+)
+from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.playback import Playback, load_plan, options_of
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
@@ -22,6 +30,7 @@ from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
@@ -36,6 +45,7 @@ TUNE = Score(
     "A tune",
 )
 CONFIG = TaskConfig(initial_buffer_time=0.3)
+ONE_CANDIDATE = PredictiveSamplingConfig(num_candidates=1)
 STEPS = 19
 
 AGENTS: dict[str, Callable[[], Agent]] = {
@@ -44,6 +54,14 @@ AGENTS: dict[str, Callable[[], Agent]] = {
     "playback": lambda: Playback(np.random.default_rng(0).uniform(0, 0.1, (STEPS, 20))),
     "planning": lambda: PredictiveSampling(PredictiveSamplingConfig(num_candidates=3)),
 }
+
+PLANNERS: tuple[Callable[[], Agent], ...] = (
+    AGENTS["planning"],
+    lambda: TrackedPresses(TrackedPressesConfig(iterations=0)),
+    lambda: ICP(ICPConfig(rehearse=False)),
+    Stitched,
+    ScorePlanner,
+)
 
 
 @pytest.fixture(scope="module")
@@ -93,8 +111,9 @@ def test_actions_keep_within_their_ranges(name: str, hands: Any) -> None:
     assert (action <= scene.action_high).all() or name == "playback"
 
 
-def test_the_planner_presses_the_pedal_as_the_score_has_it(right_hand: Scene) -> None:
-    performance = perform(AGENTS["planning"](), right_hand)
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_planners_press_the_pedal_as_the_score_has_it(planner: Any, right_hand: Scene) -> None:
+    performance = perform(planner(), right_hand)
     assert_array_equal(performance.episode["action"][:, -1], [0] * 10 + [1] * 9)
     assert performance.metrics["sustain_f1"] == 1.0
 
@@ -134,9 +153,48 @@ def test_the_nominal_is_the_first_candidate_so_that_iterating_never_hurts(
         best = cost.min()
 
 
+def test_a_plan_is_measured_by_the_goals_of_the_steps_in_which_it_is_carried_out(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every 10 ms, of control steps of 50 ms: those of the next step first."""
+    measured, cost = [], SamplingPlanner._cost
+
+    def watched(planner: SamplingPlanner, states: Any, rows: np.ndarray) -> np.ndarray:
+        measured.append(rows.tolist())
+        return cost(planner, states, rows)
+
+    monkeypatch.setattr(SamplingPlanner, "_cost", watched)
+    perform(AGENTS["planning"](), right_hand)
+    assert measured == [[step + k // 5 for k in range(20)] for step in range(STEPS)]
+
+
+def test_a_plan_is_held_over_each_step_goes_on_a_step_later_and_stays_at_its_end(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, planner = PianoTask([TUNE], CONFIG, right_hand), PredictiveSampling(ONE_CANDIDATE)
+    task.reset([np.random.default_rng(0)], [0])
+    planner.reset([0], [np.random.default_rng(0)])
+    planner.act(task.view())
+    here, there = np.random.default_rng(1).uniform(task.action_low, task.action_high, (2, 20))
+    planner.planners[0]._nominal = np.stack([here, there])[:, :-1]  # at 0 and at 0.2 s
+    tried, roll_out = [], PlanningSimulation.rollout
+
+    def watched(simulation: PlanningSimulation, ctrl: np.ndarray) -> Any:
+        tried.append(ctrl[0])
+        return roll_out(simulation, ctrl)
+
+    monkeypatch.setattr(PlanningSimulation, "rollout", watched)
+    action = planner.act(task.view())[0]
+    assert_allclose(action[:-1], here[:-1])
+    held = [here + share * (there - here) for share in (0, 0.25, 0.5, 0.75) for _ in range(5)]
+    assert_allclose(tried, np.stack([held])[..., :-1])
+    moved = 0.75 * here + 0.25 * there
+    assert_allclose(planner.planners[0]._nominal, np.stack([moved, there])[:, :-1])
+
+
 def test_a_plan_costs_the_same_alone_and_among_others(right_hand: Scene) -> None:
     planner = WatchedPlanner(PredictiveSamplingConfig(num_candidates=4))
-    alone = WatchedPlanner(PredictiveSamplingConfig(num_candidates=1))
+    alone = WatchedPlanner(ONE_CANDIDATE)
     task = PianoTask([TUNE], CONFIG, right_hand)
     task.reset([np.random.default_rng(0)], [0])
     for agent in (planner, alone):
@@ -303,6 +361,12 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
         load_episode(path)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> None:
+    task = TaskConfig(random_stretch=0.1 if drawn else 0.0, control_noise=0.1)
+    assert options_of(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
 
 
 # Wrong options

@@ -8,13 +8,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cadenza.agents.baselines.icp import nearest_fingers
+from cadenza.agents.baselines.icp import ICP, nearest_fingers, with_nearest_fingers
+from cadenza.agents.rollout import play_episode
 from cadenza.fingering.players import Players
 from cadenza.fingers import SIDES
-from cadenza.music.score import Note
+from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import players_of
+from cadenza.tasks.piano_task import PianoTask
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +91,53 @@ def test_a_melody_that_the_hand_covers_has_one_finger_for_each_key(players: Play
 def test_a_finger_that_does_not_reach_from_a_held_key_is_not_the_nearest(players: Players) -> None:
     notes = [*chord(62, end=0.4), *chord(69, end=1.49), *chord(60, start=0.75, end=0.99)]
     assert None not in nearest_fingers([*notes, *chord(59, start=1.0, end=1.24)], 0, players)
+
+
+def test_a_finger_that_holds_a_key_longer_than_its_chord_is_not_free(players: Players) -> None:
+    short, long = Note(0.0, 0.2, 72), Note(0.0, 2.0, 76)
+    notes = [short, long, *chord(75, start=0.5, end=0.9)]
+    _, holds, other = nearest_fingers(notes, 0, players)
+    assert other != holds
+
+
+def test_a_finger_is_not_free_until_it_has_come_up(players: Players) -> None:
+    """0.05 s before its note ends it is, as it takes a tenth of a second to get to its next key."""
+    first = chord(72, end=0.5)
+    alone = nearest_fingers([*first, *chord(72, start=0.45, end=0.9)], 0, players)
+    assert alone[0] == alone[1]
+    still_down = nearest_fingers([*first, *chord(72, start=0.35, end=0.9)], 0, players)
+    assert still_down[0] != still_down[1]
+
+
+def test_hands_are_those_of_the_search_and_what_no_finger_plays_is_told(players: Players) -> None:
+    five = chord(72, 74, 76, 77, 79)  # for four fingers
+    bass = chord(40, end=0.3)
+    scene = build_scene(SceneConfig(hand="arm-allegro"))
+    (track,) = PianoTask([Score((*five, *bass))], TaskConfig(), scene).tracks
+    nearest = with_nearest_fingers(track.with_found_fingers())
+    fingers = {note.pitch: note.finger for note in nearest.score.notes}
+    searched = {n.pitch: n.finger for n in track.with_found_fingers().fingered().score.notes}
+    for side, notes in enumerate((five, bass)):
+        mine = [n for n in notes if (f := searched[n.pitch]) is not None and f.hand == side]
+        given = [fingers[note.pitch] for note in mine]
+        assert [f and f.index for f in given] == nearest_fingers(mine, side, players)
+        assert {f.hand for f in given if f is not None} == {side}
+    silent = {pitch for pitch, finger in fingers.items() if finger is None}
+    assert silent
+    told = {each.note.pitch: each.reason for each in nearest.dropped or ()}
+    assert told.keys() == silent
+    assert all(told.values())
+
+
+def test_the_performance_repeats_the_rehearsal() -> None:
+    """Nothing is left for feedback to mend where nothing else is in the way."""
+    agent = ICP()
+    song = Score((*chord(72, end=0.3), *chord(76, start=0.3, end=0.6)))
+    config = TaskConfig(initial_buffer_time=0.5, random_hand_position=0.02)
+    task = PianoTask([song], config, SceneConfig(hands="right"))
+    performance = play_episode(task, agent)
+    assert performance.metrics["note_onset_f1"] == 1.0
+    rehearsed = agent.planners[0]._follower._tracking
+    np.testing.assert_array_equal(performance.episode["action"][:, :-1], rehearsed.ctrl)
+    at_first = agent.planners[0].plan.nominal.tracking
+    assert (rehearsed.ctrl != at_first.ctrl).any()

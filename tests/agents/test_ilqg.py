@@ -280,6 +280,20 @@ def perform(agent: Agent, scene: Scene, **options: Any) -> EpisodeResult:
     return play_episode(PianoTask([TUNE], config, scene), agent)
 
 
+def test_the_next_plan_begins_with_the_last_one_a_step_later(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for part in ("_approximate", "_improve"):  # nothing is found that is better
+        monkeypatch.setattr(ILQGPlanner, part, lambda *_: None)
+    task = begun(planner := ILQG(ILQGConfig(horizon=0.15)), right_hand)
+    planner.act(task.view())
+    planned = planner.planners[0]
+    planned._nominal = nominal = np.random.default_rng(0).uniform(-1, 1, (3, 19))
+    action = planner.act(task.view())
+    assert_allclose(task.unscale_action(action)[0, :-1], nominal[0])
+    assert_array_equal(planned._nominal, nominal[[1, 2, 2]])
+
+
 def test_planning_lowers_its_cost(right_hand: Scene) -> None:
     planner = WatchedPlanner(ILQGConfig(horizon=0.1, iterations=4))
     planner.act(begun(planner, right_hand).view())

@@ -1,6 +1,7 @@
 import io
 import struct
 import time
+from collections import Counter
 from itertools import pairwise
 
 import mido
@@ -9,10 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
+from cadenza.fingers import Finger
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.formats.source import MAX_BYTES
 from cadenza.music.libraries.library import load_score
+from cadenza.music.repair import Sounding, repaired
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import monophonic_per_key, scores, seconds
 
@@ -499,3 +502,19 @@ def test_a_score_of_hours_is_not_written(tmp_path):
     with pytest.raises(CadenzaError, match="100 minutes, the longest is 93"):
         write_midi(Score((Note(0, 6000, 60),)), tmp_path / "a.mid")
     assert not list(tmp_path.iterdir())
+
+
+def test_of_two_notes_at_the_same_moment_the_finger_that_is_known_is_kept() -> None:
+    known = Finger(0, 2)
+    for fingers in ((None, known), (known, None), (known, Finger(1, 0))):
+        doubled = [Sounding(0, 480, 60, 80, True, finger) for finger in fingers]
+        (note,) = repaired(doubled, Counter())
+        assert note.finger == known
+
+
+@pytest.mark.parametrize("known_first", [True, False])
+def test_of_two_notes_at_the_same_moment_an_end_that_is_known_is_kept(known_first: bool) -> None:
+    doubled = [Sounding(0, 480, 60, 80, True), Sounding(0, 9600, 60, 90, False)]
+    (note,) = repaired(doubled if known_first else doubled[::-1], counts := Counter())
+    assert (note.end, note.released, note.velocity) == (480, True, 90)
+    assert (counts["doubled"], counts["unreleased"]) == (1, 0)

@@ -47,3 +47,13 @@ def test_parts_are_those_of_the_environment() -> None:
     whole, _ = PianoEnv(SHORT).reset(seed=1)
     assert list(parts) == list(env.observation_layout)
     np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
+
+
+def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on() -> None:
+    def starts() -> list[np.ndarray]:
+        adapter = DmEnvAdapter(PianoEnv(SHORT, random_hand_position=0.05), seed=3)
+        return [adapter.reset().observation["joints"] for _ in range(2)]
+
+    first, second = starts()
+    assert (first != second).any()
+    np.testing.assert_array_equal(starts(), [first, second])

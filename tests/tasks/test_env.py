@@ -502,6 +502,11 @@ def test_a_reward_term_of_the_wrong_shape() -> None:
         env.step(np.zeros(39))
 
 
+def test_a_reward_term_that_would_take_the_place_of_the_sum_in_recordings() -> None:
+    with pytest.raises(CadenzaError, match="reward term 'total': recordings call the sum"):
+        PianoEnv(SHORT, reward_terms={"total": near_middle_c})
+
+
 def test_make_takes_configurations_and_tasks() -> None:
     config, scene = TaskConfig(stretch=2.0), SceneConfig(reduced_action_space=False)
     env = gym.make(ID, task=config, scene=scene, n_steps_lookahead=3)

@@ -91,3 +91,12 @@ def test_planners_that_take_over_a_physical_state_say_that_they_cannot(planner: 
     planner.reset([0], [np.random.default_rng(0)])
     with pytest.raises(CadenzaError, match="plans in MuJoCo and cannot start from a SelfPlaying"):
         planner.act(task.view())
+
+
+@pytest.mark.parametrize("planner", [PredictiveSampling(), ILQG()])
+def test_planners_of_one_scene_do_not_play_with_hands_apart(planner: Any) -> None:
+    task = PianoTask([SONG], TaskConfig(), SceneConfig(hands="apart"))
+    task.reset([np.random.default_rng(0)], [0])
+    planner.reset([0], [np.random.default_rng(0)])
+    with pytest.raises(CadenzaError, match="these play apart: choose hands both, right or left"):
+        planner.act(task.view())

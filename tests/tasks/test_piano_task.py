@@ -328,6 +328,8 @@ def test_reset_begins_anew(scenes: dict[str, Scene]) -> None:
         player.task.step(player.task.action_high[None])
         player.reset()
         assert_array_equal(player.task.observation(), first)
+        assert player.task.view().reward[0] == 0
+        assert not player.task.wanted.any()
         fresh = Player(scenes["both"])
         rewards = [(player.rest().reward[0], fresh.rest().reward[0]) for _ in range(10)]
         assert all(again == once for again, once in rewards)
@@ -352,6 +354,8 @@ def test_plays_a_song_without_hands(scenes: dict[str, Scene]) -> None:
     assert [bool(t.truncated[0]) for t in transitions] == [False] * 9 + [True]
     metrics = player.task.episode_metrics(0)
     assert {metrics[name] for name in ("precision", "recall", "f1", "note_onset_f1")} == {1.0}
+    press(player, 3)  # what comes after the end counts for nothing
+    assert player.task.episode_metrics(0) == metrics
 
 
 @pytest.mark.parametrize("ends", [True, False])

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.lock import one_at_a_time
 from cadenza.sim.mujoco_simulation import PHYSICS_STATE, MujocoSimulation
 from cadenza.sim.protocol import Simulation, State
@@ -18,8 +19,13 @@ def as_mujoco(simulation: Simulation) -> MujocoSimulation:
     """The same simulation, whose physical state a planner can take over.
 
     Raises:
-        CadenzaError: it is one of another engine.
+        CadenzaError: it is one of another engine, or of hands that play apart.
     """
+    if isinstance(simulation, HandsApart):
+        raise CadenzaError(
+            "this agent plans for hands in one scene, and these play apart: "
+            "choose hands both, right or left, or another agent"
+        )
     if not isinstance(simulation, MujocoSimulation):
         kind = type(simulation).__name__
         raise CadenzaError(f"this agent plans in MuJoCo and cannot start from a {kind}")

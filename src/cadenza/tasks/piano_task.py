@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PEDAL_DOWN = 0.5  # the pedal sounds from here on
+_TOTAL = "total"
 TOUCH_RANGE = 5.0
 """Greatest force that is observed [N]; a key is held down with about one."""
 
@@ -55,6 +56,11 @@ def _checked_terms(terms: Mapping[str, reward.RewardTerm]) -> dict[str, reward.R
     for name, term in terms.items():
         if not isinstance(name, str) or not callable(term):
             raise CadenzaError(f"reward term {name!r:.100}: give a name and a function")
+        if name == _TOTAL:
+            raise CadenzaError(
+                f"reward term {name!r}: recordings call the sum of all terms so; "
+                "choose another name"
+            )
     return dict(terms)
 
 

@@ -1,0 +1,38 @@
+"""The programs in tools/: that all say what they do, and what no other test looks at."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).parents[1] / "tools"
+ELSEWHERE = {"check_lerobot"}  # needs a package that is none of ours
+NAMES = sorted({path.stem for path in TOOLS.glob("*.py")} - ELSEWHERE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_tool_asked_for_help_does_nothing_else(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(TOOLS))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_path(str(TOOLS / f"{name}.py"), run_name="__main__")
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: {name}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_the_same_in_all_songs_has_no_weight_in_their_difficulty() -> None:
+    tool = runpy.run_path(str(TOOLS / "fit_difficulty.py"))
+    features = np.random.default_rng(0).uniform(0.0, 3.0, (20, 8))
+    features[:, 6] = 0.0  # no fingers cross
+    weights = tool["fitted_model"](features, 2.0 * np.log1p(features[:, 0]) - 3.0).weights
+    assert weights.crossings == 0
+    assert weights.notes == max(astuple(weights)) > 0
