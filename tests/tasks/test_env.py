@@ -359,6 +359,13 @@ def test_says_what_is_wrong(use: Callable, message: str) -> None:
         use()
 
 
+def test_what_could_not_be_made_need_not_be_closed() -> None:
+    begun = PianoVectorEnv.__new__(PianoVectorEnv)
+    with pytest.raises(CadenzaError, match="no song named"):
+        begun.__init__("no song")  # type: ignore[misc]
+    begun.close()
+
+
 def test_wrong_shape_of_actions() -> None:
     envs = PianoVectorEnv(SHORT, num_envs=2)
     envs.reset(seed=0)

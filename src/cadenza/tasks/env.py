@@ -147,6 +147,7 @@ class PianoVectorEnv(VectorEnv):
         Raises:
             CadenzaError: a song cannot be played or an option makes no sense.
         """
+        self.closed = True  # Gymnasium before 1.3 closes even what could not be made
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
         if not isinstance(picture, Picture | None):
@@ -176,6 +177,7 @@ class PianoVectorEnv(VectorEnv):
         self.single_observation_space = self._observation_space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.closed = False
 
     @property
     def observation_layout(self) -> dict[str, slice]:
