@@ -857,6 +857,8 @@ def test_options_that_make_no_sense(
         (["--versoin"], "there is no option --versoin; did you mean --version?"),
         (["--completion", "dos"], "--completion: choose from bash, zsh, fish"),
         (["play"], "SONG is missing; see cadenza play --help"),
+        (["import"], "{midi,pig} and FOLDER are missing; see cadenza import --help"),
+        (["songs", "--sort", "age"], "--sort age: choose from name, length, difficulty"),
         (["play", "OdeToJoy", "FurElise"], "one argument too many: FurElise"),
         (["play", "OdeToJoy", "--seed", "x"], "--seed x: give a whole number"),
         (["play", "OdeToJoy", "--seed"], "--seed needs a value"),

@@ -105,8 +105,8 @@ def test_an_episode_is_played_again_to_a_page(
         (("play", "songs", "0"), "holds no demonstrations"),
         (("export", "songs", "-o", "new"), "holds no demonstrations"),
         (("export", "songs"), "output is missing"),
-        (("colect",), "choose from collect, info"),
-        ((), "choose from collect, info"),
+        (("colect",), "cadenza dataset colect: choose from collect, info"),
+        ((), "cadenza dataset: choose from collect, info"),
     ],
 )
 def test_what_cannot_be_is_told_in_a_line(

@@ -38,7 +38,7 @@ def as_config(value: Any, kind: type[T]) -> T:
     if value is None:
         return kind()
     if not isinstance(value, kind):
-        raise CadenzaError(f"{value!r}: give a {kind.__name__}")
+        raise CadenzaError(f"{value!r:.100}: give a {kind.__name__}")
     hints = get_type_hints(kind)
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]
     return kind(**{name: _as(getattr(value, name), hints[name], name) for name in names})

@@ -293,7 +293,7 @@ def test_damaged_files_are_left_out_and_said_to_be(
     assert stop.value.code == 2
     said = capsys.readouterr()
     assert said.out == (
-        "1 songs; to list them: cadenza songs repertoire-150\n0 of them are in etude-12\n"
+        "1 song; to list them: cadenza songs repertoire-150\n0 of them are in etude-12\n"
     )
     *lines, last = said.err.replace(f"{dataset}/", "").splitlines()
     assert sorted(line.split("; expected")[0] for line in lines) == [

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import gymnasium as gym
 import numpy as np
+import pytest
 from absl.testing import absltest
 from dm_env import StepType, test_utils
 
+from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score
 from cadenza.tasks.dm_env_adapter import DmEnvAdapter
 from cadenza.tasks.env import PianoEnv
@@ -57,3 +60,23 @@ def test_the_seed_is_that_of_the_first_episode_and_the_others_draw_on() -> None:
     first, second = starts()
     assert (first != second).any()
     np.testing.assert_array_equal(starts(), [first, second])
+
+
+def test_takes_what_gymnasium_makes() -> None:
+    adapter = DmEnvAdapter(gym.make("cadenza/Piano-v0", song=SHORT, max_episode_steps=2), seed=1)
+    whole, _ = PianoEnv(SHORT).reset(seed=1)
+    parts = adapter.reset().observation
+    np.testing.assert_array_equal(np.concatenate(list(parts.values())), whole)
+    assert not adapter.step(np.zeros(39, np.float32)).last()
+    assert adapter.step(np.zeros(39, np.float32)).last()
+
+
+def test_refuses_what_has_no_such_parts() -> None:
+    stacked = gym.wrappers.FrameStackObservation(PianoEnv(SHORT), 2)
+    for env, message in (
+        (stacked, "leave out the wrapper that changes them"),
+        (PianoEnv(SHORT, pixels=True), "does not support pixels"),
+        (gym.make("CartPole-v1"), "takes a PianoEnv, not CartPoleEnv"),
+    ):
+        with pytest.raises(CadenzaError, match=message):
+            DmEnvAdapter(env)

@@ -342,11 +342,28 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
             lambda: PianoVectorEnv(SHORT, num_envs=2).reset(options={"reset_mask": [True, False]}),
             "reset_mask: the first reset is of all",
         ),
+        (
+            lambda: PianoVectorEnv(SHORT).reset(options={"songs": 0}),
+            "no option 'songs' of reset: choose from reset_mask, song",
+        ),
+        (lambda: PianoEnv(SHORT).reset(options={"songs": 0}), "no option 'songs' of reset"),
+        (
+            lambda: gym.make(ID, num_envs=2),
+            r"num_envs: this is one environment; make several with gymnasium\.make_vec",
+        ),
+        (lambda: gym.make(ID, autoreset_mode="SameStep"), "autoreset_mode: this is one"),
     ],
 )
 def test_says_what_is_wrong(use: Callable, message: str) -> None:
     with pytest.raises(CadenzaError, match=message):
         use()
+
+
+def test_what_could_not_be_made_need_not_be_closed() -> None:
+    begun = PianoVectorEnv.__new__(PianoVectorEnv)
+    with pytest.raises(CadenzaError, match="no song named"):
+        begun.__init__("no song")  # type: ignore[misc]
+    begun.close()
 
 
 def test_wrong_shape_of_actions() -> None:
@@ -356,6 +373,10 @@ def test_wrong_shape_of_actions() -> None:
         envs.step(np.zeros(39))
     with pytest.raises(CadenzaError, match="actions of type <U1: give numbers"):
         envs.step(np.full((2, 39), "a"))
+    env = PianoEnv(SHORT)
+    env.reset(seed=0)
+    with pytest.raises(CadenzaError, match=r"action of shape \(38,\): give \(39,\)"):
+        env.step(np.zeros(38))
 
 
 def test_final_info_holds_the_ended_episodes_scores() -> None:

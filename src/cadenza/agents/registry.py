@@ -158,7 +158,7 @@ def checked_agent(agent: Any, place: str) -> Agent:
         CadenzaError: it has not the methods of one.
     """
     if isinstance(agent, type):
-        raise CadenzaError(f"agent {place}: {agent.__name__} is a class; give an instance of it")
+        raise CadenzaError(f"agent {agent.__name__}: is a class; give an instance of it")
     if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
         raise CadenzaError(
             f"agent {place}: has no method {' and no method '.join(lacking)}; "

@@ -194,8 +194,8 @@ def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[st
         for one, (kind, _) in commands.items():
             print(f"cadenza {name} {one}: {about_in_a_line(kind)}")
         return
-    said = f"{words[0]}: choose" if words else "choose"
-    raise CadenzaError(f"cadenza {name} {said} from {', '.join(commands)}")
+    given = " ".join([name, *words[:1]])
+    raise CadenzaError(f"cadenza {given}: choose from {', '.join(commands)}")
 
 
 def _about_all(arguments: list[str]) -> None:

@@ -317,11 +317,14 @@ def _what_is_wrong(
             about = "there is no option" if tokens[0].startswith("-") else "one argument too many:"
             return f"{about} {tokens[0]}; see {prog} --help"
         case errors.MissingArgs(missing_arguments=missing):
-            return f"{' and '.join(_name(m.arg) for m in missing)} is missing; see {prog} --help"
+            names, verb = [_name(m.arg) for m in missing], "is" if len(missing) == 1 else "are"
+            return f"{' and '.join(names)} {verb} missing; see {prog} --help"
         case errors.BadValue(argument=argument):
             return f"{_name(argument)} needs a value; see {prog} --help"
         case errors.InvalidChoice(argument=argument, value=value, choices=choices):
-            return f"{_name(argument)} {value}: choose from {', '.join(choices)}"
+            # tyro names those of an option that may be left out in any order, and None.
+            named = sorted({*choices} - {"None"}, key=str(argument.lowered.metavar).find)
+            return f"{_name(argument)} {value}: choose from {', '.join(named)}"
         case errors.InstantiationFailure(argument=argument, message=message) if argument:
             metavar, *_ = str(argument.lowered.metavar).split()
             wanted = {"INT": "a whole number", "FLOAT": "a number"}.get(metavar, metavar)

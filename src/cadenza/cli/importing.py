@@ -12,6 +12,7 @@ import tyro
 
 from cadenza.cli.about import usual_players
 from cadenza.cli.arguments import Quiet
+from cadenza.cli.output import counted
 from cadenza.cli.progress import progress
 from cadenza.errors import CadenzaError, CadenzaWarning
 
@@ -57,7 +58,7 @@ def run(command: Import) -> None:
     for message in (*library.doubtful, *library.left_out):
         warnings.warn(message, CadenzaWarning, stacklevel=1)
     kept, lost = len(library.rows), len(library.left_out)
-    print(f"{kept} songs; to list them: cadenza songs {library.name}")
+    print(f"{counted(kept, 'song')}; to list them: cadenza songs {library.name}")
     if command.kind == "pig":
         print(f"{len(etudes_among(open_library(library.name).songs))} of them are in {TWELVE}")
     if lost:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import dm_env
+import gymnasium
 import numpy as np
 from dm_env import specs
 from numpy.typing import NDArray
@@ -14,22 +15,36 @@ from cadenza.tasks.env import PianoEnv
 
 
 class DmEnvAdapter(dm_env.Environment):
-    """Wraps a `PianoEnv`. Observations are dictionaries of the parts of `observation_layout`.
+    """Wraps a `PianoEnv`, or what `gymnasium.make` makes of it.
+
+    Observations are dictionaries of the parts of `observation_layout`.
 
     The last step of a score has discount 1, as in the published environment; one that ends on a
     wrong key or an unstable simulation has discount 0.
     """
 
-    def __init__(self, env: PianoEnv, seed: int | None = None) -> None:
+    def __init__(self, env: gymnasium.Env, seed: int | None = None) -> None:
         """Args:
-        env: what to wrap, without pixels.
-        seed: of the first episode; the following ones draw on.
+            env: what to wrap, without pixels and without wrappers that change observations.
+            seed: of the first episode; the following ones draw on.
+
+        Raises:
+            CadenzaError: observations are not those of a `PianoEnv`.
         """
-        if env.observation_space.shape is None:
+        piano = env.unwrapped
+        if not isinstance(piano, PianoEnv):
+            raise CadenzaError(f"the dm_env adapter takes a PianoEnv, not {type(piano).__name__}")
+        if piano.observation_space.shape is None:
             raise CadenzaError(
                 "the dm_env adapter does not support pixels: make the environment without them"
             )
+        if env.observation_space.shape != piano.observation_space.shape:
+            raise CadenzaError(
+                f"observations of shape {env.observation_space.shape}: leave out the wrapper that "
+                "changes them; the dm_env adapter splits those of the environment into their parts"
+            )
         self._env = env
+        self._layout = piano.observation_layout
         self._seed = seed
         self._ended = True
 
@@ -53,13 +68,13 @@ class DmEnvAdapter(dm_env.Environment):
         return dm_env.transition(reward, parts)
 
     def _parts(self, observation: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        return {name: observation[part] for name, part in self._env.observation_layout.items()}
+        return {name: observation[part] for name, part in self._layout.items()}
 
     def observation_spec(self) -> dict[str, specs.Array]:
         """Name -> shape of each part."""
         return {
             name: specs.Array((part.stop - part.start,), np.float32, name)
-            for name, part in self._env.observation_layout.items()
+            for name, part in self._layout.items()
         }
 
     def action_spec(self) -> specs.BoundedArray:

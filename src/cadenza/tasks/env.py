@@ -30,6 +30,8 @@ from cadenza.tasks.setups import setup_named
 Song = str | Path | Score
 Observation = Any  # an array, or with pixels a dictionary of two
 
+_RESET_OPTIONS = {"reset_mask", "song"}
+
 
 def configure(
     options: dict[str, Any], task: TaskConfig | None = None, scene: SceneConfig | None = None
@@ -145,6 +147,7 @@ class PianoVectorEnv(VectorEnv):
         Raises:
             CadenzaError: a song cannot be played or an option makes no sense.
         """
+        self.closed = True  # Gymnasium before 1.3 closes even what could not be made
         if render_mode not in (None, "rgb_array"):
             raise CadenzaError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
         if not isinstance(picture, Picture | None):
@@ -174,6 +177,7 @@ class PianoVectorEnv(VectorEnv):
         self.single_observation_space = self._observation_space()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.closed = False
 
     @property
     def observation_layout(self) -> dict[str, slice]:
@@ -220,7 +224,7 @@ class PianoVectorEnv(VectorEnv):
         Raises:
             CadenzaError: a seed or an option makes no sense.
         """
-        options = options or {}
+        options = _known(options)
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)), bool)
         if mask.shape != (self.num_envs,):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
@@ -291,10 +295,7 @@ class PianoVectorEnv(VectorEnv):
         mode = self.metadata["autoreset_mode"]
         if not self._rngs:
             raise CadenzaError("no episode has started: call reset() before step()")
-        if np.shape(actions) != self.action_space.shape:
-            raise CadenzaError(
-                f"actions of shape {np.shape(actions)}: give {self.action_space.shape}"
-            )
+        _check_shape("actions", actions, self.action_space)
         if (kind := np.asarray(actions).dtype).kind not in "biuf":
             raise CadenzaError(f"actions of type {kind}: give numbers")
         if mode == AutoresetMode.DISABLED and self._finished.any():
@@ -379,6 +380,11 @@ class PianoEnv(gymnasium.Env):
         **options: Any,
     ) -> None:
         """See `PianoVectorEnv`."""
+        if of_several := sorted(options.keys() & {"num_envs", "autoreset_mode"}):
+            raise CadenzaError(
+                f"{' and '.join(of_several)}: this is one environment; make several with "
+                "gymnasium.make_vec"
+            )
         self._batch = PianoVectorEnv(
             song,
             autoreset_mode=AutoresetMode.DISABLED,
@@ -422,15 +428,16 @@ class PianoEnv(gymnasium.Env):
                 is what it plays.
 
         Raises:
-            CadenzaError: there is no such song.
+            CadenzaError: there is no such song or option.
         """
         super().reset(seed=seed)
         self._batch._rngs = [self.np_random]
-        observation, infos = self._batch.reset(options={"song": (options or {}).get("song")})
+        observation, infos = self._batch.reset(options={"song": _known(options).get("song")})
         return _row(observation), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step, as `gymnasium.Env.step`."""
+        _check_shape("action", action, self.action_space)
         observation, reward, terminated, truncated, infos = self._batch.step(
             np.asarray(action)[None]
         )
@@ -445,6 +452,24 @@ class PianoEnv(gymnasium.Env):
     def close(self) -> None:
         """Frees graphics."""
         self._batch.close()
+
+
+def _known(options: dict[str, Any] | None) -> dict[str, Any]:
+    """The options of a reset, none by default.
+
+    Raises:
+        CadenzaError: there is no such option; left alone, songs would be drawn instead.
+    """
+    if unknown := sorted(set(options or ()) - _RESET_OPTIONS):
+        raise CadenzaError(
+            f"no option {unknown[0]!r} of reset: choose from {', '.join(sorted(_RESET_OPTIONS))}"
+        )
+    return options or {}
+
+
+def _check_shape(what: str, given: Any, space: spaces.Space) -> None:
+    if np.shape(given) != space.shape:
+        raise CadenzaError(f"{what} of shape {np.shape(given)}: give {space.shape}")
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
