@@ -142,6 +142,12 @@ def test_a_policy_on_another_song_is_a_line_on_stderr(
     write_midi(OTHER, here / "other.mid")
     main(["play", "other.mid", "--agent", "run", "--no-video"])
     assert capsys.readouterr().err == "run: was trained on 'A tune', not other.mid\n"
+    beginning = ["--first-seconds", "0.3", "-o", "beginning"]
+    write_midi(replace(TUNE, title="A tune"), here / "again.mid")
+    main(["play", "again.mid", "--agent", "run", "--no-video", *beginning])
+    assert "was trained on 'A tune' in another arrangement, or a part of it, not" in (
+        capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

@@ -226,6 +226,14 @@ def test_another_run_in_its_folder_is_refused(demonstrations: Path, run: Path) -
         Imitation(replace(CONFIG, seed=1), demonstrations, run)
 
 
+def test_a_run_of_another_command_in_its_folder_is_refused(
+    demonstrations: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "run.json").write_text('{"config": {}}')
+    with pytest.raises(CadenzaError, match="holds a run of cadenza train; choose another folder"):
+        Imitation(CONFIG, demonstrations, tmp_path)
+
+
 def test_songs_are_chosen_by_name(demonstrations: Path, tmp_path: Path) -> None:
     chosen = Imitation(replace(CONFIG, songs=("song",)), demonstrations, tmp_path / "run")
     assert [Path(song).stem for song in chosen.songs] == ["song"]

@@ -144,6 +144,9 @@ def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -
         run.settings()
     run.begin(TrainingConfig(), melody(60))
     content = (run.path / "run.json").read_text()
+    (run.path / "run.json").write_text('{"demonstrations": "there"}')
+    with pytest.raises(CadenzaError, match="holds a run of cadenza clone; repeat its command"):
+        run.settings()
     for changed in (content[:100], "[]", "{}", content.replace('"tau"', '"tao"')):
         (run.path / "run.json").write_text(changed)
         with pytest.raises(CadenzaError, match=r"run\.json: .* from another version"):

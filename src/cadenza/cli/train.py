@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import sys
@@ -21,7 +22,7 @@ from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.cli.stopping import asked_to_stop
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import folder_name, plain, read_json
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
@@ -137,6 +138,9 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.performing.setup import load_song
 
     run = RunFolder(folder)
+    if command.wandb:
+        with extra_packages("wandb", "--wandb"):  # before a run begins that needs it
+            importlib.import_module("wandb")
     if command.song is not None:
         score = load_song(command.song, command.arrangement)
         check_writable(folder)

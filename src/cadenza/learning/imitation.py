@@ -297,7 +297,12 @@ def _about(
     """What the run in a folder is, or will be if there is none, of the episodes that are there."""
     where, place = folder / _RUN, str(demonstrations.resolve())
     if where.exists():
-        about: _About = read_json(where, _About)
+        known = read_json(where, dict[str, Any])
+        if "demonstrations" not in known:
+            raise CadenzaError(
+                f"{folder}: holds a run of cadenza train; choose another folder with --output"
+            )
+        about: _About = checked(known, _About, where)
         if (about.config, about.demonstrations) != (config, place):
             raise CadenzaError(
                 f"{folder}: holds a run with other options; give the same to continue it, or "

@@ -204,6 +204,10 @@ class RunFolder:
         if not self.begun:
             raise CadenzaError(f"{self.path}: holds no run to resume")
         about = read_json(self._about, dict[str, Any])
+        if "demonstrations" in about:
+            raise CadenzaError(
+                f"{self.path}: holds a run of cadenza clone; repeat its command to continue it"
+            )
         config = renewed_config(about.get("config"))
         options = config.pop("learner", {}) if isinstance(config, dict) else {}
         read = checked(about | {"config": config}, _About, self._about)

@@ -267,6 +267,8 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.residual:
             raise CadenzaError(f"{what} with residual learning, so it can play nothing else")
+        if learnt.score.title == selection.score.title:
+            what += " in another arrangement, or a part of it"
         warnings.warn(f"{what}, not {selection.song}", CadenzaWarning, stacklevel=4)
     # A plan is made for fingers that are found.
     score = selection.score.without_fingers() if learnt.residual else selection.score
