@@ -22,6 +22,7 @@ def test_a_tool_asked_for_help_does_nothing_else(
     monkeypatch.syspath_prepend(str(TOOLS))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [name, "--help"])
+    monkeypatch.setenv("MUJOCO_GL", "egl")  # a tool would turn drawing off for other tests, too
     with pytest.raises(SystemExit) as stopped:
         runpy.run_path(str(TOOLS / f"{name}.py"), run_name="__main__")
     assert stopped.value.code == 0
