@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import shlex
 import sys
@@ -22,7 +21,7 @@ from cadenza.cli.play import keep
 from cadenza.cli.progress import progress, stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.cli.stopping import asked_to_stop
-from cadenza.errors import CadenzaError, extra_packages
+from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain, read_json
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
@@ -136,11 +135,11 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
     from cadenza.performing.setup import load_song
+    from cadenza.report.scalars import need_wandb
 
     run = RunFolder(folder)
     if command.wandb:
-        with extra_packages("wandb", "--wandb"):  # before a run begins that needs it
-            importlib.import_module("wandb")
+        need_wandb()  # before a run begins for it
     if command.song is not None:
         score = load_song(command.song, command.arrangement)
         check_writable(folder)

@@ -153,15 +153,15 @@ class Training:
         config = self.config
         if self.step < config.learning_starts or not len(self._replay):
             self._collect(random=self.step < config.learning_starts)
-        elif config.parallel:
+            return
+        if config.parallel:
             learning = self._learning.submit(self._learn, self._batches())
             self._collect(random=False)
             learning.result()
-            self._take_policy()
         else:
             self._collect(random=False)
             self._learn(self._batches())
-            self._take_policy()
+        self._take_policy()
 
     def _collect(self, random: bool) -> None:
         config = self.config

@@ -43,6 +43,17 @@ class TensorBoard:
         self._writer.close()
 
 
+def need_wandb() -> Any:
+    """The package wandb.
+
+    Raises:
+        CadenzaError: it is not installed.
+    """
+    with extra_packages("wandb", "--wandb"):
+        import wandb
+    return wandb
+
+
 class WeightsAndBiases:
     """A run on wandb.ai, or wherever its environment variables say."""
 
@@ -58,9 +69,7 @@ class WeightsAndBiases:
         Raises:
             CadenzaError: wandb is not installed.
         """
-        with extra_packages("wandb", "--wandb"):
-            import wandb
-        self._run = wandb.init(
+        self._run = need_wandb().init(
             project=project,
             dir=str(folder),
             id=run,
