@@ -1,6 +1,6 @@
 """One network for n songs, cloned from the planner: F1 on songs that it has learnt and on others.
 
-    python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 64 --more LIBRARY]
+    python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 128 --more LIBRARY --widths 1024]
 
 The experiment of the paper (Zakka et al., CoRL 2023) on multitask behaviour cloning, with the
 planner as the expert. The songs are the beginnings of the bundled pieces, in an order that is drawn
@@ -41,6 +41,7 @@ from cadenza.tasks.piano_task import PianoTask
 FIRST = "FurEliseOpening"
 SECONDS = 8.0  # of each piece
 NOT_LEARNT = 8  # songs
+LAYERS = 3  # hidden, as the paper's actor has; the first width is also its
 FIGURES = ("f1", "precision", "recall", "note_onset_f1")
 # Always the song itself, from somewhat different places and with strong noise.
 HOW = ["--no-mirror", "--random-stretch", "0", "--random-pitch-shift", "0", "--noise", "0.4"]
@@ -50,6 +51,7 @@ class Policy(NamedTuple):
     """One that was trained."""
 
     learnt_from: tuple[str, ...]
+    width: int
     seed: int
     learnt: LearntPolicy
 
@@ -91,12 +93,19 @@ def write_songs(folder: Path, seen: Sequence[str], unseen: Sequence[str]) -> lis
     return files
 
 
-def train(folder: Path, config: ImitationConfig) -> Policy:
-    """A policy of the songs of `config`."""
-    run = folder / "runs" / f"{len(config.songs)}-{config.seed}"
+def train(folder: Path, songs: Sequence[str], width: int, seed: int, updates: int) -> Policy:
+    """A policy of these songs, with hidden layers of this width."""
+    run = folder / "runs" / f"{len(songs)}-{width}-{seed}"
     run.mkdir(parents=True, exist_ok=True)
+    config = ImitationConfig(
+        learner=CloningConfig(hidden_sizes=(width,) * LAYERS),
+        songs=tuple(songs),
+        num_updates=updates,
+        held_out=0,
+        seed=seed,
+    )
     Imitation(config, folder / "demonstrations", run).run(lambda: True)
-    return Policy(config.songs, config.seed, load_policy(run / "last"))
+    return Policy(config.songs, width, seed, load_policy(run / "last"))
 
 
 def play(song: Path, policies: Sequence[Policy], unseen: bool) -> Iterator[dict[str, object]]:
@@ -109,6 +118,7 @@ def play(song: Path, policies: Sequence[Policy], unseen: bool) -> Iterator[dict[
             metrics = play_episode(task, policy.learnt.agent, 0).metrics
             yield {
                 "songs": len(policy.learnt_from),
+                "width": policy.width,
                 "seed": policy.seed,
                 "song": song.stem,
                 "learnt": not unseen,
@@ -120,6 +130,7 @@ class Mean(NamedTuple):
     """F1 on songs, with its 95 % interval over songs and seeds together."""
 
     songs: int
+    width: int
     learnt: bool
     f1: float
     low: float
@@ -127,18 +138,21 @@ class Mean(NamedTuple):
 
 
 def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
-    """Of each number of songs, on those learnt and on those that nobody has learnt."""
-    found = []
-    for learnt, count in sorted({(bool(r["learnt"]), int(str(r["songs"]))) for r in rows}):
-        of = [r for r in rows if r["songs"] == count and r["learnt"] == learnt]
-        f1 = np.array([[float(str(r["f1"]))] for r in of])
-        found.append(Mean(count, learnt, *(float(value[0]) for value in mean_interval(f1))))
-    return found
+    """Of each number of songs and width, on those learnt and on those that nobody has learnt."""
+    found: dict[tuple[bool, int, int], list[float]] = {}
+    for row in rows:
+        of = bool(row["learnt"]), int(str(row["width"])), int(str(row["songs"]))
+        found.setdefault(of, []).append(float(str(row["f1"])))
+    result = []
+    for (learnt, width, count), f1 in sorted(found.items()):
+        mean, low, high = mean_interval(np.array(f1)[:, None])
+        result.append(Mean(count, width, learnt, float(mean[0]), float(low[0]), float(high[0])))
+    return result
 
 
 # The picture, in the style of that of the results
 
-_WIDTH, _HEIGHT, _LEFT, _TOP = 640, 300, 56, 40  # [px]
+_WIDTH, _HEIGHT, _LEFT, _TOP, _LINE = 700, 300, 56, 40, 16  # [px]
 _STYLE = """
   svg { --card: #ffffff; --ink: #14181f; --soft: #566070; --line: #e2e5ea; --one: #2f5bd7;
     --other: #c2571a; font: 13px system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
@@ -147,6 +161,7 @@ _STYLE = """
     --other: #ff9f6b; } }
   .card { fill: var(--card); } .grid { stroke: var(--line); } text { fill: var(--soft); }
   path { fill: none; } .learnt { color: var(--one); } .others { color: var(--other); }
+  .narrow { stroke-dasharray: 5 3; }
   .learnt, .others { stroke: currentColor; stroke-width: 2; } circle { fill: currentColor; }
   g text { fill: currentColor; stroke: none; font-weight: 600; } .end { text-anchor: end; }
 """
@@ -155,7 +170,7 @@ _STYLE = """
 def drawn(found: Sequence[Mean]) -> Iterator[str]:
     """An SVG picture of F1 by the number of songs learnt from, which doubles from left to right."""
     most = math.log2(max(mean.songs for mean in found)) or 1.0
-    width = _WIDTH - _LEFT - 180
+    width = _WIDTH - _LEFT - 220
 
     def x(count: int) -> float:
         return _LEFT + width * math.log2(count) / most
@@ -177,17 +192,22 @@ def drawn(found: Sequence[Mean]) -> Iterator[str]:
         yield f'<text class="end" x="{_LEFT - 8}" y="{y(tick) + 4:g}">{tick:g}</text>'
     for count in sorted({mean.songs for mean in found}):
         yield f'<text x="{x(count) - 4:g}" y="{_TOP + _HEIGHT + 18}">{count}</text>'
-    for learnt, kind, name in (True, "learnt", "songs learnt"), (False, "others", "other songs"):
-        line = [mean for mean in found if mean.learnt == learnt]
+    lines = sorted({(mean.learnt, mean.width) for mean in found}, reverse=True)
+    widest, below = max(width for _, width in lines), -math.inf
+    ends = {line: [m for m in found if (m.learnt, m.width) == line] for line in lines}
+    for learnt, width_of_line in sorted(lines, key=lambda line: -ends[line][-1].f1):
+        line = ends[learnt, width_of_line]
+        dashed = "" if width_of_line == widest else ' class="narrow"'
         path = "L".join(f"{x(m.songs):.1f} {y(m.f1):.1f}" for m in line)
-        yield f'<g class="{kind}"><path d="M{path}"/>'
+        yield f'<g class="{"learnt" if learnt else "others"}"><path{dashed} d="M{path}"/>'
         for m in line:
             yield f'<circle cx="{x(m.songs):.1f}" cy="{y(m.f1):.1f}" r="3"/>'
             if not math.isnan(m.low):
                 yield f'<path d="M{x(m.songs):.1f} {y(m.low):.1f}V{y(m.high):.1f}"/>'
-        last = line[-1]
-        at = f'x="{x(last.songs) + 10:.1f}" y="{y(last.f1) + 4:.1f}"'
-        yield f"<text {at}>{last.f1:.2f} {name}</text></g>"
+        below = max(y(line[-1].f1) + 4, below + _LINE)  # of the label before it
+        name = f"{'songs learnt' if learnt else 'other songs'}, {width_of_line} units"
+        at = f'x="{x(line[-1].songs) + 10:.1f}" y="{below:.1f}"'
+        yield f"<text {at}>{line[-1].f1:.2f} {name}</text></g>"
     yield "</svg>\n"
 
 
@@ -196,6 +216,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))
     parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
     parser.add_argument("--more", metavar="LIBRARY", help="of songs after the bundled ones")
+    parser.add_argument("--widths", type=int, nargs="+", default=[256], help="of the hidden layers")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--episodes", type=int, default=6, help="demonstrations of each song")
     parser.add_argument("--updates", type=int, default=625, help="for each song")
@@ -206,18 +227,13 @@ def main() -> None:
     seen, unseen = write_songs(folder / "songs", learnt, order()[-NOT_LEARNT:])
     demonstrations = ["-o", str(folder / "demonstrations"), "--episodes", str(options.episodes)]
     cadenza(["dataset", "collect", "--songs", str(folder / "songs/seen"), *demonstrations, *HOW])
+    names = [song.stem for song in seen]
     policies = [
         train(
-            folder,
-            ImitationConfig(
-                learner=CloningConfig(),
-                songs=tuple(song.stem for song in seen[:count]),
-                num_updates=max(options.updates * count, options.least_updates),
-                held_out=0,
-                seed=seed,
-            ),
+            folder, names[:count], width, seed, max(options.updates * count, options.least_updates)
         )
         for seed in options.seeds
+        for width in options.widths
         for count in options.songs
     ]
     rows = [row for song in seen for row in play(song, policies, unseen=False)]
@@ -233,10 +249,11 @@ def summed_up(folder: Path, rows: Sequence[dict[str, object]]) -> None:
         table.writerows(rows)
     found = means(rows)
     (folder / "multitask.svg").write_text("\n".join(drawn(found)))
-    print("| songs | | F1 | 95 % interval |\n| --- | --- | --- | --- |")
+    print("| songs | units | | F1 | 95 % interval |\n| --- | --- | --- | --- | --- |")
     for mean in found:
         kind = "learnt" if mean.learnt else "others"
-        print(f"| {mean.songs} | {kind} | {mean.f1:.3f} | {mean.low:.3f} to {mean.high:.3f} |")
+        interval = f"{mean.low:.3f} to {mean.high:.3f}"
+        print(f"| {mean.songs} | {mean.width} | {kind} | {mean.f1:.3f} | {interval} |")
 
 
 if __name__ == "__main__":

@@ -42,16 +42,40 @@ def test_writes_songs_under_short_names_of_their_own(tmp_path) -> None:
     assert all(path.exists() for path in (*seen, *unseen))
 
 
+def rows_of(songs: int, width: int, learnt: bool, *f1: float) -> list[dict[str, object]]:
+    about = {"songs": songs, "width": width, "song": "A", "learnt": learnt}
+    return [{**about, "seed": seed, "f1": value} for seed, value in enumerate(f1)]
+
+
 def test_means_and_their_picture() -> None:
-    rows = [
-        {"songs": songs, "seed": seed, "song": "A", "learnt": learnt, "f1": f1}
-        for songs, learnt, values in ((1, True, (0.9, 1.0)), (2, False, (0.2, 0.4)))
-        for seed, f1 in enumerate(values)
-    ]
+    rows = rows_of(1, 256, True, 0.9, 1.0) + rows_of(2, 256, False, 0.2, 0.4)
     one, other = means(rows)
     assert (one.songs, one.learnt, one.f1) == (2, False, pytest.approx(0.3))
     assert (other.songs, other.learnt, other.f1) == (1, True, pytest.approx(0.95))
     assert other.low < 0.9  # Student's t of two values
     assert other.high > 1.0
     picture = ET.fromstring("".join(drawn([one, other])))
-    assert "0.95 songs learnt" in "".join(picture.itertext())
+    assert "0.95 songs learnt, 256 units" in "".join(picture.itertext())
+
+
+def test_widths_have_lines_of_their_own_and_labels_apart() -> None:
+    rows = [
+        row
+        for width, f1 in ((256, 0.3), (1024, 0.31))
+        for songs in (1, 2)
+        for row in rows_of(songs, width, True, f1, f1)
+    ]
+    assert [(mean.width, mean.songs) for mean in means(rows)] == [
+        (256, 1),
+        (256, 2),
+        (1024, 1),
+        (1024, 2),
+    ]
+    picture = ET.fromstring("".join(drawn(means(rows))))
+    svg = "{http://www.w3.org/2000/svg}"
+    labels = {
+        text.text: float(text.get("y", "nan"))
+        for text in picture.iterfind(f".//{svg}g/{svg}text")
+        if text.text
+    }
+    assert labels["0.30 songs learnt, 256 units"] - labels["0.31 songs learnt, 1024 units"] >= 16

@@ -42,6 +42,8 @@ _EXPECTED = {
 }
 _AT_ONCE = 20  # updates between two looks at whether to go on
 _MOST_HELD_OUT = 5_000  # steps that the error on what is held out is measured on
+_MOST_IN_MEMORY = 2**30  # [bytes] of examples that are kept; more are made anew for each update
+_MADE_AT_ONCE = 4_096  # of them
 _LEAST_RANGE = 0.05  # of what a joint or a servo has, where demonstrations hardly move it
 
 
@@ -50,6 +52,10 @@ class Examples(NamedTuple):
 
     observation: Floats
     action: Floats
+
+    def of(self, steps: NDArray[np.intp]) -> Examples:
+        """Those of some steps, of which there is a row each."""
+        return Examples(self.observation[steps], self.action[steps])
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,7 @@ class Imitation:
         self._learner = config.learner.make(
             self._inputs, limits.shape[1], ((0, config.num_updates),)
         )
+        self._in_memory = self._all_examples(limits.shape[1])
         self.update, self._seconds = 0, 0.0
         self._rng = np.random.default_rng(config.seed)
         self._state = self._learner.init(config.seed)
@@ -168,13 +175,28 @@ class Imitation:
     def _learn(self, updates: int) -> None:
         shape = updates, self.config.learner.batch_size
         steps = self._dataset.sample(self._rng, updates * shape[1])
-        flat = self._examples(self._dataset, steps)
+        known = self._in_memory
+        flat = self._examples(self._dataset, steps) if known is None else known.of(steps)
         examples = Examples._make(array.reshape(*shape, -1) for array in flat)
         self._state, metrics = self._learner.update(self._state, examples)
         self._errors = np.concatenate([self._errors, np.asarray(metrics["error"])])
         if not np.isfinite(self._errors).all():  # before it is kept
             raise CadenzaError("the error is no longer finite; choose a smaller --learning-rate")
         self.update += updates
+
+    def _all_examples(self, action_size: int) -> Examples | None:
+        """Those of all that is learnt from, if they fit into memory and updates need as many."""
+        config, count = self.config, self._dataset.num_steps
+        row = np.dtype(np.float32).itemsize * (len(self._inputs.kept) + action_size)
+        needed = config.num_updates * config.learner.batch_size
+        if row * count > _MOST_IN_MEMORY or needed < count:
+            return None
+        sizes = len(self._inputs.kept), action_size
+        every = Examples(*(np.empty((count, size), np.float32) for size in sizes))
+        for first in range(0, count, _MADE_AT_ONCE):
+            steps = np.arange(first, min(first + _MADE_AT_ONCE, count))
+            every.observation[steps], every.action[steps] = self._examples(self._dataset, steps)
+        return every
 
     def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
         batch = dataset.batch(steps, self.config.n_steps_lookahead)
