@@ -152,7 +152,7 @@ def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
 
 # The picture, in the style of that of the results
 
-_WIDTH, _HEIGHT, _LEFT, _TOP, _LINE = 700, 300, 56, 40, 16  # [px]
+_WIDTH, _HEIGHT, _LEFT, _TOP, _LINE = 730, 300, 56, 40, 16  # [px]
 _STYLE = """
   svg { --card: #ffffff; --ink: #14181f; --soft: #566070; --line: #e2e5ea; --one: #2f5bd7;
     --other: #c2571a; font: 13px system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
@@ -170,7 +170,7 @@ _STYLE = """
 def drawn(found: Sequence[Mean]) -> Iterator[str]:
     """An SVG picture of F1 by the number of songs learnt from, which doubles from left to right."""
     most = math.log2(max(mean.songs for mean in found)) or 1.0
-    width = _WIDTH - _LEFT - 220
+    width = _WIDTH - _LEFT - 250
 
     def x(count: int) -> float:
         return _LEFT + width * math.log2(count) / most

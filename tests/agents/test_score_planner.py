@@ -23,7 +23,13 @@ from cadenza.agents.planning.ahead import Ahead
 from cadenza.agents.planning.collisions import LinkCollisions
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.inverse_kinematics import _Problem, rest_posture, solve_postures
+from cadenza.agents.planning.inverse_kinematics import (
+    _Linearised,
+    _Postures,
+    _Problem,
+    rest_posture,
+    solve_postures,
+)
 from cadenza.agents.planning.letting_go import let_go_in_time
 from cadenza.agents.planning.nominal import nominal_plans
 from cadenza.agents.planning.presses import Press, presses_of
@@ -816,6 +822,12 @@ def close_hands(right: float, left: float) -> tuple[_Problem, np.ndarray]:
     return problem, guess + 1e-3 * rng.standard_normal(guess.shape)
 
 
+def linearised(
+    problem: _Problem, postures: np.ndarray, known: _Postures | None = None
+) -> _Linearised:
+    return problem.linearised(postures, problem.derivatives(postures, known))
+
+
 @pytest.fixture
 def _exactly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse_kinematics, "_REAL", np.float64)  # differences lack digits else
@@ -830,10 +842,10 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
     assert close.tolist() == [0, 1, 2]
     assert residual[:, -1].all()  # the forearms
     assert np.count_nonzero(residual[:, :-1]) > 3
-    _, gradient = problem.normal_equations(here, problem.linearise(here))
+    _, gradient = problem.normal_equations(here, linearised(problem, here))
     change = np.random.default_rng(4).standard_normal((3, here.shape[1]))
     moved = [
-        problem.linearise(here + sign * 1e-6 * np.pad(change, ((1, 0), (0, 0)))).cost.sum()
+        linearised(problem, here + sign * 1e-6 * np.pad(change, ((1, 0), (0, 0)))).cost.sum()
         for sign in (1, -1)
     ]
     slope = (gradient.reshape(3, -1) * change).sum()
@@ -843,12 +855,12 @@ def test_hands_give_way_to_each_other_as_the_gradient_says() -> None:
 @pytest.mark.usefixtures("_exactly")
 def test_only_postures_that_have_moved_are_linearised_anew() -> None:
     problem, here = close_hands(-0.06, 0.085)
-    known = problem.linearise(here).postures
+    known = linearised(problem, here).postures
     assert known.close.tolist() == [0, 1, 2]  # the forearms
     there = here + 1e-5 * np.random.default_rng(4).standard_normal(here.shape)
-    assert problem.linearise(there, known).postures is known
+    assert linearised(problem, there, known).postures is known
     there[2] += 0.02
-    some, anew = problem.linearise(there, known), problem.linearise(there)
+    some, anew = linearised(problem, there, known), linearised(problem, there)
     assert (some.postures.at == known.at).all(axis=(1, 2)).tolist() == [True, False, True]
     assert some.cost == pytest.approx(anew.cost, rel=1e-6)
     assert some.pull == pytest.approx(anew.pull, abs=1e-5 * np.abs(anew.pull).max())

@@ -28,7 +28,8 @@ _MOTION = 0.6  # [s] for which postures are planned
 _LED = 0.4  # [s] for which controls are found
 _PRESSES = 1.3  # [s] whose presses matter to them
 _PAST = 0.5  # [s] for which is remembered what was pressed
-_IMPROVED = Effort(iterations=2, trials=0, converged=0.1, damping=10.0)
+_FREED = Effort(iterations=2, trials=0, converged=0.1, damping=10.0)
+_IMPROVED = _FREED._replace(damping=20.0, derivatives_kept=True)  # in 0.7 of the time
 _SETTLED = 0.1  # of what is in sight, in which fingers do not change
 _MOMENTS = 12  # at which notes begin, for which fingers are found at once
 _ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
@@ -94,8 +95,9 @@ class InSight:
         if self._found is None:
             before, known, effort = self._plan, None, THOROUGH
         else:
-            before, effort = self._plan.part(0, 1), _IMPROVED
+            before = self._plan.part(0, 1)
             presses = self._again(presses, step, past, tips, before.fingertips[1])
+            effort = _FREED if self._lifted else _IMPROVED  # what is lifted has far to go
             known = self._found.improved[2:]
             known = np.concatenate([known, known[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `nominal_plans`

@@ -54,6 +54,8 @@ class Effort(NamedTuple):
     """Relative decrease of the cost with which it ends."""
     damping: float
     """In the beginning."""
+    derivatives_kept: bool = False
+    """Whether all steps that are taken unseen have the derivatives of the first."""
 
 
 THOROUGH = Effort(iterations=25, trials=8, converged=1e-3, damping=1.0)
@@ -101,8 +103,11 @@ def solve_postures(
 def _improved(problem: _Problem, postures: Array, effort: Effort) -> Array:
     """By steps of Gauss-Newton that are taken unseen."""
     damping = np.full(len(postures) - 1, effort.damping, _REAL)
+    known: _Postures | None = None
     for _ in range(effort.iterations):
-        now = problem.linearise(postures)
+        if known is None or not effort.derivatives_kept:
+            known = problem.derivatives(postures)
+        now = problem.linearised(postures, known)
         bands, gradient = problem.normal_equations(postures, now)
         earlier, postures = postures, problem.step(postures, bands, gradient, damping)
         gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
@@ -114,14 +119,14 @@ def _improved(problem: _Problem, postures: Array, effort: Effort) -> Array:
 def _searched(problem: _Problem, postures: Array, effort: Effort, progress: Progress) -> Array:
     """By steps of Levenberg-Marquardt, as long as they cost less."""
     damping = np.full(len(postures) - 1, effort.damping, _REAL)
-    now = problem.linearise(postures)
+    now = problem.linearised(postures, problem.derivatives(postures))
     for iteration in range(effort.iterations):
         progress("postures", iteration, effort.iterations)
         bands, gradient = problem.normal_equations(postures, now)
         failed = np.zeros(len(damping), bool)
         for _ in range(effort.trials):
             trial = problem.step(postures, bands, gradient, damping)
-            there = problem.linearise(trial, now.postures)
+            there = problem.linearised(trial, problem.derivatives(trial, now.postures))
             worse = there.cost > 1.02 * now.cost + 0.02
             near = worse | np.roll(worse, 1) | np.roll(worse, -1)
             better = there.cost.sum() < now.cost.sum()
@@ -302,17 +307,20 @@ class _Problem:
         """(N, H, X, ...) of rows (N, H X, ...)."""
         return by_hand(rows, self._hands).astype(_REAL)
 
-    def linearise(self, postures: Array, known: _Postures | None = None) -> _Linearised:
-        """Anew, where postures (S, A) have moved far from those that are `known`."""
+    def derivatives(self, postures: Array, known: _Postures | None = None) -> _Postures:
+        """At postures (S, A); those that are `known` where these have not moved far from them."""
+        if known is None:
+            return self._by_themselves(postures[1:], np.arange(len(postures) - 1))
+        far = np.abs(self._by_hand(postures[1:]) - known.at) > _MOVED * self._stride
+        moved = np.flatnonzero(far.any(axis=(1, 2)))
+        if not len(moved):
+            return known
+        return known.with_new(moved, self._by_themselves(postures[1:][moved], moved))
+
+    def linearised(self, postures: Array, known: _Postures) -> _Linearised:
+        """What postures (S, A) cost by the derivatives of those that are known near them."""
         now = self._by_hand(postures)
         here = now[1:]
-        if known is None:
-            known = self._by_themselves(postures[1:], np.arange(len(here)))
-        else:
-            far = np.abs(here - known.at) > _MOVED * self._stride
-            moved = np.flatnonzero(far.any(axis=(1, 2)))
-            if len(moved):
-                known = known.with_new(moved, self._by_themselves(postures[1:][moved], moved))
         off = here - known.at
         more = known.pull_of(off)
         squares = known.squares + ((2 * known.pull + more) * off).sum(axis=(1, 2))
