@@ -25,7 +25,7 @@ from cadenza.fingers import NO_FINGER
 from cadenza.scene.scene import Scene
 
 _MOTION = 0.6  # [s] for which postures are planned
-_LED = 0.4  # [s] for which controls are found
+_LED = 0.3  # [s] for which controls are found
 _PRESSES = 1.3  # [s] whose presses matter to them
 _PAST = 0.5  # [s] for which is remembered what was pressed
 _FREED = Effort(iterations=2, trials=0, converged=0.1, damping=10.0)
