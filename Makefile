@@ -35,7 +35,7 @@ studio: $(VENV)/installed
 
 # In two processes of 2 to 3 GB each. Tests of one file stay together, as they share what they set up.
 test: $(VENV)/installed
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2
 
 check: $(VENV)/installed
 	$(BIN)/ruff check
