@@ -194,9 +194,9 @@ def drawn(found: Sequence[Mean]) -> Iterator[str]:
         yield f'<text x="{x(count) - 4:g}" y="{_TOP + _HEIGHT + 18}">{count}</text>'
     lines = sorted({(mean.learnt, mean.width) for mean in found}, reverse=True)
     widest, below = max(width for _, width in lines), -math.inf
-    ends = {line: [m for m in found if (m.learnt, m.width) == line] for line in lines}
-    for learnt, width_of_line in sorted(lines, key=lambda line: -ends[line][-1].f1):
-        line = ends[learnt, width_of_line]
+    points = {line: [m for m in found if (m.learnt, m.width) == line] for line in lines}
+    for learnt, width_of_line in sorted(lines, key=lambda line: -points[line][-1].f1):
+        line = points[learnt, width_of_line]
         dashed = "" if width_of_line == widest else ' class="narrow"'
         path = "L".join(f"{x(m.songs):.1f} {y(m.f1):.1f}" for m in line)
         yield f'<g class="{"learnt" if learnt else "others"}"><path{dashed} d="M{path}"/>'
