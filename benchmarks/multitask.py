@@ -1,6 +1,6 @@
 """One network for n songs, cloned from the planner: F1 on songs that it has learnt and on others.
 
-    python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 128 --more LIBRARY --widths 1024]
+    python -m benchmarks.multitask -o multitask [--songs 1 2 4 ... 64 --more LIBRARY --widths 1024]
 
 The experiment of the paper (Zakka et al., CoRL 2023) on multitask behaviour cloning, with the
 planner as the expert. The songs are the beginnings of the bundled pieces, in an order that is drawn
@@ -41,7 +41,7 @@ from cadenza.tasks.piano_task import PianoTask
 FIRST = "FurEliseOpening"
 SECONDS = 8.0  # of each piece
 NOT_LEARNT = 8  # songs
-LAYERS = 3  # hidden, as the paper's actor has; the first width is also its
+LAYERS = 3  # hidden ones, as the paper's actor has; its width is the default
 FIGURES = ("f1", "precision", "recall", "note_onset_f1")
 # Always the song itself, from somewhat different places and with strong noise.
 HOW = ["--no-mirror", "--random-stretch", "0", "--random-pitch-shift", "0", "--noise", "0.4"]
@@ -192,22 +192,22 @@ def drawn(found: Sequence[Mean]) -> Iterator[str]:
         yield f'<text class="end" x="{_LEFT - 8}" y="{y(tick) + 4:g}">{tick:g}</text>'
     for count in sorted({mean.songs for mean in found}):
         yield f'<text x="{x(count) - 4:g}" y="{_TOP + _HEIGHT + 18}">{count}</text>'
-    lines = sorted({(mean.learnt, mean.width) for mean in found}, reverse=True)
-    widest, below = max(width for _, width in lines), -math.inf
-    points = {line: [m for m in found if (m.learnt, m.width) == line] for line in lines}
-    for learnt, width_of_line in sorted(lines, key=lambda line: -points[line][-1].f1):
-        line = points[learnt, width_of_line]
-        dashed = "" if width_of_line == widest else ' class="narrow"'
+    kinds = sorted({(mean.learnt, mean.width) for mean in found})
+    lines = [[mean for mean in found if (mean.learnt, mean.width) == kind] for kind in kinds]
+    widest, below = max(mean.width for mean in found), -math.inf
+    for line in sorted(lines, key=lambda line: -line[-1].f1):
+        last = line[-1]
+        dashed = "" if last.width == widest else ' class="narrow"'
         path = "L".join(f"{x(m.songs):.1f} {y(m.f1):.1f}" for m in line)
-        yield f'<g class="{"learnt" if learnt else "others"}"><path{dashed} d="M{path}"/>'
+        yield f'<g class="{"learnt" if last.learnt else "others"}"><path{dashed} d="M{path}"/>'
         for m in line:
             yield f'<circle cx="{x(m.songs):.1f}" cy="{y(m.f1):.1f}" r="3"/>'
             if not math.isnan(m.low):
                 yield f'<path d="M{x(m.songs):.1f} {y(m.low):.1f}V{y(m.high):.1f}"/>'
-        below = max(y(line[-1].f1) + 4, below + _LINE)  # of the label before it
-        name = f"{'songs learnt' if learnt else 'other songs'}, {width_of_line} units"
-        at = f'x="{x(line[-1].songs) + 10:.1f}" y="{below:.1f}"'
-        yield f"<text {at}>{line[-1].f1:.2f} {name}</text></g>"
+        below = max(y(last.f1) + 4, below + _LINE)  # of the label before it
+        name = f"{'songs learnt' if last.learnt else 'other songs'}, {last.width} units"
+        at = f'x="{x(last.songs) + 10:.1f}" y="{below:.1f}"'
+        yield f"<text {at}>{last.f1:.2f} {name}</text></g>"
     yield "</svg>\n"
 
 

@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,7 +133,6 @@ class Imitation:
         self._learner = config.learner.make(
             self._inputs, limits.shape[1], ((0, config.num_updates),)
         )
-        self._in_memory = self._all_examples(limits.shape[1])
         self.update, self._seconds = 0, 0.0
         self._rng = np.random.default_rng(config.seed)
         self._state = self._learner.init(config.seed)
@@ -184,14 +184,14 @@ class Imitation:
             raise CadenzaError("the error is no longer finite; choose a smaller --learning-rate")
         self.update += updates
 
-    def _all_examples(self, action_size: int) -> Examples | None:
-        """Those of all that is learnt from, if they fit into memory and updates need as many."""
+    @cached_property
+    def _in_memory(self) -> Examples | None:
+        """All that is learnt from, if it fits into memory and updates need as many."""
         config, count = self.config, self._dataset.num_steps
-        row = np.dtype(np.float32).itemsize * (len(self._inputs.kept) + action_size)
+        sizes = len(self._inputs.kept), self._ranges.actions.shape[1]
         needed = config.num_updates * config.learner.batch_size
-        if row * count > _MOST_IN_MEMORY or needed < count:
+        if np.dtype(np.float32).itemsize * sum(sizes) * count > _MOST_IN_MEMORY or needed < count:
             return None
-        sizes = len(self._inputs.kept), action_size
         every = Examples(*(np.empty((count, size), np.float32) for size in sizes))
         for first in range(0, count, _MADE_AT_ONCE):
             steps = np.arange(first, min(first + _MADE_AT_ONCE, count))
