@@ -222,7 +222,7 @@ def searching(score: Score, hands: str) -> refinement.HandRefinement:
 
 
 @pytest.mark.parametrize(
-    ("hands", "white", "black"), [("left", 59, 56), ("left", 60, 58), ("right", 65, 61)]
+    ("hands", "white", "black"), [("left", 59, 63), ("left", 62, 66), ("right", 65, 61)]
 )
 def test_caught_fingers_get_free(hands: str, white: int, black: int) -> None:
     hand = searching(octaves(hands, white, black, 2.0), hands)
@@ -543,11 +543,16 @@ def places(rest_y: np.ndarray) -> np.ndarray:
     return PIANO.centre[:, 1, None] - rest_y
 
 
+def let_go(presses: list[Press], there: np.ndarray, dt: float = 0.05) -> list[Press]:
+    """`let_go_in_time` of Shadow hands."""
+    return let_go_in_time(presses, there, PIANO.is_black, dt, SHADOW)
+
+
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
     near = [Press("right", 0, 39, 10, 20), Press("right", 1, 41, 20, 30)]
-    assert let_go_in_time(near, places(np.linspace(0.0, 0.2, 10)), 0.05, SHADOW) == near
+    assert let_go(near, places(np.linspace(0.0, 0.2, 10))) == near
     far = [Press("right", 0, 39, 10, 20), Press("right", 0, 60, 20, 30)]
-    cut = let_go_in_time(far, places(np.zeros(10)), 0.05, SHADOW)
+    cut = let_go(far, places(np.zeros(10)))
     assert 11 <= cut[0].last < 19
     assert cut[1] == far[1]
 
@@ -559,7 +564,7 @@ def test_a_hand_can_let_go_later_before_a_jump(finger: int) -> None:
 
     def last(presses: list[Press], later: int) -> int:
         asked = [press._replace(later=later) for press in presses]
-        return let_go_in_time(asked, places(np.zeros(10)), 0.05, SHADOW)[0].last
+        return let_go(asked, places(np.zeros(10)))[0].last
 
     usual = last(far, 0)
     assert usual < 18
@@ -571,13 +576,13 @@ def test_a_hand_holds_what_it_can_hold_together_with_what_it_strikes() -> None:
     rest = SHADOW.reach.rest
     there = places(np.concatenate([rest, -rest]))
     octave = [Press("right", 0, 39, 10, 40), Press("right", 4, 51, 20, 30)]
-    assert let_go_in_time(octave, there, 0.05, SHADOW) == octave
+    assert let_go(octave, there) == octave
     mirrored = [Press("left", 5, 51, 10, 40), Press("left", 9, 39, 20, 30)]
-    assert let_go_in_time(mirrored, there, 0.05, SHADOW) == mirrored
+    assert let_go(mirrored, there) == mirrored
     twelfth = [octave[0], octave[1]._replace(key=58)]
-    assert let_go_in_time(twelfth, there, 0.05, SHADOW)[0].last < 20
+    assert let_go(twelfth, there)[0].last < 20
     crossing = [octave[0]._replace(finger=4), octave[1]._replace(finger=0)]
-    assert let_go_in_time(crossing, there, 0.05, SHADOW)[0].last < 20
+    assert let_go(crossing, there)[0].last < 20
 
 
 def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
@@ -587,15 +592,32 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
         Press("right", 4, 53, 20, 30),
     )
     there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
-    left, reached = let_go_in_time([first, key], there, 0.05, SHADOW)
+    left, reached = let_go([first, key], there)
     assert (left.flies_off, reached.flies_to) == (True, True)
-    left_sooner, *landed = let_go_in_time([first, key, chord], there, 0.05, SHADOW)
+    left_sooner, *landed = let_go([first, key, chord], there)
     assert left_sooner.last < left.last < 20
     assert not any(press.flies_to for press in landed)
 
 
+def test_a_finger_takes_longer_from_a_white_key_to_a_black_one() -> None:
+    white, black = 39, 40
+
+    def last(key: int, other: int, later: int = 0, first: int = 10) -> int:
+        presses = [
+            Press("right", 1, key, first, 20),
+            Press("right", 1, other, 20, 30, later=later),
+            Press("right", 3, other + 4, 20, 30, later=later),
+        ]
+        return let_go(presses, places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2)))[0].last
+
+    assert last(white, white + 2) == last(black, black + 2) == last(black, white) == 19
+    assert last(white, black) == 18
+    assert [last(white, black, later) for later in (1, 9)] == [19, 19]
+    assert [last(white, black, first=first) for first in (16, 17, 18)] == [18, 19, 19]
+
+
 def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> list[Press]:
-    """`let_go_in_time` of Shadow hands as plain loops, without jumps."""
+    """`let_go` of Shadow hands as plain loops, without jumps."""
     ahead, times, reach = round(0.4 / dt), SHADOW.jump_times, SHADOW.reach
 
     def struck_with(press: Press) -> list[Press]:
@@ -636,7 +658,11 @@ def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> lis
     for i, press in enumerate(cut):
         after = [p for p in cut[i + 1 :] if p.finger == press.finger]
         if after and after[0].key != press.key:
-            cut[i] = press._replace(last=min(press.last, max(after[0].first - 1, press.first + 1)))
+            climbs = PIANO.is_black[after[0].key] and not PIANO.is_black[press.key]
+            states = max(2 - after[0].later, 1) if climbs else 1
+            states = max(min(states, after[0].first - press.first - 2), 1)
+            end = max(after[0].first - states, press.first + 1)
+            cut[i] = press._replace(last=min(press.last, end))
     return cut
 
 
@@ -655,7 +681,7 @@ def test_letting_go_is_that_of_plain_loops(seed: int) -> None:
     ]
     rest = SHADOW.reach.rest
     there = places(np.concatenate([rest, -rest]))
-    found = let_go_in_time(presses, there, 0.05, SHADOW)
+    found = let_go(presses, there)
     unmarked = [press._replace(flies_off=False, flies_to=False) for press in found]
     assert unmarked == let_go_one_by_one(presses, there, 0.05)
 
@@ -668,8 +694,8 @@ def test_hands_have_as_long_at_a_finer_control_step(far: bool, chord: bool) -> N
     presses.append(Press("right", 1, 45, 30, 34))
     finer = [press._replace(first=2 * press.first, last=2 * press.last) for press in presses]
     there = places(np.zeros(10))
-    usual = let_go_in_time(presses, there, 0.05, SHADOW)
-    fine = let_go_in_time(finer, there, FINER, SHADOW)
+    usual = let_go(presses, there)
+    fine = let_go(finer, there, FINER)
     for one, other in zip(usual, fine, strict=True):
         assert other.last / 2 - one.last in (0, 0.5)  # whole steps before the next press
         assert one == other._replace(first=one.first, last=one.last)

@@ -8,18 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.presses import RISE, Press
+from cadenza.agents.planning.presses import RISE, Press, steps_between
 from cadenza.hands.hand import Hand
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
 _AHEAD = 0.4  # [s] no jump needs more time than this
 _FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _LEAST = 0.05  # [s] that a press lasts
+_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
 
 
-def let_go_in_time(presses: list[Press], places: Array, dt: float, hand: Hand) -> list[Press]:
+def let_go_in_time(
+    presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
 
     A press keeps `_LEAST`. One that the hand can hold together with all that it strikes is not
@@ -29,12 +33,13 @@ def let_go_in_time(presses: list[Press], places: Array, dt: float, hand: Hand) -
         presses: by time, those that begin together by key.
         places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
             it is mounted [m].
+        is_black: (K,) whether the keys are.
         dt: control step [s].
         hand: of either side.
     """
     if not presses:
         return []
-    line = _TimeLine(presses, places, dt, hand)
+    line = _TimeLine(presses, places, is_black, dt, hand)
     line.let_hand_go()
     line.let_fingers_go()
     result = list(presses)
@@ -51,8 +56,11 @@ class _TimeLine:
     what is found out for each hand by itself is found out for both at once.
     """
 
-    def __init__(self, presses: list[Press], places: Array, dt: float, hand: Hand) -> None:
-        self._dt, self._reach, self._times = dt, hand.reach, hand.jump_times
+    def __init__(
+        self, presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+    ) -> None:
+        self._dt, self._is_black = dt, is_black
+        self._reach, self._times = hand.reach, hand.jump_times
         self._ahead, self._least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
         rows = np.array([(p.finger, p.key, p.first, p.last, p.later) for p in presses])
         left = rows[:, 0] >= len(hand.fingers)
@@ -107,8 +115,12 @@ class _TimeLine:
         moves = self._number[press] == self._number[following]
         moves &= self._key[press] != self._key[following]
         press, following = press[moves], following[moves]
-        risen = self._first[following] - steps_in(RISE, self._dt)
-        in_time = np.maximum(risen, self._first[press] + self._least)
+        first, begins = self._first[press], self._first[following]
+        rise, later = steps_in(RISE, self._dt), self._later[self._chord[following]]
+        steps = steps_between(self._key[press], self._key[following], self._is_black, self._dt)
+        spare = begins - first - steps_in(_HEARD, self._dt)
+        in_time = begins - np.clip(spare, rise, np.maximum(steps - later, rise))
+        in_time = np.maximum(in_time, first + self._least)
         self._last[press] = np.minimum(self._last[press], in_time)
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.presses import RISE, Press
+from cadenza.agents.planning.presses import Press, steps_between
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.fingers import SIDES, Finger
@@ -251,8 +251,10 @@ class _Inquiry:
         """Why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
-        if following and following.first - press.last <= steps_in(RISE, self._dt):
-            return f"its finger had to press {self._name(following.key)}"
+        if following:
+            steps = steps_between(press.key, following.key, self._keyboard.is_black, self._dt)
+            if following.first - press.last <= steps:
+                return f"its finger had to press {self._name(following.key)}"
         return "the hand had to jump"
 
     def _beside(self, tips: Array, key: int) -> Array:

@@ -101,8 +101,8 @@ def nominal_plans(
         hand_qpos: (J,) where the joints of the hands are.
         dt: control step [s].
         progress: is told of "postures".
-        later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
-            presses in each step, or before all.
+        later: (T, H) by how many steps later than usual a hand lets go to be in time for what it
+            presses in each step, or for all.
         haste: times the acceleration with which the hands are known to jump.
 
     Yields:
@@ -267,7 +267,8 @@ class Motion:
                 press._replace(later=int(later[press.first - 1, sides.index(press.side)]))
                 for press in wanted
             ]
-        return let_go_in_time(wanted, self._places, self._dt, self._hand)
+        is_black = self._scene.keyboard.is_black
+        return let_go_in_time(wanted, self._places, is_black, self._dt, self._hand)
 
     def found(
         self,

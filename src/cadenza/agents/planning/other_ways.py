@@ -48,7 +48,7 @@ class Way(NamedTuple):
     fingers: NDArray[np.int64]
     """(N,) who plays each note, as hands number their fingers."""
     later: NDArray[np.int8]
-    """(T, H) by how many steps later than usual a hand lets go before it jumps to what begins."""
+    """(T, H) by how many steps later than usual a hand lets go to be in time for what begins."""
 
     def is_like(self, other: Way) -> bool:
         """Whether it comes to the same."""

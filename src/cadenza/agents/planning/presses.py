@@ -7,9 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
 
+Ids = NDArray[np.intp]
+Key = int | Ids
+
 RISE = 0.05  # [s] in which a finger gets off a key
+_CLIMB = 0.1  # [s] in which it gets off a white key and onto a black one
 
 
 class Press(NamedTuple):
@@ -30,7 +35,7 @@ class Press(NamedTuple):
     from_above: bool = False
     """The finger comes to it from above all keys."""
     later: int = 0
-    """So many states later than usual the hand lets go of what is before it, if it jumps."""
+    """So many states later than usual the hand lets go of what is before it, to be in time."""
 
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
@@ -51,3 +56,16 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Finger
     first, last, key = first[held], last[held], key[held]
     rows = np.stack([asked[first, key], key, first + 1, last + 1], axis=1).tolist()
     return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
+
+
+def steps_between(key: Key, other: Key, is_black: NDArray[np.bool_], dt: float) -> Ids:
+    """How many control steps of `dt` [s] a finger takes from one key to another.
+
+    Args:
+        key: that it lets go, or several (N,).
+        other: that it presses next, or several (N,).
+        is_black: (K,) whether the keys are.
+        dt: control step [s].
+    """
+    climbs = is_black[other] & ~is_black[key]
+    return np.where(climbs, steps_in(_CLIMB, dt), steps_in(RISE, dt))

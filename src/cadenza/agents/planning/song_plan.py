@@ -60,8 +60,8 @@ def song_plans(
         track: what is to be played.
         start: (J,) joint positions of the hands where the song begins [m, rad].
         progress: is told of "fingers" and "postures".
-        later: (T, H) by how many steps later than usual a hand lets go before a jump to what it
-            presses in each step, or before all.
+        later: (T, H) by how many steps later than usual a hand lets go to be in time for what it
+            presses in each step, or for all.
         haste: times the acceleration with which the hands are known to jump.
 
     Yields:

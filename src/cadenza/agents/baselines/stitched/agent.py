@@ -119,7 +119,8 @@ def _presses(
     fingers = np.where(scene.has_fingers(goals.fingers), goals.fingers, np.int8(NO_FINGER))
     places = forearm_places(scene, kinematics, rest_posture(servos))
     wanted = presses_of(goals.keys, fingers, scene.fingers)
-    return let_go_in_time(wanted, places, dt, _unhurried(scene.hand))
+    is_black = scene.keyboard.is_black
+    return let_go_in_time(wanted, places, is_black, dt, _unhurried(scene.hand))
 
 
 def _unhurried(hand: Hand) -> Hand:
