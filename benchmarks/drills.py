@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.rollout import EpisodeResult, play_episodes
+from cadenza.errors import errors_in_a_line
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.tasks.piano_task import PianoTask
 
@@ -41,6 +42,7 @@ def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResu
         return play_episodes(task, learnt.agent, range(starts))
 
 
+@errors_in_a_line()
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="How policies play what they were trained on.")

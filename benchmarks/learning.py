@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -29,7 +28,7 @@ import numpy as np
 
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
-from cadenza.errors import CadenzaError
+from cadenza.errors import errors_in_a_line
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
@@ -373,6 +372,7 @@ def print_training(speeds: dict[str, float]) -> None:
         print("\nThe published environment was not measured: --published VENV.")
 
 
+@errors_in_a_line()
 def main() -> None:
     """Measures and prints tables in Markdown."""
     parser = argparse.ArgumentParser(
@@ -389,10 +389,7 @@ def main() -> None:
     parser.add_argument("--updates", type=int, default=32, help="of each in a round")
     options = parser.parse_args()
     rounds, number = options.rounds, options.updates
-    try:
-        score = load_score(options.song)
-    except CadenzaError as error:
-        sys.exit(str(error))
+    score = load_score(options.song)
 
     had = gather(score)
     kept, total = len(had.short_inputs.kept), had.inputs.total

@@ -26,7 +26,7 @@ import numpy as np
 
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main as cadenza
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.statistics import mean_interval
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig
@@ -211,6 +211,7 @@ def drawn(found: Sequence[Mean]) -> Iterator[str]:
     yield "</svg>\n"
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))

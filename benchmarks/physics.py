@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.playback import load_plan
+from cadenza.errors import errors_in_a_line
 from cadenza.files import ANY, read_arrays
 from cadenza.music.metrics import step_metrics
 from cadenza.music.score import NUM_KEYS
@@ -46,6 +47,7 @@ def replayed_f1(plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene
     return np.array([step_metrics(keys, goal)[2].mean() for keys in played])
 
 
+@errors_in_a_line()
 def main() -> None:
     """Replays and prints a table in Markdown."""
     parser = argparse.ArgumentParser(

@@ -27,6 +27,7 @@ from cadenza.agents.planning.config import (
     ScorePlannerConfig,
 )
 from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -77,6 +78,7 @@ def line(name: str, results: list[Result]) -> str:
     return f"| {name} | {f1:.3f} | {fingering:.3f} | {ratio:.2f} | {parts} |"
 
 
+@errors_in_a_line()
 def main() -> None:
     """Plays and prints, row by row."""
     parser = argparse.ArgumentParser(

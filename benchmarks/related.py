@@ -32,6 +32,7 @@ from cadenza.agents.planning.config import ICPConfig, ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
+from cadenza.errors import errors_in_a_line
 from cadenza.files import write_atomically
 from cadenza.music.etudes.etude import etude
 from cadenza.music.libraries.library import load_score
@@ -207,6 +208,7 @@ def _ratio(table: Sequence[dict[str, str]], column: str) -> str:
     return f"{sum(float(row[column]) for row in table) / music:.2f}"
 
 
+@errors_in_a_line()
 def main() -> None:
     """Measures what is missing, or prints what there is."""
     parser = argparse.ArgumentParser(

@@ -17,6 +17,7 @@ import numpy as np
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
+from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score, songs
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -40,6 +41,7 @@ def measure(
     return means, min(metrics["f1"] for metrics in played), took / music
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("songs", nargs="*", help="bundled pieces or MIDI files; all bundled ones")

@@ -20,6 +20,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
+from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
@@ -100,6 +101,7 @@ def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: in
         yield f"{trouble.name} | {cells} |"
 
 
+@errors_in_a_line()
 def main() -> None:
     """Plays and prints, agent by agent."""
     parser = argparse.ArgumentParser(

@@ -23,6 +23,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from cadenza.agents.playback import load_plan
+from cadenza.errors import errors_in_a_line
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.env import PianoVectorEnv
@@ -132,6 +133,7 @@ def creation_seconds() -> float:
     return min(times)
 
 
+@errors_in_a_line()
 def main() -> None:
     """Measures and prints tables in Markdown."""
     parser = argparse.ArgumentParser(

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import mido
 
+from cadenza.errors import errors_in_a_line
 from cadenza.fingering.search import solve
 from cadenza.fingers import Finger
 from cadenza.music.libraries.library import load_score, songs
@@ -33,6 +34,7 @@ from cadenza.tasks.goal_track import players_of
 HANDS = players_of(build_scene())
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("pianoplayer", nargs="?", help="the Python of its environment")

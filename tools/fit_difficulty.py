@@ -27,7 +27,7 @@ from scipy.stats import spearmanr
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
@@ -47,6 +47,7 @@ LEAST_ERROR = 1e-3  # of 1 - F1: a song without an error is not infinitely easy
 RIDGE = 0.3  # features that go together share their weight
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)

@@ -22,7 +22,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.losses import ONSETS
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
 from cadenza.music.libraries.library import open_library
@@ -36,6 +36,7 @@ HANDS = players_of(build_scene())
 WITH_THESE_FINGERS = ScorePlannerConfig(fingering="score")
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("libraries", nargs="+", help="as LIBRARY or LIBRARY:SPLIT")

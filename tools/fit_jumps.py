@@ -27,6 +27,7 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
+from cadenza.errors import errors_in_a_line
 from cadenza.fingers import Finger
 from cadenza.hands.hand import Hand
 from cadenza.hands.jump import JumpTimes
@@ -62,6 +63,7 @@ class Jump(NamedTuple):
     """How long the keys struck were missing, their mean [s]."""
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     commands = parser.add_subparsers(dest="command", required=True)

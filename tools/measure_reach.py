@@ -24,6 +24,7 @@ from scipy.optimize import least_squares
 from tqdm import tqdm
 
 from cadenza.agents.planning.inverse_kinematics import rest_posture
+from cadenza.errors import errors_in_a_line
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
@@ -193,6 +194,7 @@ def measured(hand: Hand) -> dict[str, Array]:
     return {"rest": rest, "least": least, "most": most, "outward": outward, "inward": inward}
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("hand", help="its name, or module:NAME")

@@ -36,6 +36,7 @@ from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.errors import errors_in_a_line
 from cadenza.evaluation.collecting.episode import excerpt
 from cadenza.files import write_atomically
 from cadenza.fingers import SIDES
@@ -408,6 +409,7 @@ def advantages(played: Round, values: Array) -> Array:
     return better
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("songs", help="a library, as LIBRARY or LIBRARY:SPLIT")

@@ -33,7 +33,7 @@ from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS
 from cadenza.agents.planning.song_plan import plan_song
 from cadenza.demonstrations.dataset import Dataset, kept
 from cadenza.demonstrations.recorded import Recorded
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import write_atomically
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
@@ -243,6 +243,7 @@ def network_of(
     return network, [explains for _, explains in trained]
 
 
+@errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("datasets", nargs="+", type=Path, help="folders of demonstrations")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,19 @@ def explained(error: CadenzaError | OSError) -> str:
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
     return str(error)
+
+
+@contextmanager
+def errors_in_a_line() -> Iterator[None]:
+    """Says what is wrong, and ends the program with status 2, instead of a traceback.
+
+    For programs that are no part of the command line.
+    """
+    try:
+        yield
+    except (CadenzaError, OSError) as error:
+        print(f"error: {explained(error)}", file=sys.stderr)
+        sys.exit(2)
 
 
 @contextmanager
