@@ -87,7 +87,7 @@ def main() -> None:
 
 def play(path: Path, name: str, etudes: int) -> None:
     global HAND
-    at_once = JumpTimes(glide=np.inf, glide_of_chord=np.inf, descent=0.0)
+    at_once = JumpTimes(glide=np.inf, glide_of_chord=np.inf, descent=0.0, climb=0.0)
     HAND = replace(hand_named(name), jump_times=at_once)
     scene = SceneConfig(hand=f"{__name__}:HAND", hands="right")
     lines = path.read_text().splitlines() if path.exists() else []

@@ -543,9 +543,11 @@ def places(rest_y: np.ndarray) -> np.ndarray:
     return PIANO.centre[:, 1, None] - rest_y
 
 
-def let_go(presses: list[Press], there: np.ndarray, dt: float = 0.05) -> list[Press]:
-    """`let_go_in_time` of Shadow hands."""
-    return let_go_in_time(presses, there, PIANO.is_black, dt, SHADOW)
+def let_go(
+    presses: list[Press], there: np.ndarray, dt: float = 0.05, hand: Hand = SHADOW
+) -> list[Press]:
+    """`let_go_in_time` at a piano."""
+    return let_go_in_time(presses, there, PIANO.is_black, dt, hand)
 
 
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:
@@ -602,18 +604,21 @@ def test_a_hand_flies_to_a_single_key_and_comes_down_on_a_chord() -> None:
 def test_a_finger_takes_longer_from_a_white_key_to_a_black_one() -> None:
     white, black = 39, 40
 
-    def last(key: int, other: int, later: int = 0, first: int = 10) -> int:
+    def last(key: int, other: int, later: int = 0, first: int = 10, hand: Hand = SHADOW) -> int:
+        there = places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2))
         presses = [
             Press("right", 1, key, first, 20),
             Press("right", 1, other, 20, 30, later=later),
             Press("right", 3, other + 4, 20, 30, later=later),
         ]
-        return let_go(presses, places(np.array([0.0, 0.02, 0.05, 0.07, 0.1] * 2)))[0].last
+        return let_go(presses, there, hand=hand)[0].last
 
     assert last(white, white + 2) == last(black, black + 2) == last(black, white) == 19
     assert last(white, black) == 18
     assert [last(white, black, later) for later in (1, 9)] == [19, 19]
     assert [last(white, black, first=first) for first in (16, 17, 18)] == [18, 19, 19]
+    times = replace(SHADOW.jump_times, climb=0.05)
+    assert last(white, black, hand=replace(SHADOW, jump_times=times)) == 19
 
 
 def let_go_one_by_one(presses: list[Press], there: np.ndarray, dt: float) -> list[Press]:

@@ -29,6 +29,8 @@ class JumpTimes:
     """From or to a chord [m/s^2]."""
     descent: float = 0.05
     """On a chord [s]."""
+    climb: float = 0.1
+    """In which a finger gets off a white key and onto a black one [s]."""
 
     def hurried(self, haste: float) -> JumpTimes:
         """With so many times the acceleration."""

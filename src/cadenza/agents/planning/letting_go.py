@@ -117,7 +117,8 @@ class _TimeLine:
         press, following = press[moves], following[moves]
         first, begins = self._first[press], self._first[following]
         rise, later = steps_in(RISE, self._dt), self._later[self._chord[following]]
-        steps = steps_between(self._key[press], self._key[following], self._is_black, self._dt)
+        key, other = self._key[press], self._key[following]
+        steps = steps_between(key, other, self._is_black, self._times, self._dt)
         spare = begins - first - steps_in(_HEARD, self._dt)
         in_time = begins - np.clip(spare, rise, np.maximum(steps - later, rise))
         in_time = np.maximum(in_time, first + self._least)

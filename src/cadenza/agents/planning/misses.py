@@ -118,6 +118,7 @@ class _Inquiry:
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
+        self._times = plan.scene.hand.jump_times
         self._numbers = plan.scene.fingers
         self._dt, self._steps = episode.dt, episode.num_steps
         self._in_time = steps_in(_IN_TIME, self._dt)
@@ -252,7 +253,8 @@ class _Inquiry:
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
         if following:
-            steps = steps_between(press.key, following.key, self._keyboard.is_black, self._dt)
+            is_black = self._keyboard.is_black
+            steps = steps_between(press.key, following.key, is_black, self._times, self._dt)
             if following.first - press.last <= steps:
                 return f"its finger had to press {self._name(following.key)}"
         return "the hand had to jump"

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planning.control_steps import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
+from cadenza.hands.jump import JumpTimes
 
 Ids = NDArray[np.intp]
 Key = int | Ids
 
 RISE = 0.05  # [s] in which a finger gets off a key
-_CLIMB = 0.1  # [s] in which it gets off a white key and onto a black one
 
 
 class Press(NamedTuple):
@@ -58,14 +58,17 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Finger
     return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
 
 
-def steps_between(key: Key, other: Key, is_black: NDArray[np.bool_], dt: float) -> Ids:
+def steps_between(
+    key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
+) -> Ids:
     """How many control steps of `dt` [s] a finger takes from one key to another.
 
     Args:
         key: that it lets go, or several (N,).
         other: that it presses next, or several (N,).
         is_black: (K,) whether the keys are.
+        times: of the hand.
         dt: control step [s].
     """
     climbs = is_black[other] & ~is_black[key]
-    return np.where(climbs, steps_in(_CLIMB, dt), steps_in(RISE, dt))
+    return np.where(climbs, steps_in(times.climb, dt), steps_in(RISE, dt))

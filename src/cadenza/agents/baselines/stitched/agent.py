@@ -14,7 +14,7 @@ from cadenza.agents.baselines.stitched.stitching import stitched
 from cadenza.agents.planning.inverse_kinematics import rest_posture
 from cadenza.agents.planning.letting_go import let_go_in_time
 from cadenza.agents.planning.nominal import Nominal, controls_along, forearm_places
-from cadenza.agents.planning.presses import Press, presses_of
+from cadenza.agents.planning.presses import RISE, Press, presses_of
 from cadenza.agents.planning.song_plan import SongPlan
 from cadenza.agents.planning.targets import targets_of
 from cadenza.errors import CadenzaError
@@ -126,4 +126,5 @@ def _presses(
 def _unhurried(hand: Hand) -> Hand:
     slower = hand.jump_times.hurried(_UNHURRIED)
     near = _NEAR * slower.within_reach
-    return replace(hand, jump_times=replace(slower, within_reach=near))
+    # Onto black keys no sooner: without a search, notes that are held longer are worth more.
+    return replace(hand, jump_times=replace(slower, within_reach=near, climb=RISE))
