@@ -126,5 +126,5 @@ def _presses(
 def _unhurried(hand: Hand) -> Hand:
     slower = hand.jump_times.hurried(_UNHURRIED)
     near = _NEAR * slower.within_reach
-    # Onto black keys no sooner: without a search, notes that are held longer are worth more.
+    # Onto black keys no sooner: that has cost more than it gained.
     return replace(hand, jump_times=replace(slower, within_reach=near, climb=RISE))
