@@ -120,8 +120,8 @@ class _TimeLine:
         key, other = self._key[press], self._key[following]
         steps = steps_between(key, other, self._is_black, self._times, self._dt)
         spare = begins - first - steps_in(_HEARD, self._dt)
-        in_time = begins - np.clip(spare, rise, np.maximum(steps - later, rise))
-        in_time = np.maximum(in_time, first + self._least)
+        risen = begins - np.maximum(np.minimum(spare, steps - later), rise)
+        in_time = np.maximum(risen, first + self._least)
         self._last[press] = np.minimum(self._last[press], in_time)
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
