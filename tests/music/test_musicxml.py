@@ -386,6 +386,23 @@ def test_transposing_instruments_sound_as_they_do(saved):
     ]
 
 
+@pytest.mark.parametrize(
+    ("transposition", "sounds"),
+    [
+        ("<chromatic>0</chromatic><octave-change>-1</octave-change>", 60),  # a double bass
+        ("<octave-change> 1 </octave-change>", 84),
+        ("<chromatic>-2</chromatic><octave-change>-1</octave-change>", 58),  # a bass clarinet
+        ("<chromatic>-2</chromatic><octave-change>low</octave-change>", 70),
+    ],
+)
+def test_instruments_sound_octaves_higher_or_lower(transposition, sounds, saved):
+    attributes = f"<transpose>{transposition}</transpose></attributes>"
+    attributes = FOUR_QUARTERS.replace("</attributes>", attributes)
+    assert [n.pitch for n in load_score(saved(document([attributes + note("C5", 4)]))).notes] == [
+        sounds
+    ]
+
+
 def test_a_transposition_holds_from_where_it_stands(saved):
     def shift(semitones):
         return f"<attributes><transpose><chromatic>{semitones}</chromatic></transpose></attributes>"

@@ -23,7 +23,7 @@ def mend(root: Element) -> list[str]:
     A score ordered by measures becomes one ordered by parts. Fingerings without a number and tempos
     that cannot be are left out. Cue notes become rests, since they are not to be played. Durations
     that are no whole numbers are counted in finer units, alterations by less than a semitone
-    rounded.
+    rounded. Octaves that an instrument sounds higher are added to the semitones.
     """
     _forget_namespaces(root)
     _order_by_parts(root)
@@ -35,6 +35,7 @@ def mend(root: Element) -> list[str]:
     for note in cues:
         _silence(note)
     _refine(root, _finer(root))
+    _add_octaves(root)
     remarks = (
         (len(fingerings), "unreadable fingering", "left out"),
         (len(tempos), "impossible tempo", "left out"),
@@ -83,6 +84,23 @@ def _round_alterations(root: Element) -> int:
             each.text = str(round(float(text)))
             fractions += float(text) % 1 != 0
     return fractions
+
+
+def _add_octaves(root: Element) -> None:
+    """Makes semitones of the octaves of a transposition, which the library does not read."""
+    for each in root.iter("transpose"):
+        octaves, semitones = (_whole(each, tag) for tag in ("octave-change", "chromatic"))
+        if octaves:
+            chromatic = each.find("chromatic")
+            if chromatic is None:
+                chromatic = ElementTree.SubElement(each, "chromatic")
+            chromatic.text = str(semitones + 12 * octaves)
+
+
+def _whole(parent: Element, tag: str) -> int:
+    """The number in a child, 0 where there is none."""
+    text = parent.findtext(tag, "").strip()
+    return int(text) if re.fullmatch(r"[+-]?\d{1,3}", text) else 0
 
 
 def _strange_fingerings(root: Element) -> list[Element]:
