@@ -113,7 +113,7 @@ def main() -> None:
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
     options = parser.parse_args()
     config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
-    print("| song | agent | what is amiss | closed loop | least | open loop | least |")
+    print("| song | agent | disturbance | closed loop | least | open loop | least |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for song in options.songs:
         for name in options.agents:

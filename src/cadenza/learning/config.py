@@ -67,7 +67,7 @@ def preset(
     """What a run begins with.
 
     paper: the table of the paper. published: the same with what the published run script sets
-    differently, and the two reward terms of the published code. fast: for few cores, and with
+    differently, and the reward terms for pedal and forearms. fast: for few cores, and with
     what a setup has `otherwise` (`NamedSetup.training`). With `residual` a run learns corrections
     to a plan, which are small.
 
