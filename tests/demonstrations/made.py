@@ -27,7 +27,12 @@ def jobs(
     songs = folder.parent / f"{folder.name}-songs"
     if not songs.exists():
         write_midi(SCORE, songs / "song.mid")
-    who = Demonstrator(
+    who = demonstrator(variation, **task)
+    return episodes(open_library(songs), who, range(count), least_f1)
+
+
+def demonstrator(variation: Variation, **task: Any) -> Demonstrator:
+    return Demonstrator(
         agent="planner",
         config=ScorePlannerConfig(method="none"),
         task=replace(varied(), **task),
@@ -35,7 +40,6 @@ def jobs(
         arrangement=Arrangement(),
         variation=variation,
     )
-    return episodes(open_library(songs), who, range(count), least_f1)
 
 
 def collected(

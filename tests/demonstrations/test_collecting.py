@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import play_episode
 from cadenza.demonstrations.dataset import kept
-from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest
+from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest, played_actions
 from cadenza.demonstrations.replay import differences
 from cadenza.evaluation.at_work import locked
-from cadenza.evaluation.collecting.episode import _drawn, excerpt, is_complete, record
+from cadenza.evaluation.collecting.episode import (
+    _drawn,
+    _playable,
+    episodes,
+    excerpt,
+    is_complete,
+    record,
+)
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.results import FAILED, RUNS
 from cadenza.keyboards.piano import PIANO
+from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import build_scene
-from demonstrations.made import SCORE, collected, jobs
+from cadenza.tasks.piano_task import PianoTask
+from demonstrations.made import SCORE, collected, demonstrator, jobs
 
 
 def test_what_was_played_is_played_again_bit_for_bit(made: Path) -> None:
@@ -53,6 +65,35 @@ def test_a_student_plays_half_of_the_time_and_is_told_what_the_planner_would_pla
         still.extend(students)
     assert len(folders) == 4
     assert 0.1 < np.mean(still) < 0.9
+
+
+def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path: Path) -> None:
+    """The piece gives fingers, but the planner has found others."""
+    who = demonstrator(Variation(noise=0.0, mirror=False, excerpt=1.5), random_hand_position=0.0)
+    (song,) = (s for s in open_library("bundled").songs if s.name == "FurEliseOpening")
+    (job,) = episodes(replace(open_library("bundled"), songs=(song,)), who, range(1), 0.0)
+    record(job, folder := tmp_path / RUNS / job.spec.name, num_threads=1)
+    (episode,) = kept(tmp_path)
+    assert episode.score.has_fingering
+    with closing(PianoTask([episode.score], episode.about.task)) as task:
+        again = play_episode(task, Playback(played_actions(episode.steps)), 0)
+    np.testing.assert_allclose(
+        again.episode["reward_total"], episode.steps["previous_reward"][1:], atol=1e-4
+    )
+
+
+@pytest.mark.parametrize(("transpose", "there"), [(-5, False), (0, True), (5, True)])
+def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
+    transpose: int, there: bool, tmp_path: Path
+) -> None:
+    (job,) = jobs(tmp_path / "made", Variation(), 1, transpose=transpose)
+    score = Score((Note(0.0, 0.5, 100),))  # its mirror image is 24, three keys from the lowest
+    pitches = _playable(job.spec)
+    mirrored = {
+        _drawn(score, Variation(), pitches, np.random.default_rng(seed))[1]["mirrored"]
+        for seed in range(20)
+    }
+    assert mirrored == ({False, True} if there else {False})
 
 
 def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path) -> None:

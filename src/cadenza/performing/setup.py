@@ -270,8 +270,9 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
         if learnt.score.title == selection.score.title:
             what += " in another arrangement, or a part of it"
         warnings.warn(f"{what}, not {selection.song}", CadenzaWarning, stacklevel=4)
-    # A plan is made for fingers that are found.
-    score = selection.score.without_fingers() if learnt.residual else selection.score
+    # Plans are made for fingers that are found, and demonstrations of any song have such.
+    found = learnt.residual or learnt.score is None
+    score = selection.score.without_fingers() if found else selection.score
     return replace(selection, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
 
 

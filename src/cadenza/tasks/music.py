@@ -120,7 +120,8 @@ def draw(
 ) -> GoalTrack:
     """What is played in one episode, on keys of these `pitches`.
 
-    Draws from `rng` only what song and configuration leave open.
+    Draws from `rng` only what song and configuration leave open. Fingers that were found for the
+    song are found anew for what is drawn: other keys are black, and other ways are long.
     """
     if song is None:
         song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
@@ -131,7 +132,9 @@ def draw(
         score = _shifted(score, config.random_pitch_shift, 1, pitches, rng)
     if config.random_octave_shift and _happens(config, rng):
         score = _shifted(score, config.random_octave_shift, _OCTAVE, pitches, rng)
-    return track if score is track.score else track.of(score)
+    if score is track.score:
+        return track
+    return track.of(score.without_fingers()).fingered() if track.found else track.of(score)
 
 
 def _happens(config: TaskConfig, rng: np.random.Generator) -> bool:

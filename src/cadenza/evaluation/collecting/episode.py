@@ -138,8 +138,9 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
     selection = select(spec.song, spec.agent, arrangement=spec.arrangement, configs=configs)
-    pitches = keyboard_named(spec.scene.keyboard).pitches
-    score, drawn = _drawn(selection.score, spec.variation, pitches, rng)
+    score, drawn = _drawn(selection.score, spec.variation, _playable(spec), rng)
+    if getattr(spec.config, "fingering", "found") == "found":  # so that the task has those, too
+        score = score.without_fingers()
     selection = replace(selection, score=score)
     with (
         set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup,
@@ -187,10 +188,16 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
     return seed, np.random.default_rng(other)
 
 
+def _playable(spec: EpisodeSpec) -> range:
+    """The pitches of notes for which there are keys, once they are transposed."""
+    pitches, transpose = keyboard_named(spec.scene.keyboard).pitches, spec.task.transpose
+    return range(pitches.start - transpose, pitches.stop - transpose)
+
+
 def _drawn(
     score: Score, variation: Variation, pitches: range, rng: np.random.Generator
 ) -> tuple[Score, dict[str, Any]]:
-    """What of a song is played, and how, by name."""
+    """What of a song is played, and how, by name; mirrored only within `pitches`."""
     begin, mirror, noise = rng.random(3).tolist()
     since = 0.0
     if variation.excerpt is not None:
