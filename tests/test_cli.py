@@ -623,11 +623,11 @@ def test_a_plan_replays_bit_for_bit(
 
 
 def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
-    main(["plan", str(tune), "-o", str(tmp_path / "tune.npz"), "--stretch", "2"])
-    fingered = read_fingering(tmp_path / "tune.fingering", read_midi(tune))
+    main(["plan", str(tune), "-o", str(tmp_path / "plan.npz"), "--stretch", "2"])
+    fingered = read_fingering(tmp_path / "plan.fingering", read_midi(tune))
     fingers = numbers(fingered)
     assert min(fingers) >= 0
-    with np.load(tmp_path / "tune.npz") as plan:
+    with np.load(tmp_path / "plan.npz") as plan:
         assert plan["fingering"][:, 2].tolist() == fingers
         assert plan["fingering"][:, 1].tolist() == [60, 64, 67]
 
@@ -670,9 +670,11 @@ def test_a_plan_does_not_replace_the_fingering_of_the_song(
     tune: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tune.with_suffix(".fingering")
-    own.write_text("mine")
     said = refused_in_a_line(capsys, "plan", tune, "-o", tune.with_suffix(".npz"))
-    assert f"would replace {own}, which goes with the song; choose another name" in said
+    assert f"would be {own}, which goes with the song; choose another name" in said
+    assert not own.exists()  # else the song had the plan's fingers from then on
+    own.write_text("mine")
+    refused_in_a_line(capsys, "plan", tune, "-o", tune.with_suffix(".npz"))
     assert own.read_text() == "mine"
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from cadenza.cli import main
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.score import Note, Score
 
 QUICK = ("--agent", "zero", "--no-video")
@@ -32,6 +33,19 @@ def trio(tmp_path: Path) -> Path:
         file.tracks.append(track)
     file.save(tmp_path / "trio.mid")
     return tmp_path / "trio.mid"
+
+
+@pytest.mark.parametrize(
+    ("song", "name"),
+    [
+        ("a/song.mid", "song"),
+        ("b.c.MXL", "b.c"),
+        ("OdeToJoy", "OdeToJoy"),
+        ("library/Op. 28 No. 4", "Op. 28 No. 4"),
+    ],
+)
+def test_results_are_called_as_the_song(song: str, name: str) -> None:
+    assert name_without_ending(song) == name
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -79,7 +93,7 @@ def test_who_plays_many_tracks_at_once_is_told_of_the_choice(
 def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
     trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = tmp_path / "trio.npz"
+    plan = tmp_path / "plan.npz"
     main(["plan", str(trio), "--tracks", "1", "3", "--planner.method", "none", "-o", str(plan)])
     _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
     assert arguments[-3:] == ["--tracks", "1", "3"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,13 @@ def test_pages_and_tables_are_left_and_agents_told(
     assert "planner" in told
     assert "1 run is not finished." in told
     assert told.endswith(f"Open {bench / 'results' / 'index.html'}\n")
+
+
+def test_folders_may_have_names_that_are_no_text(bench: Path, tmp_path: Path) -> None:
+    strange = bench.rename(tmp_path / os.fsdecode(b"b\xfc"))
+    main(["results", str(strange), "-o", str(tmp_path / "out")])
+    pages = [path.read_text() for path in (tmp_path / "out" / "pieces").iterdir()]
+    assert all("b%FC/runs/" in page for page in pages)
 
 
 def test_another_folder_and_a_figure(bench: Path, tmp_path: Path) -> None:

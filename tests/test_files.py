@@ -99,8 +99,9 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
     path = tmp_path / "private"
     path.touch()
     path.chmod(0o600)
-    with write_atomically(path):
-        pass
+    with umask(0o022), write_atomically(path):
+        (unfinished,) = (each for each in tmp_path.iterdir() if each != path)
+        assert mode(unfinished) == 0o600  # nobody else reads it meanwhile
     assert mode(path) == 0o600
 
 

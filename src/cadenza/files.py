@@ -50,14 +50,15 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     # Short, since the name of `path` may be as long as a name can be.
     temporary = path.parent / f"{TEMPORARY}{secrets.token_hex(8)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _WRITING
+    mode = _permissions(path)
     try:
-        with os.fdopen(os.open(temporary, flags, 0o666), "wb") as file:
+        # Nobody may read it for a moment who may not read it afterwards.
+        with os.fdopen(os.open(temporary, flags, 0o666 if mode is None else mode), "wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        with suppress(FileNotFoundError):
-            if stat.S_ISREG(mode := path.lstat().st_mode):
-                os.chmod(temporary, stat.S_IMODE(mode) & 0o777)
+        if mode is not None:
+            os.chmod(temporary, mode)
         os.replace(temporary, path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
@@ -67,6 +68,14 @@ def write_atomically(path: Path) -> Iterator[IO[bytes]]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _permissions(path: Path) -> int | None:
+    """Those of a regular file, None where there is none."""
+    with suppress(FileNotFoundError):
+        if stat.S_ISREG(mode := path.lstat().st_mode):
+            return stat.S_IMODE(mode) & 0o777
+    return None
 
 
 @contextmanager
@@ -388,7 +397,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The same as JSON has it: paths as text, null for what is not a number.
+    """The same as JSON has it: paths as text, null for what is no finite number.
 
     Bytes of a file's name that are no text become escapes such as `\\udcfc`.
     """
@@ -396,7 +405,7 @@ def plain(value: Any) -> Any:
         return {name: plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
         return [plain(part) for part in value]
-    if isinstance(value, float) and math.isnan(value):
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, str | Path):
         return str(value).encode(errors="backslashreplace").decode()

@@ -72,7 +72,7 @@ def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path: Path) -> None:
     who = demonstrator(Variation(noise=0.0, mirror=False, excerpt=1.5), random_hand_position=0.0)
     (song,) = (s for s in open_library("bundled").songs if s.name == "FurEliseOpening")
     (job,) = episodes(replace(open_library("bundled"), songs=(song,)), who, range(1), 0.0)
-    record(job, folder := tmp_path / RUNS / job.spec.name, num_threads=1)
+    record(job, tmp_path / RUNS / job.spec.name, num_threads=1)
     (episode,) = kept(tmp_path)
     assert episode.score.has_fingering
     with closing(PianoTask([episode.score], episode.about.task)) as task:

@@ -268,6 +268,16 @@ def test_key_signatures_do_not_matter_even_where_no_key_has_them(tmp_path, keys)
     assert score.remarks == ()
 
 
+@pytest.mark.parametrize("sign", [(0x58, 4, 2), (0x58,), (0x51, 7)])
+def test_a_tempo_or_time_signature_that_cannot_be_read_is_left_out(tmp_path, sign):
+    kind, *content = sign
+    broken = bytes([5, 0xFF, kind, len(content), *content])
+    (tmp_path / "a.mid").write_bytes(HEAD + chunk(b"MTrk", broken + SONG))
+    score = read_midi(tmp_path / "a.mid")
+    assert played(score) == [(0.25, 0.75, 60)]
+    assert score.remarks == ("1 unreadable tempo or time signature left out",)
+
+
 TWO = bytes([0, 0x90, 60, 80, 10, 0x80, 60, 0, 0, 0x90, 62, 80, 10, 0x80, 62, 0, 0, 0xFF, 0x2F, 0])
 FIRST, SECOND = (0.0, 0.5, 60), (0.5, 1.0, 62)
 

@@ -450,7 +450,43 @@ def test_durations_that_are_no_numbers_are_left_to_the_library_at_once(duration)
     content = document([FOUR_QUARTERS + note("C4", 1.5) + note("D4", duration)])
     root = ElementTree.fromstring(content)
     assert mend(root) == []
-    assert [each.text for each in root.iter("duration")] == ["1.5", duration]
+    assert [each.text for each in root.iter("duration")] == ["3", duration]
+
+
+@pytest.mark.parametrize("divisions", ["4", "4.0", " 4.", "0.5"])
+def test_whole_durations_may_be_written_as_decimals(divisions, saved):
+    quarters = float(divisions)
+    back = f"<backup><duration>{2 * quarters:.2f}</duration></backup>"
+    notes = note("C4", f"{quarters:.1f}") + note("D4", f"{quarters:.3f}")
+    attributes = FOUR_QUARTERS.replace(">4</divisions>", f">{divisions}</divisions>")
+    score = load_score(saved(document([attributes + notes + back + note("C3", quarters)])))
+    assert played(score) == [(0.0, 0.5, 48), (0.0, 0.5, 60), (0.5, 1.0, 62)]
+
+
+def test_durations_too_fine_to_count_are_rounded(saved):
+    triplet = "".join(note(name, "1.333333333") for name in ("C4", "D4", "E4"))
+    score = load_score(saved(document([FOUR_QUARTERS + triplet + note("F4", 4)])))
+    assert [n.pitch for n in score.notes] == [60, 62, 64, 65]
+    starts = [n.start for n in score.notes]
+    assert starts == pytest.approx([0.0, 1 / 6, 1 / 3, 0.5], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "mark",
+    [
+        '<direction><offset sound="yes">-1</offset><sound tempo="60"/></direction>',
+        '<sound tempo="60"><offset>-3</offset></sound>',
+    ],
+)
+def test_a_tempo_before_the_beginning_holds_from_there(mark, saved):
+    score = load_score(saved(document([FOUR_QUARTERS + mark + note("C4", 4) + note("D4", 12)])))
+    assert played(score) == [(0.0, 1.0, 60), (1.0, 4.0, 62)]
+
+
+def test_a_tempo_after_the_end_means_nothing(saved):
+    mark = '<sound tempo="60"><offset>2</offset></sound>'
+    score = load_score(saved(document([FOUR_QUARTERS + note("C4", 16) + mark])))
+    assert played(score) == [(0.0, 2.0, 60)]
 
 
 def test_repeats_of_more_than_twice_are_played_as_often(saved):

@@ -34,6 +34,18 @@ def test_steps_in_a_row_are_one_note():
     )
 
 
+@pytest.mark.parametrize("dt", [0.05, 0.025, 0.1])
+def test_goals_of_what_was_played_are_the_same_steps(dt):
+    keys = np.random.default_rng(0).random((2000, 88)) < 0.5
+    keys[-1] = False
+    score = performed_score(keys, keys[:, 0], dt)
+    again = score_to_goals(score, dt)
+    steps = again.num_steps
+    assert steps in (1999, 2000)
+    np.testing.assert_array_equal(again.keys, keys[:steps])
+    np.testing.assert_array_equal(again.sustain, keys[:steps, 0])
+
+
 def test_the_pedal_is_written_where_it_moves():
     keys, sustain = silent(10)
     sustain[3:5] = sustain[7:] = True

@@ -171,7 +171,8 @@ def by_mir_eval(played, goal):
         table = np.array(sorted(found))
         return table[:, :2], table[:, 2]
 
-    wanted, sounded = notes(goal), notes(played)
+    (times, pitches), sounded = notes(goal), notes(played)
+    wanted = np.round(times, 9), pitches  # as scores have them
     expected = mir_eval.transcription.evaluate(*wanted, *sounded)
     pairs = mir_eval.transcription.match_notes(
         *wanted, *sounded, onset_tolerance=0.2, offset_ratio=None

@@ -30,6 +30,8 @@ def test_notes_and_pedal_come_out_sorted():
         {"start": float("nan")},
         {"pitch": -1},
         {"pitch": 128},
+        {"pitch": 60.0},
+        {"velocity": 80.5},
         {"velocity": 0},
         {"velocity": 128},
         {"finger": 1},
@@ -42,7 +44,7 @@ def test_impossible_notes_are_refused(values):
 
 
 def test_impossible_pedal_events_are_refused():
-    for time, value in ((-1.0, 0), (0.0, 128), (0.0, -1), (float("nan"), 0)):
+    for time, value in ((-1.0, 0), (0.0, 0.5), (0.0, 128), (0.0, -1), (float("nan"), 0)):
         with pytest.raises(CadenzaError):
             PedalEvent(time, value)
 

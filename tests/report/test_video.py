@@ -1,8 +1,13 @@
+import errno
+import io
+import os
+
 import av
 import numpy as np
 import pytest
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, explained
+from cadenza.files import TEMPORARY
 from cadenza.music.score import Note, Score
 from cadenza.report.sound import synthesize
 from cadenza.report.video import write_video
@@ -50,3 +55,22 @@ def test_a_video_too_small_to_be_encoded(tmp_path) -> None:
     with pytest.raises(CadenzaError, match="0 x 0 pixels cannot be encoded"):
         write_video(tmp_path / "video.mp4", frames, 20, np.zeros(10, np.int16), 44_100)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("room", [0, 1000, 20_000])
+def test_a_full_disk_is_said_to_be_full(room, tmp_path, monkeypatch) -> None:
+    """In the writing of pictures as well as at the end of the file."""
+
+    class Full(io.FileIO):
+        def write(self, data):
+            if self.tell() + len(data) > room:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(data)
+
+    monkeypatch.setattr(os, "fdopen", lambda descriptor, mode: Full(descriptor, mode))
+    rng = np.random.default_rng(0)
+    noise = (rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(40))
+    with pytest.raises(OSError, match=r"a\.mp4") as raised:
+        write_video(tmp_path / "a.mp4", noise, 20, np.zeros(44100, np.int16))
+    assert "the disk is full" in explained(raised.value)
+    assert not any(name.startswith(TEMPORARY) for name in os.listdir(tmp_path))

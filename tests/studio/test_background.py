@@ -76,6 +76,30 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
+def test_practice_that_cannot_begin_is_no_end_of_all_practice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = []
+
+    async def full(*_: str) -> Any:
+        tried.append(None)
+        raise BlockingIOError("no room for another process")
+
+    async def run() -> None:
+        room = practice.PracticeRoom()
+        for song in ("OdeToJoy", "OdeToJoy", "JingleBells"):
+            room.begin(order(song))
+            while room.summary["status"]["state"] == "preparing":
+                await asyncio.sleep(0.01)
+            assert room.summary["status"]["state"] == "failed"
+            assert "no room for another process" in room.summary["status"]["error"]
+        assert len(tried) == 3
+        await room.close()
+
+    monkeypatch.setattr(practice, "bound", full)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
 @pytest.mark.slow
 def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     song, told = tmp_path / "three.mid", list[Message]()
@@ -96,7 +120,8 @@ def run_of(folder: Path, steps: int = 2000) -> None:
     run = RunFolder(folder)
     run.begin(preset("fast"), SCORE)
     for step in range(1000, steps + 1, 1000):
-        run.add_row({"step": step, "seconds": 1.0, "eval_step": step, "eval/f1": step / 10_000})
+        f1 = (step - 1000) / 1000
+        run.add_row({"step": step, "seconds": 1.0, "eval_step": step, "eval/f1": f1})
 
 
 def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
@@ -106,8 +131,8 @@ def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "run.json").write_text("{")
     (run,) = found.runs()
-    assert (run["name"], run["state"], run["step"], run["f1"]) == ("three 1", "stopped", 2000, 0.2)
-    assert run["points"] == [(1000, 0.1), (2000, 0.2)]
+    assert (run["name"], run["state"], run["step"], run["f1"]) == ("three 1", "stopped", 2000, 1.0)
+    assert run["points"] == [(1000, 0.0), (2000, 1.0)]
     assert found.policies() == {}
     (tmp_path / "three 1" / "best").mkdir()
     assert found.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}

@@ -7,6 +7,7 @@ import json
 import zlib
 
 import numpy as np
+import pytest
 
 from cadenza.agents.agent import RandomAgent
 from cadenza.music.performance import performed_score
@@ -18,10 +19,13 @@ from cadenza.studio.messages import JSON, ROWS, Message
 from cadenza.tasks.config import TaskConfig
 
 
-def test_the_rows_hold_the_episode() -> None:
+@pytest.mark.parametrize(
+    "task", [TaskConfig(), TaskConfig(random_stretch=0.5, random_pitch_shift=3)]
+)
+def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
     told: list[Message] = []
-    with set_up(select(score, RandomAgent()), TaskConfig(), seed=3) as setup:
+    with set_up(select(score, RandomAgent()), task, seed=3) as setup:
         live = Live(setup.task, told.append)
         live.begin()
         played = perform(setup, lambda stage, *_: live.step() if stage == "playing" else None)
@@ -44,8 +48,8 @@ def test_the_rows_hold_the_episode() -> None:
     )
     # Strikes are the notes of the file that is kept, as loud.
     step, key = np.nonzero(keys[:, 88:] > 1)
-    loud = keys[step, 88 + key].tolist()
-    struck = sorted(zip((step * about["dt"]).tolist(), (key + 21).tolist(), loud, strict=True))
+    loud, start = keys[step, 88 + key].tolist(), np.round(step * about["dt"], 9).tolist()
+    struck = sorted(zip(start, (key + 21).tolist(), loud, strict=True))
     notes = performed_score(
         episode["key_activation"], episode["sustain_activation"], episode.dt, episode.key_depth
     ).notes

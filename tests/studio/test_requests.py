@@ -186,11 +186,13 @@ def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -
         reading.check_size(Score(notes))
 
 
-def kept(songs: Shelf, id: str, song: str, seed: int) -> Path:
+def kept(songs: Shelf, id: str, song: str, seed: int, transpose: int = 0) -> Path:
     folder = songs.folder / id
     with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
         perform(setup).save(folder, page=False)
-    about = Kept(song, asdict(PlayRequest(song, "sight", seed=seed)), 0.9, 8.0, 1.0)
+    about = Kept(
+        song, asdict(PlayRequest(song, "sight", seed=seed, transpose=transpose)), 0.9, 8.0, 1.0
+    )
     write_json(folder / "studio.json", asdict(about))
     return folder
 
@@ -200,8 +202,10 @@ def test_two_performances_of_a_song_are_compared(
 ) -> None:
     ids = "0" * 16, "1" * 16, "2" * 16
     one, two, _ = (kept(songs, *each) for each in zip(ids, "aab", range(3), strict=True))
-    with pytest.raises(CadenzaError, match="of one song"):
-        songs.comparison(*ids[1:])
+    kept(songs, "3" * 16, "a", 3, transpose=1)
+    for others in (ids[1:], (ids[0], "3" * 16)):
+        with pytest.raises(CadenzaError, match="of one song"):
+            songs.comparison(*others)
     folders, page = songs.comparison(*ids[:2])
     assert folders == [one, two]
     monkeypatch.setattr(sys, "argv", ["comparing", str(one), str(two), str(page)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import io
 import socket
 import subprocess
 import sys
@@ -32,6 +34,7 @@ from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs, server
+from cadenza.studio.live import as_json
 from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.server import Studio
 from cadenza.studio.shelf import Kept
@@ -64,6 +67,13 @@ def test_the_page_and_its_parts_are_there(client: TestClient) -> None:
     assert all(part.status_code == 200 for part in parts)
     assert len(page.content) + sum(len(part.content) for part in parts) < 1_000_000
     assert client.get("/TOKEN/guard.py").status_code == 404
+
+
+def test_a_host_may_be_given_in_capitals(tmp_path: Path) -> None:
+    app = Studio(tmp_path / "studio", tmp_path / "runs").app("TOKEN", "MyBox")
+    with TestClient(app, base_url="http://mybox:8000") as browser:
+        assert browser.get("/TOKEN/").status_code == 200
+        assert browser.get("/TOKEN/", headers={"host": "other:8000"}).status_code == 403
 
 
 @pytest.mark.parametrize(
@@ -310,6 +320,35 @@ def test_jobs_run_one_after_the_other_and_end_when_cancelled(
         return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
 
     monkeypatch.setattr(jobs, "started", waiting)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
+def test_a_song_plays_on_where_no_spare_player_can_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The spare one is started when the song has been played, and its files are being written."""
+    told = io.BytesIO()
+    as_json(state="played", metrics={}).write(told)
+    as_json(state="kept", performance="x").write(told)
+    begun = []
+
+    async def once(*_: str) -> Any:
+        if begun:
+            raise BlockingIOError(errno.EAGAIN, "no room for another process")
+        script = f"import sys; sys.stdin.readline(); sys.stdout.buffer.write({told.getvalue()!r})"
+        command = [sys.executable, "-S", "-c", script]
+        begun.append(await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE))
+        return begun[-1]
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path, Trainings(tmp_path))
+        job = queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+        while not job.is_over or job.is_busy:
+            await asyncio.sleep(0.01)
+        assert job.status["state"] == "kept"
+        await queue.close()
+
+    monkeypatch.setattr(jobs, "started", once)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 

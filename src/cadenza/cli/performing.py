@@ -170,10 +170,12 @@ def setting_up(selection: Selection, command: Options, seed: int = 0) -> Iterato
 
 def default_folder(selection: Selection) -> Path:
     """Where results of a song go."""
+    from cadenza.music.formats.reading import name_without_ending
     from cadenza.performing.setup import is_own_folder
 
-    song = selection.score.title if is_own_folder(selection.song) else Path(selection.song).stem
-    return Path("played") / folder_name(song)
+    song = selection.song
+    name = selection.score.title if is_own_folder(song) else name_without_ending(song)
+    return Path("played") / folder_name(name)
 
 
 def print_scores(performance: Performance) -> None:

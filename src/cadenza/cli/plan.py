@@ -55,10 +55,10 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
         fingering = command.output.with_suffix(SUFFIX)
         song = Path(command.song)
         ours = song.is_file() and fingering.resolve() == song.with_suffix(SUFFIX).resolve()
-        if ours and fingering.exists():
+        if ours:
             raise CadenzaError(
-                f"{command.output}: the plan's fingering would replace {fingering}, which goes "
-                "with the song; choose another name or folder"
+                f"{command.output}: the plan's fingering would be {fingering}, which goes with the "
+                "song; choose another name or folder"
             )
     selection = selected(command, PLANNER)
     path = command.output or default_folder(selection) / "plan.npz"

@@ -26,6 +26,7 @@ from cadenza.files import folder_name, plain, read_json
 from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.reading import name_without_ending
 from cadenza.registry import module_of
 from cadenza.scene.config import named_by_module
 from cadenza.tasks.setups import setup_named
@@ -123,9 +124,8 @@ def train(command: Train) -> None:
         raise CadenzaError(f"{command.resume}: a run is resumed in its folder; leave out --output")
     if command.num_cores < 1:
         raise CadenzaError(f"num_cores {command.num_cores}: choose 1 or more")
-    folder = (
-        command.resume or command.output or Path("runs") / folder_name(Path(str(command.song)).stem)
-    )
+    name = name_without_ending(str(command.song))
+    folder = command.resume or command.output or Path("runs") / folder_name(name)
     with claimed_cores(command.num_cores):
         _train(command, folder)
 

@@ -12,6 +12,7 @@ episode that was not good enough to be kept, there is only result.json.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 from collections.abc import Collection, Iterator, Mapping
@@ -276,8 +277,10 @@ def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array])
         arrays: of STEPS and PLAN.
     """
     for name, array in arrays.items():
+        content = io.BytesIO()
+        np.save(content, array, allow_pickle=False)
         with write_atomically(folder / name) as file:
-            np.save(file, array, allow_pickle=False)
+            file.write(content.getbuffer())  # NumPy itself would not say that the disk is full
     written = json.dumps(plain(asdict(WrittenScore.of(score))), allow_nan=False)
     with write_atomically(folder / SCORE) as file:
         file.write(written.encode())

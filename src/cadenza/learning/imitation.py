@@ -31,6 +31,7 @@ from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
 from cadenza.learning.run_folder import read_rows, taking_up
 from cadenza.learning.sealed_folder import is_there, read_sealed, write_sealed
+from cadenza.music.formats.reading import name_without_ending
 from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
@@ -356,11 +357,11 @@ def _song_called(name: str, songs: Sequence[str]) -> str:
     Raises:
         CadenzaError: there is none, or there are several.
     """
-    called = [song for song in songs if name in (song, Path(song).stem)]
+    called = [song for song in songs if name in (song, name_without_ending(song))]
     if name in called:
         return name
     if not called:
-        there = ", ".join(Path(song).stem for song in songs)
+        there = ", ".join(map(name_without_ending, songs))
         raise CadenzaError(f"songs: no demonstration of {name}; there is {there}")
     if len(called) > 1:
         raise CadenzaError(f"songs: {name} is {' and '.join(called)}; give one of these")

@@ -42,10 +42,11 @@ def performed_score(
     """The notes that sounded over T control steps of `dt` [s].
 
     A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
-    just as `score_to_goals` places it. Its velocity is 80, or where `depth` is known
-    `30 + 90 * way`: how far the key went down within 0.1 s to where it is on the step on which it
-    begins to sound, from the highest that it stood in that time. A key pushed down within 0.1 s
-    gives 120, one let down slowly 30, one that comes up halfway before it is struck again 75.
+    just as `score_to_goals` places it at the default of 0.05 s. Its velocity is 80, or where
+    `depth` is known `30 + 90 * way`: how far the key went down within 0.1 s to where it is on the
+    step on which it begins to sound, from the highest that it stood in that time. A key pushed down
+    within 0.1 s gives 120, one let down slowly 30, one that comes up halfway before it is struck
+    again 75.
 
     Args:
         key_activation: (T, K), whether each key sounds after the step.
@@ -57,12 +58,17 @@ def performed_score(
     first, last, key = key_runs(key_activation)
     velocity = np.full(len(first), 80) if depth is None else _velocity(depth, first, key, dt)
     notes = (
-        Note(float(i * dt), float(j * dt), int(k) + lowest_pitch, int(v))
+        Note(_time(i, dt), _time(j, dt), int(k) + lowest_pitch, int(v))
         for i, j, k, v in zip(first, last, key, velocity, strict=True)
     )
     moved = np.flatnonzero(np.diff(sustain.astype(np.int8), prepend=0))
-    pedal = (PedalEvent(float(i * dt), 127 if sustain[i] else 0) for i in moved)
+    pedal = (PedalEvent(_time(i, dt), 127 if sustain[i] else 0) for i in moved)
     return Score(tuple(notes), tuple(pedal))
+
+
+def _time(step: np.intp, dt: float) -> float:
+    """When a step begins [s], without the dust with which goals would place it on another."""
+    return round(float(step * dt), 9)
 
 
 def played_in(episode: Episode) -> Score:

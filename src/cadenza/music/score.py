@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from math import isfinite
-from numbers import Real
+from numbers import Integral, Real
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
@@ -42,9 +42,9 @@ class Note:
             raise CadenzaError(
                 f"note from {self.start} to {self.end} s: it must start at 0 or later, then end"
             )
-        if self.pitch not in MIDI_PITCHES:
+        if not isinstance(self.pitch, Integral) or self.pitch not in MIDI_PITCHES:
             raise CadenzaError(f"note of pitch {self.pitch}: MIDI has 0..{MIDI_PITCHES[-1]}")
-        if not 1 <= self.velocity <= 127:
+        if not isinstance(self.velocity, Integral) or not 1 <= self.velocity <= 127:
             raise CadenzaError(f"note of velocity {self.velocity}: give 1..127")
         if not isinstance(self.finger, Finger | None):
             raise CadenzaError(
@@ -67,7 +67,7 @@ class PedalEvent:
     def __post_init__(self) -> None:
         if not 0 <= self.time < float("inf"):
             raise CadenzaError(f"pedal event at {self.time} s: give a time of 0 or later")
-        if not 0 <= self.value <= 127:
+        if not isinstance(self.value, Integral) or not 0 <= self.value <= 127:
             raise CadenzaError(f"pedal event of value {self.value}: give 0..127")
 
 

@@ -315,7 +315,7 @@ def _pages(agents: Sequence[str], runs: Sequence[Run], folder: Path) -> list[str
 
 
 def _address(page: Path, folder: Path) -> str:
-    return quote(Path(os.path.relpath(page, folder)).as_posix())
+    return quote(os.fsencode(Path(os.path.relpath(page, folder)).as_posix()))
 
 
 def _by_agent(values: NDArray[np.float64]) -> list[list[float | None]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
@@ -36,6 +37,7 @@ def write_video(
 
     Raises:
         CadenzaError: there are no frames, or they differ in size.
+        OSError: the disk is full, or the file cannot be written for another reason.
     """
     pictures = iter(frames)
     first = next(pictures, None)
@@ -47,7 +49,11 @@ def write_video(
             f"{path}: a video of {width} x {height} pixels cannot be encoded; "
             f"choose {_SMALLEST} x {_SMALLEST} or more"
         )
-    with write_atomically(path) as file, av.open(file, "w", format="mp4") as container:
+    with (
+        write_atomically(path) as file,
+        _errors_of_files(),
+        av.open(file, "w", format="mp4") as container,
+    ):
         rate = Fraction(fps).limit_denominator(1001)
         video = container.add_stream("libx264", rate=rate, options={"crf": "20"})
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
@@ -70,3 +76,15 @@ def write_video(
         for frame in audio_frames(audio, sample_rate, length):
             container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
+
+
+@contextmanager
+def _errors_of_files() -> Iterator[None]:
+    """Raises what went wrong with the file, and not that PyAV heard of it."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, OSError):
+            cause = cause.__context__
+        raise cause or error from None

@@ -39,7 +39,7 @@ class Guard:
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str) -> None:
-        self._app, self._token, self._host = app, token, host
+        self._app, self._token, self._host = app, token, host.lower()
         self.strangers = Strangers()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

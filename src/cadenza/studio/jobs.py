@@ -7,6 +7,7 @@ import secrets
 import shutil
 from asyncio.subprocess import Process
 from collections import deque
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,8 @@ class Jobs:
         """Has a process ready, so that the first song begins soon."""
         async with self._warming:  # two would each start one, and lose one
             if self._spare is None and not self._closed:
-                self._spare = await started("cadenza.studio.worker")
+                with suppress(OSError):  # there is no room for it now; a song starts its own
+                    self._spare = await started("cadenza.studio.worker")
 
     def submit(
         self, request: PlayRequest, title: str, source: str, uploaded: bool, agent: str

@@ -15,6 +15,8 @@ from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import JSON, ROWS, Message, row_bytes
 from cadenza.studio.tones import INSTRUMENT
 from cadenza.tasks import reward
+from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.music import draws
 from cadenza.tasks.piano_task import PianoTask
 
 Send = Callable[[Message], None]
@@ -44,8 +46,13 @@ class Live:
         self.about, self.rows = b"", bytearray()
 
     def begin(self) -> None:
-        """Tells what is to be played by whom; all of a piece but how it goes."""
-        scene, goals = self._task.scene, self._task.tracks[0].goals
+        """Tells what is to be played by whom; of what is drawn, the first step tells."""
+        if not draws(self._task.config):
+            self._begin(self._task.tracks[0])
+
+    def _begin(self, track: GoalTrack) -> None:
+        """All of a piece but how it goes."""
+        scene, goals = self._task.scene, track.goals
         joints = len(scene.hand_start)
         message = as_json(
             dt=self._dt,
@@ -66,6 +73,8 @@ class Live:
     def step(self) -> None:
         """Tells what the step that was just taken has come to."""
         task, state = self._task, self._task.state
+        if not self.about:
+            self._begin(task.sheets.tracks[0])
         depth = reward.key_state(state.key_qpos[0], self._travel)
         self._depths.append(depth)
         sounding = task.sounding[0]

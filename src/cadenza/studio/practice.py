@@ -64,7 +64,7 @@ class PracticeRoom:
         """Ends it."""
         self.stop()
         if self._task is not None:
-            await self._task
+            await asyncio.wait({self._task})
 
     def _hold(self) -> None:
         if self._process is not None:
@@ -72,10 +72,15 @@ class PracticeRoom:
 
     async def _run(self, order: Order, before: asyncio.Task[None] | None) -> None:
         if before is not None:
-            await before
+            await asyncio.wait({before})
         if self.order is not order or not self._goes_on:
             return
-        process = self._process = await bound("cadenza.studio.practising")
+        try:
+            process = self._process = await bound("cadenza.studio.practising")
+        except OSError as error:
+            if self.order is order and self._goes_on:
+                self.status = {"state": "failed", "error": f"practice could not begin: {error}"}
+            return
         await tell(process, order)
         if self.order is not order or not self._goes_on:  # in between
             kill(process)

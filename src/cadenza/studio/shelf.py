@@ -29,6 +29,7 @@ from cadenza.studio.stream import Stored, Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
 _ABOUT, _COMPARED = "studio.json", "compared"
+_MUSIC = ("song", "tracks", "tempo", "transpose")  # what of a request says what is to be heard
 _MOST_UPLOADS = 200
 _LONGEST_TITLE = 100
 _LEFT_OVER = 3600.0  # [s] after which what nobody finished is given up
@@ -213,12 +214,13 @@ class Shelf:
         """The folders of performances, and the page that compares them, if it is there.
 
         Raises:
-            CadenzaError: one is not there, or they are of different songs.
+            CadenzaError: one is not there, or they are of different music.
         """
         folders = [self._performance(id) for id in ids]
         requests = [read_json(folder / _ABOUT, Kept).request for folder in folders]
-        if len({(request.get("song"), request.get("tempo")) for request in requests}) > 1:
-            raise CadenzaError("compare performances of one song at one tempo")
+        first, *others = ([request.get(what) for what in _MUSIC] for request in requests)
+        if any(other != first for other in others):
+            raise CadenzaError("compare performances of one song: the same tracks, tempo and pitch")
         return folders, self.folder / _COMPARED / f"{'-'.join(ids)}.html"
 
     def _performance(self, id: str) -> Path:

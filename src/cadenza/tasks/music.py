@@ -111,6 +111,11 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
     return found[0]
 
 
+def draws(config: TaskConfig) -> bool:
+    """Whether `draw` changes what is played."""
+    return bool(config.random_stretch or config.random_pitch_shift or config.random_octave_shift)
+
+
 def draw(
     tracks: Sequence[GoalTrack],
     config: TaskConfig,

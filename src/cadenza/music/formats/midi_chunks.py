@@ -57,6 +57,7 @@ def parsed(data: bytes) -> MidiFile:
         (sum(track.is_cut for track in tracks), "track", "cut off: its end is missing"),
         (sum(track.beyond for track in tracks), "byte", "after the end of a track left out"),
         (sum(track.clipped for track in tracks), "value", "over 127 taken for 127"),
+        (sum(track.strange for track in tracks), "unreadable tempo or time signature", "left out"),
     )
     return MidiFile(form, division, [track.messages for track in tracks], told(remarks))
 
@@ -94,6 +95,7 @@ class _Track:
         """Raises: CadenzaError: it is damaged."""
         self.messages = mido.MidiTrack()
         self.clipped = 0  # data bytes that are none
+        self.strange = 0  # names, tempos and time signatures that cannot be read
         self._data = chunk.data
         self._at = 0
         try:
@@ -120,9 +122,9 @@ class _Track:
             if status == _META:
                 kind = self._bytes(1)[0]
                 content = self._bytes(self._number())
-                if kind not in _WANTED:
+                message = self._sign(kind, content) if kind in _WANTED else None
+                if message is None:
                     continue
-                message = build_meta_message(kind, content)
             elif status in _SYSTEM_EXCLUSIVE:
                 self._bytes(self._number())
                 continue
@@ -141,6 +143,14 @@ class _Track:
                 message = mido.Message.from_bytes([status, *(min(byte, 127) for byte in content)])
             message.time, delta = delta, 0
             self.messages.append(message)
+
+    def _sign(self, kind: int, content: bytes) -> mido.MetaMessage | None:
+        """A name, an end, a tempo or a time signature; None where it cannot be read."""
+        try:
+            return build_meta_message(kind, content)
+        except Exception:  # mido raises almost anything
+            self.strange += 1
+            return None
 
     def _bytes(self, size: int) -> bytes:
         """Raises: EOFError: there are not as many left."""

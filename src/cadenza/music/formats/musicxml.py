@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import io
+import math
 import re
 import sys
 import warnings
@@ -312,11 +313,7 @@ def _sheet(data: bytes, path: Path) -> _Sheet:
             longest = max(timelines, key=lambda each: len(each.units), default=None)
             bars = _bars(longest) if longest else []
             parts = [_part(each, bars, symbols) for each in timelines]
-            tempos: dict[float, float] = {}
-            for each in reversed(timelines):  # so that the first part has the last word
-                for (measure, into), seconds in each.marks.tempos:
-                    quarter = each.quarter(measure, each.units[measure] + into)
-                    tempos[round(quarter, 9)] = seconds
+            tempos = _tempos(timelines)
     except Exception as error:  # the library checks little and raises almost anything
         reason = " ".join(str(error).split()) or type(error).__name__
         raise CadenzaError(f"{path}: cannot be read as MusicXML ({reason})") from error
@@ -359,6 +356,17 @@ def _timelines(parts: list[tuple[Any, Marks]], symbols: Any) -> list[_Timeline]:
         timelines.append(_Timeline(part, marks, units, begin.tolist(), own_quarter, quarters))
     quarters += accumulate(lengths)
     return timelines
+
+
+def _tempos(timelines: list[_Timeline]) -> dict[float, float]:
+    """Since when [quarters] a quarter lasts how long [s]."""
+    tempos: dict[float, float] = {}
+    for each in reversed(timelines):  # so that the first part has the last word
+        for (measure, into), seconds in each.marks.tempos:
+            quarter = each.quarter(measure, max(each.units[measure] + into, each.units[0]))
+            if math.isfinite(quarter):  # it is not past the end
+                tempos[round(quarter, 9)] = seconds
+    return tempos
 
 
 def _bars(part: _Timeline) -> list[_Bar]:

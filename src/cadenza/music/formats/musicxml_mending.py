@@ -13,7 +13,8 @@ from cadenza.music.repair import told
 
 Element = ElementTree.Element
 
-_MOST_FINE = 10_000  # times as fine as a file says that its durations may have to be counted
+_COUNTED = ("divisions", "duration", "offset")  # a quarter in units, and what is given in these
+_MOST_FINE = 10_000  # times as small as a file has its units
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 
 
@@ -34,7 +35,7 @@ def mend(root: Element) -> list[str]:
         del mark.attrib["tempo"]
     for note in cues:
         _silence(note)
-    _refine(root, _finer(root))
+    _refine(root)
     _add_octaves(root)
     remarks = (
         (len(fingerings), "unreadable fingering", "left out"),
@@ -148,31 +149,21 @@ def _remove(root: Element, elements: Iterable[Element]) -> None:
                 parent.remove(child)
 
 
-def _finer(root: Element) -> int:
-    """How many times as fine units have to be for all durations to be whole; 1 where none are."""
-    try:
-        finer = math.lcm(*(_length(each).denominator for each in _durations(root)))
-        [int(each.text or "") for each in root.iter("divisions")]
-    except (ValueError, ZeroDivisionError):
-        return 1
-    return finer if finer <= _MOST_FINE else 1
+def _refine(root: Element) -> None:
+    """Counts in units so fine that all durations are whole, or nearly so.
+
+    What is no number stays: the library has it as no time at all.
+    """
+    counts = {each: _number(each) for tag in _COUNTED for each in root.iter(tag)}
+    known = {each: count for each, count in counts.items() if count is not None}
+    finer = min(math.lcm(*(count.denominator for count in known.values())), _MOST_FINE)
+    if any(each.tag == "divisions" and each not in known for each in counts):
+        finer = 1  # not all could be
+    for each, count in known.items():
+        each.text = str(round(count * finer))
 
 
-def _refine(root: Element, finer: int) -> None:
-    if finer > 1:
-        for each in _durations(root):
-            each.text = str(int(_length(each) * finer))
-        for each in root.iter("divisions"):
-            each.text = str(int(each.text or "") * finer)
-
-
-def _length(duration: Element) -> Fraction:
-    """Raises: ValueError: it is no number with few digits, of which others could have billions."""
-    text = (duration.text or "0").strip()
-    if not re.fullmatch(r"-?\d{1,12}(\.\d{1,12})?", text):
-        raise ValueError(text)
-    return Fraction(text)
-
-
-def _durations(root: Element) -> list[Element]:
-    return [*root.iter("duration"), *root.iter("offset")]
+def _number(element: Element) -> Fraction | None:
+    """None where it is no number with few digits, of which others could have billions."""
+    text = (element.text or "0").strip()
+    return Fraction(text) if re.fullmatch(r"-?\d{1,12}(\.\d{0,12})?", text) else None

@@ -31,6 +31,12 @@ NOT_READ = {  # what to do about formats that some may hold for music
 }
 
 
+def name_without_ending(song: str) -> str:
+    """The last part of a path or a name, without the ending of a file of music."""
+    path = Path(song)
+    return path.stem if path.suffix.lower() in MUSIC else path.name
+
+
 def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     """The score in a file of MIDI or MusicXML.
 
