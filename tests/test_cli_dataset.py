@@ -122,6 +122,8 @@ def test_what_cannot_be_is_told_in_a_line(
 
 def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     main(["dataset", "--help"])
-    lines = capsys.readouterr().out.splitlines()
+    usage, _, *lines, _, hint = capsys.readouterr().out.splitlines()
+    assert usage == "usage: cadenza dataset {collect,info,check,play,export} ..."
+    assert "cadenza dataset COMMAND --help" in hint
     names = [line.split(":")[0] for line in lines]
     assert names == [f"cadenza dataset {n}" for n in ("collect", "info", "check", "play", "export")]

@@ -63,7 +63,7 @@ AGENTS = Registry(
         ),
         "icp": Entry(
             f"{_BASELINES}.icp:ICP",
-            "fingers by iterative closest points, inverse kinematics, all planned offline",
+            "nearest fingers by iterative closest point (ICP), inverse kinematics, all offline",
             ICPConfig,
         ),
         "zero": Entry("cadenza.agents.agent:ZeroAgent", "hands that stay where they are"),

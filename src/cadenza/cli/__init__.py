@@ -191,8 +191,10 @@ def _run_without_command(arguments: list[str]) -> None:
 
 def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[str]) -> None:
     if words and words[0] in ("-h", "--help", "--help-all"):
+        print(f"usage: cadenza {name} {{{','.join(commands)}}} ...\n")
         for one, (kind, _) in commands.items():
             print(f"cadenza {name} {one}: {about_in_a_line(kind)}")
+        print(f'\nRun "cadenza {name} COMMAND --help" for the options of a command.')
         return
     given = " ".join([name, *words[:1]])
     raise CadenzaError(f"cadenza {given}: choose from {', '.join(commands)}")

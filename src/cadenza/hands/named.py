@@ -12,7 +12,7 @@ HANDS = Registry(
         "shadow": Entry("cadenza.hands.shadow.hand:SHADOW", "the Shadow Dexterous Hand"),
         "allegro": Entry("cadenza.hands.allegro.hand:ALLEGRO", "the Allegro Hand, four fingers"),
         "allegro-narrow": Entry(
-            "cadenza.hands.allegro.hand:ALLEGRO_NARROW", "the same with tips half as wide"
+            "cadenza.hands.allegro.hand:ALLEGRO_NARROW", "the Allegro hand with tips half as wide"
         ),
         "arm-allegro": Entry(
             "cadenza.hands.arm_allegro.hand:ARM_ALLEGRO", "the Allegro Hand on a seven-joint arm"

@@ -1,4 +1,4 @@
-"""Plans a song offline, with the fingers that iterative closest points choose.
+"""Plans a song offline, with the fingers that the iterative closest point algorithm chooses.
 
 As systems of arms with four-fingered hands do: fingertips are matched to the keys of a chord, then
 inverse kinematics over arm and hand finds the motion. It is rehearsed in simulation, and then
