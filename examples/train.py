@@ -2,7 +2,8 @@
 
 python examples/train.py [SONG [STEPS]]
 
-With 200000 steps, which take a few minutes, it plays Twinkle well. JAX is needed:
+With 200000 steps, which take a few minutes, it plays Twinkle well. The folder "run" must not hold a
+run already. JAX is needed:
 pip install 'cadenza[train]'
 """
 
@@ -20,7 +21,7 @@ best = cadenza.train(
     "run",  # metrics.jsonl has the learning curve; "cadenza curves run" draws it
     num_steps=steps,
     learning_starts=min(5_000, steps // 2),  # with random actions
-    eval_interval=min(10_000, steps // 2),
+    eval_interval=max(1, min(10_000, steps // 2)),
 )
 performance = cadenza.play(best)
 print(f"F1 {performance.metrics['f1']:.3f}")

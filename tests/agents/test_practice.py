@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import cadenza
 from cadenza.agents.agent import silent
 from cadenza.agents.planning import practice as practice_of_hands
+from cadenza.agents.planning import takes
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.first_takes import FirstTakes
 from cadenza.agents.planning.practice import Practice
@@ -349,6 +350,37 @@ def test_practice_with_parts_missing_is_refused(lost: str) -> None:
     state = begun.state()
     assert state.pop(lost) is not None
     with pytest.raises(CadenzaError, match="here: damaged, parts of it are missing; delete it"):
+        practice().restore(state, "here")
+
+
+def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Moments are whole simulations: none is made of the song before the window."""
+    left = practice(score=LONG)
+    while left._sweep is None or not left._sweep.first:
+        left.run(2.0, on_and_off(1))
+    made: list[int] = []
+    play = takes.Stage.play
+
+    def playing(*args: Any) -> Any:
+        played, moments = play(*args)
+        made.extend(moments)
+        return played, moments
+
+    again = practice(score=LONG)
+    monkeypatch.setattr(takes.Stage, "play", playing)
+    again.restore(as_read(left), "here")
+    assert made == list(again._moments)
+    assert min(made) == left._sweep.first
+
+
+def test_practice_with_a_generator_that_cannot_be_is_refused() -> None:
+    begun = practice()
+    begun.run(EFFORT, on_and_off(1))
+    state = begun.state()
+    state["right/rng"] = np.full_like(state["right/rng"], 2**63)
+    with pytest.raises(CadenzaError, match="here: damaged"):
         practice().restore(state, "here")
 
 

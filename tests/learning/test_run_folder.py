@@ -441,6 +441,17 @@ def test_where_there_is_no_room_the_last_checkpoint_still_loads(run: RunFolder, 
     assert loaded_step(run) == 30
 
 
+def test_a_kill_between_two_renames_loses_no_checkpoint(run: RunFolder) -> None:
+    """A checkpoint that replaces one of the same step sets that aside for a moment."""
+    saving = Saving(run)
+    saving.at(10)
+    aside, new = (run.path / "checkpoints" / f".{10:012}.{end}" for end in ("old", "new"))
+    shutil.copytree(saving.folder(10), new)
+    saving.folder(10).rename(aside)
+    assert loaded_step(run) == 10
+    assert [path.name for path in (run.path / "checkpoints").iterdir()] == [f"{10:012}"]
+
+
 def test_what_a_kill_left_half_written_is_dropped(run: RunFolder) -> None:
     saving = Saving(run)
     saving.at(10)

@@ -355,6 +355,19 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
         assert_array_equal(array, whole[name], err_msg=name)
 
 
+def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
+    runs: Callable[[], RunFolder],
+) -> None:
+    """Also if it has not been evaluated before."""
+    run = runs()
+    with closing(Training(CONFIG, SONG, run)) as one:
+        one.run(lambda: one.step < 8)
+    assert not (run.path / "best").exists()
+    train(replace(CONFIG, num_steps=one.step), run)
+    assert load_policy(run.path / "best").score == SONG
+    assert [row["eval_step"] for row in run.rows() if "eval_step" in row] == [one.step]
+
+
 def test_a_damaged_checkpoint_costs_only_time(
     runs: Callable[[], RunFolder], undisturbed: Callable[[str], RunFolder]
 ) -> None:

@@ -25,3 +25,33 @@ def test_no_call_is_under_way_once_an_error_is_raised() -> None:
         threads.for_each(range(4), work)
     assert done == {1, 2, 3}
     threads.close()
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_calls_together_return_in_order(num_threads: int) -> None:
+    threads = Threads(num_threads)
+    assert threads.together([]) == []
+    assert threads.together([lambda i=i: i for i in range(5)]) == [0, 1, 2, 3, 4]  # type: ignore[misc]
+    threads.close()
+
+
+def test_of_calls_together_none_is_under_way_once_an_error_is_raised() -> None:
+    begun, done = threading.Event(), []
+
+    def fails() -> None:
+        begun.wait()
+        raise ValueError("no")
+
+    def slow() -> None:
+        begun.set()
+        threading.Event().wait(0.05)
+        done.append("slow")
+
+    threads = Threads(2)
+    with pytest.raises(ValueError, match="no"):
+        threads.together([fails, slow, lambda: done.append("later")])
+    assert "slow" in done
+    count = len(done)
+    threading.Event().wait(0.05)
+    assert len(done) == count  # nothing comes after that
+    threads.close()

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
+from cadenza.fingering.search import find_fingering
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.goals import score_to_goals
 from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
@@ -18,6 +19,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask, Transition
 from numbered import FIVE, finger, numbers
 
@@ -511,6 +513,25 @@ def test_random_shifts(scenes: dict[str, Scene], options: dict, shifts: set[int]
     assert {song.notes[0].pitch - 60 for song in drawn} == shifts
     assert all([n.pitch - song.notes[0].pitch for n in song.notes] == [0, 4, -17] for song in drawn)
     assert drawn == songs_drawn(scenes["none"], 300, **options)
+
+
+def test_fingers_that_were_found_are_found_anew_for_other_keys(scenes: dict[str, Scene]) -> None:
+    """At another tempo they stay; a song's own always do."""
+    scene = scenes["both"]
+    (song, slower), (_, higher), (given, moved) = (
+        (player.task.tracks[0].score, player.task.sheets.tracks[0].score)
+        for player in (
+            Player(scene, UNFINGERED, random_stretch=0.2),
+            Player(scene, UNFINGERED, seeds=(1,), random_pitch_shift=3),
+            Player(scene, SONG, random_pitch_shift=3),
+        )
+    )
+    assert slower.total_time != song.total_time
+    assert [note.finger for note in slower.notes] == [note.finger for note in song.notes]
+    again, _ = find_fingering(higher.without_fingers(), players_of(scene))
+    assert higher.notes == again.notes
+    assert higher.notes[0].pitch != song.notes[0].pitch
+    assert [note.finger for note in moved.notes] == [note.finger for note in given.notes]
 
 
 def test_a_song_as_wide_as_the_keyboard_is_not_shifted(scenes: dict[str, Scene]) -> None:

@@ -365,6 +365,10 @@ class RunFolder:
 
     def _drop_unfinished(self) -> None:
         """Drops what was being written when the process was killed."""
+        for aside in self._named(self._checkpoints, rf"\.{_CHECKPOINT}\.old"):
+            kept = aside.with_name(aside.stem[1:])
+            if not kept.exists():  # the process was killed between two renames
+                aside.rename(kept)
         for folder in (self.path, self._checkpoints, self._replay):
             for path in self._named(folder, _UNFINISHED):
                 if path.is_dir():

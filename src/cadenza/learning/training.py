@@ -128,7 +128,7 @@ class Training:
         Raises:
             CadenzaError: there is no room for a checkpoint.
         """
-        first, began = self.step, time.perf_counter() - self._seconds
+        kept, began = self.step, time.perf_counter() - self._seconds
         saved = time.perf_counter()
         with threadpool_limits(1):  # the other cores learn
             while self.step < self.config.num_steps and goes_on():
@@ -142,8 +142,11 @@ class Training:
                     self._log()
                 if time.perf_counter() - saved > self.config.checkpoint_interval:
                     self._save()
-                    saved = time.perf_counter()
-            if self.step > first:
+                    kept, saved = self.step, time.perf_counter()
+            if self.step >= self.config.num_steps and not (self.best or self._evaluation):
+                self._evaluate()  # a run that is over has a best policy
+            self._take_evaluation()
+            if self.step > kept:
                 self._save()
 
     def _passed(self, before: int, interval: int) -> bool:

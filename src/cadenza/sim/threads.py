@@ -60,13 +60,18 @@ class Threads:
     def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:
         """What calls return. Threads that have nothing else to do make some of them.
 
-        May be called from within `for_each`.
+        May be called from within `for_each`. If a call raises, so does this, when no call is under
+        way.
         """
-        if self._num_threads == 1:
+        if self._num_threads == 1 or len(calls) < 2:
             return [call() for call in calls]
         by_others = [(call, self._started().submit(call)) for call in calls[1:]]
-        first = calls[0]()
-        return [first, *(call() if f.cancel() else f.result() for call, f in by_others)]
+        try:
+            first = calls[0]()
+            return [first, *(call() if f.cancel() else f.result() for call, f in by_others)]
+        except BaseException:
+            wait([future for _, future in by_others if not future.cancel()])
+            raise
 
     def _started(self) -> ThreadPoolExecutor:
         if self._pool is None or self._pool_of != os.getpid():

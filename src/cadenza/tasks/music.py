@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,20 +127,25 @@ def draw(
     """What is played in one episode, on keys of these `pitches`.
 
     Draws from `rng` only what song and configuration leave open. Fingers that were found for the
-    song are found anew for what is drawn: other keys are black, and other ways are long.
+    song are found anew where it is transposed: other keys are black then.
     """
     if song is None:
         song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
     track, score = tracks[song], tracks[song].score
     if config.random_stretch and _happens(config, rng):
         score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
+    in_time = score
     if config.random_pitch_shift and _happens(config, rng):
         score = _shifted(score, config.random_pitch_shift, 1, pitches, rng)
     if config.random_octave_shift and _happens(config, rng):
         score = _shifted(score, config.random_octave_shift, _OCTAVE, pitches, rng)
     if score is track.score:
         return track
-    return track.of(score.without_fingers()).fingered() if track.found else track.of(score)
+    if not track.found:
+        return track.of(score)
+    if score is in_time:
+        return replace(track, score=score)
+    return track.of(score.without_fingers()).fingered()
 
 
 def _happens(config: TaskConfig, rng: np.random.Generator) -> bool:

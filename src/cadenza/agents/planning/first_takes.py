@@ -128,11 +128,12 @@ class FirstTakes:
             self._begin_another()
             return 0
         first = self.played
-        last = self.played = min(first + self._chunk, len(self._take.ctrl))
+        last = min(first + self._chunk, len(self._take.ctrl))
         tries = self._followed(first, last) if self._follows else [self._play(first, last)]
         best = min(tries, key=lambda each: float(each.take.cost.sum()))
         self._take.put(first, best.take)
         self._moments = {step: moment for step, moment in best.moments.items() if step == last}
+        self.played = last  # only now: whoever interrupts this may go on
         if not self.is_playing:
             self._compare()
         return sum(each.simulated for each in tries)

@@ -410,7 +410,7 @@ class Practice:
         """
         try:
             self._restore(arrays)
-        except (LookupError, TypeError, ValueError) as error:
+        except (LookupError, OverflowError, TypeError, ValueError) as error:
             raise CadenzaError(
                 f"{where}: damaged, parts of it are missing; delete it to practise from the start"
             ) from error
@@ -433,9 +433,10 @@ class Practice:
         if first % self._between:
             raise ValueError(f"no window begins at step {first}")
         self._sweep, stage = _Sweep(first, until, before), self._version.stage
-        known = self.take.part(0, min(first + self._ahead, self.num_steps))
-        _, moments = stage.play(stage.beginning(), 0, known, self.take.heard(0), self._between)
-        self._moments = {step: m for step, m in moments.items() if step >= first}
+        # Moments take much memory: none is kept of what comes before.
+        here = scene_before(first, self.take, {0: stage.beginning()})
+        known = self.take.part(first, min(first + self._ahead, self.num_steps))
+        _, self._moments = stage.play(here, first, known, self.take.heard(first), self._between)
 
 
 def _named(parts: Parts) -> dict[str, NDArray[Any]]:

@@ -6,7 +6,15 @@ const f1 = (value) => `F1 ${value.toFixed(3)}`;
 async function listBackground() {
   if (only) return;
   clearTimeout(listBackground.again);
-  const { practice, trainings, jobs } = await ask("api/background");
+  let found;
+  try {
+    found = await ask("api/background");
+  } catch (error) {
+    listBackground.again = setTimeout(listBackground, 2000); // the server may come back
+    throw error;
+  }
+  if (cadenza.error === SILENT) calm();
+  const { practice, trainings, jobs } = found;
   const others = jobs.filter(({ id }) => !shown.some((each) => each.id === id)), works = trainings.map(training);
   if (practice.title) works.unshift(practised(practice));
   works.unshift(...others.map(planned));

@@ -21,7 +21,7 @@ function createInstrument() {
       for (let i = 0; i < samples.length; i++) channel[i] = samples[i] / 32767;
       Object.assign(tone, { buffer, peak: new DataView(bytes).getFloat32(0, true) });
     } catch {
-      tones.delete(name); // it is asked for again when another key needs it
+      tones.delete(name); // it is asked for again when a key is struck that needs it
     }
   }
   function damp(key, at) {
@@ -33,12 +33,13 @@ function createInstrument() {
     note.source.stop(at + 8 * fade);
   }
   function strike(key, velocity, at) {
-    const tone = tones.get(nameOf(key, velocity));
+    const name = nameOf(key, velocity), tone = tones.get(name);
+    if (!tone) fetchTone(name, Infinity); // nothing waits for it
     if (!tone?.buffer) return;
     damp(key, at);
     const source = new AudioBufferSourceNode(context, { buffer: tone.buffer });
     const gain = new GainNode(context, { gain: VOLUME * tone.peak * (velocity / 127) ** settings.louder });
-    const pan = new StereoPannerNode(context, { pan: 0.45 * ((2 * key) / (live.keys - 1) - 1) });
+    const pan = new StereoPannerNode(context, { pan: 0.45 * ((2 * key + 1) / live.keys - 1) });
     source.connect(gain).connect(pan).connect(strings);
     source.start(at);
     ringing.set(key, { source, gain });
@@ -64,13 +65,17 @@ function createInstrument() {
     begin(recording) {
       this.silence();
       [live, settings, asked] = [recording, recording.sound, 0];
+      for (const tone of tones.values()) tone.due = Infinity; // for what was heard before
     },
     /** Asks for the tones of all rows that have come. */
     prepare() {
       for (; live && asked < live.rows; asked++) {
         for (let key = 0; key < live.keys; key++) {
           const velocity = live.sounds(asked, key);
-          if (velocity > 1 && !tones.has(nameOf(key, velocity))) fetchTone(nameOf(key, velocity), asked * live.dt);
+          if (velocity <= 1) continue;
+          const name = nameOf(key, velocity), tone = tones.get(name), due = asked * live.dt;
+          if (tone) tone.due = Math.min(tone.due, due);
+          else fetchTone(name, due);
         }
       }
     },

@@ -38,8 +38,9 @@ async function listenToKeyboards(told, phrase) {
 function midiFile(events) {
   const parts = (length) => (length > 127 ? [...parts(length >> 7).map((byte) => byte | 0x80), length & 0x7f] : [length]);
   const track = [0, 0xff, 0x51, 3, 0x0f, 0x42, 0x40]; // a million microseconds a beat
-  let before = events[0][0];
-  for (const [time, ...bytes] of events) {
+  const inOrder = [...events].sort(([time], [other]) => time - other); // of several keyboards
+  let before = inOrder[0][0];
+  for (const [time, ...bytes] of inOrder) {
     const ticks = Math.round(time - before);
     track.push(...parts(ticks), ...bytes);
     before += ticks;

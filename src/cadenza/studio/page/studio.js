@@ -15,7 +15,11 @@ $("keyboard").addEventListener("click", async () => {
   press($("keyboard"), Boolean(stopListening));
   if (stopListening && !shown.length) say("Play something. When you pause, the hands play it after you.");
 });
-$("file").addEventListener("change", () => { if ($("file").files[0]) upload($("file").files[0]); });
+$("file").addEventListener("change", () => {
+  const [file] = $("file").files;
+  $("file").value = ""; // so that the same file can be chosen again
+  if (file) upload(file);
+});
 $("cancel").addEventListener("click", () => ask(`api/jobs/${heard.id}`, "DELETE"));
 $("play").addEventListener("click", toggle);
 $("link").addEventListener("click", async () => {
