@@ -9,10 +9,7 @@ from typing import Any
 from cadenza.cli.arguments import option_names, option_parts, words_of
 from cadenza.tasks.setups import setup_named
 
-SETUP_HELP = (
-    'Hands, keyboard and agent by one name, such as allegro, see "cadenza info". Other options '
-    "override it."
-)
+SETUP_HELP = 'Options by one name, such as allegro, see "cadenza info". Others override it.'
 
 
 def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:
