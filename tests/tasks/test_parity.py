@@ -14,6 +14,7 @@ from cadenza.music.libraries.library import load_score
 from cadenza.music.metrics import playing_metrics
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks import reward
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.music import prepare
@@ -105,6 +106,20 @@ def test_rewards_follow_from_recorded_states(recording: Recording) -> None:
     for name, term in terms.items():
         assert_allclose(term, recording[f"reward_{name}"], err_msg=name, **EXACT)
     assert_allclose(sum(terms.values()), recording["reward_total"], **EXACT)
+
+
+def test_hands_that_touch_cost_the_reward_for_forearms() -> None:
+    """Postures with the published reward: forearms that touch, hands that do, and neither."""
+    with np.load(DATA / "published_touches.npz") as published:
+        postures, expected = published["hand_qpos"], published["forearm"]
+        joints = tuple(published["joints"])
+    scene = build_scene()
+    assert scene.hand_joint_names == joints
+    simulation = MujocoSimulation(scene, len(postures), 0.05, 1, watch_forearms=True)
+    simulation.reset(hand_qpos=postures)
+    assert_array_equal(reward.forearm(simulation.state.forearm_contact), expected)
+    assert 0 < (expected == 0).mean() < 1
+    simulation.close()
 
 
 def key_centres(recording: Recording) -> np.ndarray:

@@ -60,6 +60,8 @@ class Hand:
     """How many of the fingers next to the thumb it can run into."""
     start: Mapping[str, float] = field(default_factory=dict)
     """Where joints are when an episode begins [rad]; 0 where nothing is said."""
+    kept_apart: tuple[str, ...] = (forearm.FOREARM,)
+    """The links that the reward for forearms wants to keep from those of the other hand."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: its parts do not go together."""
@@ -102,6 +104,8 @@ def _faults(hand: Hand) -> Iterator[str]:
         shape = {"least": (count, count), "most": (count, count)}.get(name, (count,))
         if isinstance(given, np.ndarray) and given.shape != shape:
             yield f"reach.{name} has shape {given.shape}; give {shape}"
+    if strange := [name for name in hand.kept_apart if name not in parents]:
+        yield f"kept_apart: there is no link {strange[0]!r}"
     yield from _faults_of_servos(hand)
     yield from _faults_of_start(hand)
 

@@ -65,6 +65,7 @@ class Scene:
     fingers_there: slice
     """The numbers of those whose sites these are."""
     forearm_geoms: dict[Side, Ids]
+    """Of the links that the reward for forearms keeps apart."""
     hand_bodies: Ids
     """(B,) the bodies that move with the hands."""
     palm_bodies: Ids
@@ -307,7 +308,11 @@ def _resolve(
         fingers=fingers,
         fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
-            side: np.flatnonzero(model.geom_bodyid == model.body(prefix(side) + forearm.FOREARM).id)
+            side: np.flatnonzero(
+                np.isin(
+                    model.geom_bodyid, [model.body(prefix(side) + n).id for n in hand.kept_apart]
+                )
+            )
             for side in sides
         },
         hand_bodies=as_ids(bodies),

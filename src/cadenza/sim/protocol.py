@@ -36,7 +36,8 @@ class State(NamedTuple):
     actuator_velocity: Array
     """(N, A) [m/s, rad/s]."""
     forearm_contact: NDArray[np.bool_]
-    """(N,) whether the two forearms touch; always False unless it was asked for."""
+    """(N,) whether links touch that the reward for forearms keeps apart (`Hand.kept_apart`); always
+    False unless it was asked for."""
     touch: Array
     """(N, F) normal forces on the fingertips [N]; zero without touch sensors."""
     unstable: NDArray[np.bool_]

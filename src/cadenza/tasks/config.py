@@ -54,8 +54,8 @@ class TaskConfig:
     sustain_term: bool = False
     """Add the reward for the sustain pedal, as in the published code."""
     forearm_term: bool = False
-    """Add the reward for forearms that do not collide. In the published code, palms and some links
-    of fingers count, too."""
+    """Add the reward for forearms that do not collide, as in the published code: of Shadow hands,
+    palms and some links of fingers count, too."""
     random_hand_position: float = 0.0
     """Randomise the initial position of both hands along the keyboard, up to this far either way
     [m]."""

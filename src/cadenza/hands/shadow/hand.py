@@ -73,10 +73,18 @@ _REACH = Reach(
     effort_on_black=np.array([0.5, 0.0, 0.0, 0.0, 0.2]),
 )
 
+# RoboPianist compares the names of shapes by how they begin, and so means more than the forearms.
+_KEPT_APART = (
+    *(forearm.FOREARM, "palm"),
+    *(name + link for name in ("ff", "mf") for link in ("knuckle", "proximal", "middle", "distal")),
+    *("rfknuckle", "rfproximal"),
+)
+
 SHADOW = Hand(
     name="shadow",
     body=BODY,
     fingers=tuple(_finger(name) for name in _NAMES),
     servos=_SERVOS,
     reach=_REACH,
+    kept_apart=_KEPT_APART,
 )
