@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Forearm, Players, seated
-from cadenza.fingering.presses import Press, onsets, outer_first
 from cadenza.fingering.search import solve
+from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
 from cadenza.hands.shadow.hand import SHADOW
 from cadenza.keyboards.piano import PIANO
@@ -24,7 +24,7 @@ REACH = SHADOW.reach
 
 
 def in_one_hand(
-    way: dict[Press, Finger], hand: int, players: Players
+    way: dict[Stroke, Finger], hand: int, players: Players
 ) -> tuple[float, float] | None:
     """From where to where the forearm can be along the keyboard while its fingers do this.
 
@@ -33,30 +33,30 @@ def in_one_hand(
     reach, forearm = players.reach, players.forearm(hand)
     assert forearm
     low, high = forearm.low, forearm.high
-    y = {press: players.key_y(hand)[press.key] for press in way}
-    for press, finger in way.items():
-        low = max(low, y[press] - reach.inward[finger.index])
-        high = min(high, y[press] + reach.outward[finger.index])
+    y = {stroke: players.key_y(hand)[stroke.key] for stroke in way}
+    for stroke, finger in way.items():
+        low = max(low, y[stroke] - reach.inward[finger.index])
+        high = min(high, y[stroke] + reach.outward[finger.index])
         for other, beyond in way.items():
-            if y[other] > y[press]:
+            if y[other] > y[stroke]:
                 pair = finger.index, beyond.index
                 if pair[0] >= pair[1]:
                     return None
-                if not reach.least[pair] <= y[other] - y[press] <= reach.most[pair]:
+                if not reach.least[pair] <= y[other] - y[stroke] <= reach.most[pair]:
                     return None
     return (low, high) if low <= high else None
 
 
-def possible(way: dict[Press, Finger], players: Players) -> bool:
+def possible(way: dict[Stroke, Finger], players: Players) -> bool:
     """Whether keys can be pressed by fingers at once."""
-    highs = [press.key for press, finger in way.items() if finger.hand == 0]
-    lows = [press.key for press, finger in way.items() if finger.hand == 1]
+    highs = [stroke.key for stroke, finger in way.items() if finger.hand == 0]
+    lows = [stroke.key for stroke, finger in way.items() if finger.hand == 1]
     if highs and lows and min(highs) <= max(lows):
         return False
     ends = []
     for hand in range(2):
         if players.forearm(hand):
-            mine = {press: finger for press, finger in way.items() if finger.hand == hand}
+            mine = {stroke: finger for stroke, finger in way.items() if finger.hand == hand}
             place = in_one_hand(mine, hand, players)
             if place is None:
                 return False
@@ -67,21 +67,21 @@ def possible(way: dict[Press, Finger], players: Players) -> bool:
 
 def written_out(score: Score, players: Players) -> set[int]:
     """The indices of the notes that are played."""
-    ways: list[dict[Press, Finger]] = [{}]
+    ways: list[dict[Stroke, Finger]] = [{}]
     played: set[int] = set()
     for moment, begin in onsets(score, players.keyboard.lowest_pitch):
-        struck = [press.key for press in begin]
+        struck = [stroke.key for stroke in begin]
         held = [p for p in ways[0] if p.end > moment + LETTING_GO and p.key not in struck]
         ways = [dict(w) for w in {tuple((p, way[p]) for p in held) for way in ways}]
-        for press in outer_first(begin, held):
-            if not 0 <= press.key < players.keyboard.num_keys:
+        for stroke in outer_first(begin, held):
+            if not 0 <= stroke.key < players.keyboard.num_keys:
                 continue
             able = {f for f in players.fingers if players.forearms[f.hand]}
-            able &= {press.finger} if press.finger else able
-            more = [way | {press: finger} for way in ways for finger in able]
+            able &= {stroke.finger} if stroke.finger else able
+            more = [way | {stroke: finger} for way in ways for finger in able]
             if more := [way for way in more if possible(way, players)]:
                 ways = more
-                played |= set(press.notes)
+                played |= set(stroke.notes)
     return played
 
 
@@ -142,7 +142,7 @@ def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
     found = playable(score, shadow_hands(sides))
     assert [moment.begun for moment in found.moments][-1] == len(score.notes)
     for moment in found.moments:
-        keys = [press.key for press in moment.presses]
+        keys = [stroke.key for stroke in moment.strokes]
         assert keys == sorted(set(keys))
         sounding = {
             i
@@ -151,7 +151,7 @@ def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
             and note.start <= moment.time
             and (note.start == moment.time or note.end > moment.time + LETTING_GO)
         }
-        assert {i for press in moment.presses for i in press.notes} == sounding
+        assert {i for stroke in moment.strokes for i in stroke.notes} == sounding
 
 
 def test_deciding_takes_little_of_the_time_of_fingering() -> None:

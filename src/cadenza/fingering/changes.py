@@ -9,7 +9,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from cadenza.fingering.chords import NEVER, States, shapes
-from cadenza.fingering.presses import Press
+from cadenza.fingering.strokes import Stroke
 from cadenza.hands.reach import Array, Reach
 
 _TIME_TO_MOVE = 0.15  # [s] to lift, move and press
@@ -57,15 +57,15 @@ _UNRELATED, _HELD, _STRUCK_AGAIN, _HIGHER, _LOWER = range(5)
 
 
 def changes_of_fingers(
-    earlier: Sequence[Press], now: Sequence[Press], time: float, reach: Reach, costs: Costs
+    earlier: Sequence[Stroke], now: Sequence[Stroke], time: float, reach: Reach, costs: Costs
 ) -> tuple[Array, Array] | tuple[None, None]:
     """(S', S) of `shapes`: what it costs the right and the left hand to come from other fingers.
 
     None where it costs nothing.
     """
-    keys = {press.key for press in now}
-    begins = [press.start >= time for press in now]
-    gaps = tuple([min(max(time - press.end, 0.0), _TIME_TO_CROSS) for press in earlier])
+    keys = {stroke.key for stroke in now}
+    begins = [stroke.start >= time for stroke in now]
+    gaps = tuple([min(max(time - stroke.end, 0.0), _TIME_TO_CROSS) for stroke in earlier])
     changes = []
     for was, gap in zip(earlier, gaps, strict=True):
         if was.key in keys:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingering.players import Players
-from cadenza.fingering.presses import Press, onsets, outer_first
+from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
 from cadenza.music.score import LETTING_GO, Score
 
@@ -48,12 +48,12 @@ class Moment(NamedTuple):
 
     Attributes:
         time: [s].
-        presses: what is pressed then, in the order of the keys.
+        strokes: what is pressed then, in the order of the keys.
         begun: how many notes of the score have begun by then, played or not.
     """
 
     time: float
-    presses: tuple[Press, ...]
+    strokes: tuple[Stroke, ...]
     begun: int
 
 
@@ -79,12 +79,12 @@ def playable(score: Score, players: Players) -> Playable:
     unheeded: dict[int, Finger] = {}
     sounding = Sounding(players)
     for time, begin in onsets(score, players.keyboard.lowest_pitch):
-        for press in sounding.go_on(time, begin):
-            if press.finger is None:
-                reasons |= dict.fromkeys(press.notes, sounding.reason_against(press))
+        for stroke in sounding.go_on(time, begin):
+            if stroke.finger is None:
+                reasons |= dict.fromkeys(stroke.notes, sounding.reason_against(stroke))
             else:
-                unheeded |= dict.fromkeys(press.notes, press.finger)
-        moments.append(Moment(time, tuple(sounding.presses), begin[-1].notes[-1] + 1))
+                unheeded |= dict.fromkeys(stroke.notes, stroke.finger)
+        moments.append(Moment(time, tuple(sounding.strokes), begin[-1].notes[-1] + 1))
     return Playable(tuple(moments), reasons, unheeded)
 
 
@@ -92,68 +92,68 @@ class Sounding:
     """What sounds, and all ways to play it.
 
     Attributes:
-        presses: in the order of their keys.
+        strokes: in the order of their keys.
     """
 
     def __init__(self, players: Players) -> None:
-        self.presses: list[Press] = []
+        self.strokes: list[Stroke] = []
         self._whose = players.whose
         self._limits = _limits(players)
         self._sets = _EMPTY
 
-    def go_on(self, time: float, begin: Sequence[Press]) -> Iterator[Press]:
+    def go_on(self, time: float, begin: Sequence[Stroke]) -> Iterator[Stroke]:
         """To the moment at which others begin; yields each of them that is not taken, at once."""
-        struck = {press.key for press in begin}
-        for press in list(self.presses):
-            if press.end <= time + LETTING_GO or press.key in struck:
-                self.release(press)
-        for press in outer_first(begin, self.presses):
-            if not self.take(press):
-                yield press
+        struck = {stroke.key for stroke in begin}
+        for stroke in list(self.strokes):
+            if stroke.end <= time + LETTING_GO or stroke.key in struck:
+                self.release(stroke)
+        for stroke in outer_first(begin, self.strokes):
+            if not self.take(stroke):
+                yield stroke
 
     def __copy__(self) -> Sounding:
         other = object.__new__(type(self))
-        vars(other).update(vars(self), presses=list(self.presses))
+        vars(other).update(vars(self), strokes=list(self.strokes))
         return other
 
-    def release(self, press: Press) -> None:
-        n = self.presses.index(press)
-        del self.presses[n]
+    def release(self, stroke: Stroke) -> None:
+        n = self.strokes.index(stroke)
+        del self.strokes[n]
         sets = self._sets
         self._sets = 0
         for finger, nth in enumerate(self._limits.nth[n]):
             self._sets |= (sets & nth) >> (1 << finger)
 
-    def take(self, press: Press) -> bool:
-        """Adds `press` if it can be played along with the others, and says whether it can."""
-        if not 0 <= press.key < len(self._limits.reaching):
+    def take(self, stroke: Stroke) -> bool:
+        """Adds `stroke` if it can be played along with the others, and says whether it can."""
+        if not 0 <= stroke.key < len(self._limits.reaching):
             return False
-        n = bisect(self.presses, press.key, key=attrgetter("key"))
-        sets = self._limits.with_one_more(self._sets, n, press)
+        n = bisect(self.strokes, stroke.key, key=attrgetter("key"))
+        sets = self._limits.with_one_more(self._sets, n, stroke)
         allowed, pairs = self._limits.allowed, self._limits.pairs
-        for i, below in enumerate(self.presses[:n]):
-            sets &= allowed(i, n, pairs[below.key][press.key])
-        for i, above in enumerate(self.presses[n:], start=n + 1):
-            sets &= allowed(n, i, pairs[press.key][above.key])
+        for i, below in enumerate(self.strokes[:n]):
+            sets &= allowed(i, n, pairs[below.key][stroke.key])
+        for i, above in enumerate(self.strokes[n:], start=n + 1):
+            sets &= allowed(n, i, pairs[stroke.key][above.key])
         if sets:
-            self.presses.insert(n, press)
+            self.strokes.insert(n, stroke)
             self._sets = sets
         return bool(sets)
 
-    def reason_against(self, press: Press) -> str:
-        """Why `press` cannot be played along with the others."""
+    def reason_against(self, stroke: Stroke) -> str:
+        """Why `stroke` cannot be played along with the others."""
         limits = self._limits
-        if not 0 <= press.key < len(limits.reaching):
+        if not 0 <= stroke.key < len(limits.reaching):
             return "not on this keyboard"
-        if not limits.reaching[press.key]:
+        if not limits.reaching[stroke.key]:
             return f"out of reach of {self._whose}"
-        if len(self.presses) == limits.most:
+        if len(self.strokes) == limits.most:
             return f"more than {limits.most} notes at once for {self._whose}"
-        presses = sorted([*self.presses, press], key=attrgetter("key"))
+        strokes = sorted([*self.strokes, stroke], key=attrgetter("key"))
         sets = _EMPTY
-        for n, other in enumerate(presses):
-            sets = limits.with_one_more(sets, n, other, given=other.start == press.start)
-        for (i, low), (n, high) in combinations(enumerate(presses), 2):
+        for n, other in enumerate(strokes):
+            sets = limits.with_one_more(sets, n, other, given=other.start == stroke.start)
+        for (i, low), (n, high) in combinations(enumerate(strokes), 2):
             sets &= limits.allowed(i, n, limits.pairs_but_for_forearms[low.key][high.key])
         others = "what is held by" if sets else "the other notes for"
         return f"too far from {others} {self._whose}"
@@ -184,15 +184,15 @@ class _Limits:
         self.pairs_but_for_forearms = _pairs(players, forearms=False)
         self.allowed = cache(self._allowed)
 
-    def with_one_more(self, sets: int, n: int, press: Press, given: bool = True) -> int:
-        """`sets`, each with a finger more that reaches the key of `press`; it becomes the `n`-th.
+    def with_one_more(self, sets: int, n: int, stroke: Stroke, given: bool = True) -> int:
+        """`sets`, each with a finger more that reaches the key of `stroke`; it becomes the `n`-th.
 
         Args:
-            given: whether it has to be the finger that `press` is to have, if any.
+            given: whether it has to be the finger that `stroke` is to have, if any.
         """
-        fingers = self.reaching[press.key]
-        if given and press.finger is not None:
-            fingers = [finger for finger in fingers if self._fingers[finger] == press.finger]
+        fingers = self.reaching[stroke.key]
+        if given and stroke.finger is not None:
+            fingers = [finger for finger in fingers if self._fingers[finger] == stroke.finger]
         more = 0
         for finger in fingers:
             more |= (sets << (1 << finger)) & self.nth[n][finger]

@@ -35,7 +35,7 @@ from cadenza.fingering.changes import Costs, changes_of_fingers, transition
 from cadenza.fingering.chords import NEVER, Asked, Chord, Chords
 from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players
-from cadenza.fingering.presses import Press
+from cadenza.fingering.strokes import Stroke
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import LETTING_GO, Note, Score
@@ -129,7 +129,7 @@ def solve(
     choices: list[Choice] = []
     chosen = playable(score, players)
     for sounding in chosen.moments:
-        ways = ways_on(ways, sounding.time, sounding.presses, chords, costs)
+        ways = ways_on(ways, sounding.time, sounding.strokes, chords, costs)
         choices.append(ways.choice)
         if progress:
             progress(sounding.begun, len(score.notes))
@@ -153,7 +153,7 @@ def solve(
 class Choice(NamedTuple):
     """What has to be remembered of a moment, to tell in the end what the hands do in it."""
 
-    presses: tuple[Press, ...]
+    strokes: tuple[Stroke, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
     left_before: NDArray[np.unsignedinteger]
     right_before: NDArray[np.unsignedinteger]
@@ -163,14 +163,14 @@ class Choice(NamedTuple):
 class Ways:
     """All ways to come to a moment: its states, and what they cost at the least.
 
-    presses             the m notes that sound, in the order of their keys
+    strokes             the m notes that sound, in the order of their keys
     cost (R, L)         of the cheapest way to this state of the right and this of the left hand
     left_before (R', L) the left hand's state before, and
     right_before (R, L) the right hand's, on that way
     """
 
     time: float
-    presses: tuple[Press, ...]
+    strokes: tuple[Stroke, ...]
     chord: Chord
     cost: Array
     left_before: NDArray[np.unsignedinteger]
@@ -180,7 +180,7 @@ class Ways:
     def choice(self) -> Choice:
         right, left = self.chord.hands
         return Choice(
-            self.presses, (right.fingers, left.fingers), self.left_before, self.right_before
+            self.strokes, (right.fingers, left.fingers), self.left_before, self.right_before
         )
 
 
@@ -196,14 +196,14 @@ def beginning(chords: Chords) -> Ways:
 def ways_on(
     before: Ways,
     time: float,
-    presses: tuple[Press, ...],
+    strokes: tuple[Stroke, ...],
     chords: Chords,
     costs: Costs = COSTS,
 ) -> Ways:
-    """From a moment on to the next, at `time` [s], in which `presses` sound."""
+    """From a moment on to the next, at `time` [s], in which `strokes` sound."""
     asked = tuple(
         Asked(p.key, begins, p.finger if begins else None)
-        for p in presses
+        for p in strokes
         for begins in (p.start >= time,)
     )
     chord = chords.of(asked)
@@ -213,7 +213,7 @@ def ways_on(
     through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
     left_before = np.empty(through.shape, np.min_scalar_type(len(left_was.cost)))
     right_before = np.zeros(cost.shape, np.min_scalar_type(len(right_was.cost)))
-    to_right, to_left = changes_of_fingers(before.presses, presses, time, chords.reach, costs)
+    to_right, to_left = changes_of_fingers(before.strokes, strokes, time, chords.reach, costs)
     seconds = max(time - before.time, LETTING_GO)
     change = transition(left_was, left, to_left, seconds, costs)
     for was_right, was_left in before.chord.shared:
@@ -227,7 +227,7 @@ def ways_on(
     cost += left.cost
     cost += chord.close
     cost[cost >= NEVER] = np.inf
-    return Ways(time, presses, chord, cost, left_before, right_before)
+    return Ways(time, strokes, chord, cost, left_before, right_before)
 
 
 def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
@@ -250,10 +250,10 @@ def cheapest(
     for choice in reversed(choices):
         states.append((int(state[0]), int(state[1])))
         for hand, (indices, s) in enumerate(zip(choice.fingers, state, strict=True)):
-            presses = choice.presses if hand == 0 else choice.presses[::-1]
-            for press, index in zip(presses, indices[s].tolist(), strict=True):
+            strokes = choice.strokes if hand == 0 else choice.strokes[::-1]
+            for stroke, index in zip(strokes, indices[s].tolist(), strict=True):
                 if index < num_fingers:  # else the other hand plays it
-                    fingers |= dict.fromkeys(press.notes, Finger(hand, index))
+                    fingers |= dict.fromkeys(stroke.notes, Finger(hand, index))
         right, left = state
         right_before = choice.right_before[right, left]
         state = (right_before, choice.left_before[right_before, left])

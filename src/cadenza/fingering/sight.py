@@ -15,8 +15,8 @@ import numpy as np
 
 from cadenza.fingering.playable import Sounding
 from cadenza.fingering.players import Players
-from cadenza.fingering.presses import Press
 from cadenza.fingering.search import Ways, beginning, cheapest, chords_of, ways_on
+from cadenza.fingering.strokes import Stroke
 from cadenza.fingers import Finger
 from cadenza.music.score import LETTING_GO
 
@@ -35,7 +35,7 @@ class NotesInSight:
         self._most = moments
         self._chords, self._num_fingers = chords_of(players), players.reach.num_fingers
         self._sounding, self._ways = Sounding(players), beginning(self._chords)
-        self._open: list[Press] = []  # that are not settled, by time
+        self._open: list[Stroke] = []  # that are not settled, by time
         self._come: list[tuple[float, Sounding, Ways]] = []  # to their moments, as far as known
         self._ends: dict[int, float] = {}  # note -> when, as far as that is of interest
         self._begun = 0
@@ -43,7 +43,7 @@ class NotesInSight:
     def begin(self, key: int, time: float) -> int:
         """A note is seen to begin, after all that were; its number."""
         number, self._begun = self._begun, self._begun + 1
-        self._open.append(Press(key, time, inf, 0, None, (number,)))
+        self._open.append(Stroke(key, time, inf, 0, None, (number,)))
         self._come = [come for come in self._come if come[0] < time]
         self._ends[number] = inf
         return number
@@ -62,12 +62,12 @@ class NotesInSight:
         moments = self._moments()
         if self._most is not None and self._most < len(moments):
             settled = min(settled, moments[self._most][0])
-        for time, presses in moments[len(self._come) : self._most]:
-            self._come.append((time, *self._on(time, presses)))
+        for time, strokes in moments[len(self._come) : self._most]:
+            self._come.append((time, *self._on(time, strokes)))
         choices = [ways.choice for _, _, ways in self._come]
         ways = self._come[-1][-1] if self._come else self._ways
         fingers, states = cheapest(ways.cost, choices, self._num_fingers)
-        numbers = [number for press in self._open for number in press.notes]
+        numbers = [number for stroke in self._open for number in stroke.notes]
         last = sum(time < settled for time, *_ in self._come) - 1
         if last >= 0:
             _, self._sounding, ways = self._come[last]
@@ -75,34 +75,34 @@ class NotesInSight:
             cost = np.full_like(ways.cost, inf)
             cost[states[last]] = ways.cost[states[last]]
             self._ways = replace(ways, cost=cost)
-            self._open = [press for press in self._open if press.start >= settled]
-            concern = (*self._sounding.presses, *self._ways.presses, *self._open)
-            known = {number for press in concern for number in press.notes}
+            self._open = [stroke for stroke in self._open if stroke.start >= settled]
+            concern = (*self._sounding.strokes, *self._ways.strokes, *self._open)
+            known = {number for stroke in concern for number in stroke.notes}
             self._ends = {number: end for number, end in self._ends.items() if number in known}
         return {number: fingers.get(number) for number in numbers}
 
-    def _on(self, time: float, presses: list[Press]) -> tuple[Sounding, Ways]:
+    def _on(self, time: float, strokes: list[Stroke]) -> tuple[Sounding, Ways]:
         """What sounds, and how hands come to it, when notes begin after all that is known."""
         sounding, ways = self._come[-1][1:] if self._come else (self._sounding, self._ways)
         sounding = self._as_seen(sounding)
-        ways = replace(ways, presses=tuple(map(self._ended, ways.presses)))
-        for _ in sounding.go_on(time, presses):
+        ways = replace(ways, strokes=tuple(map(self._ended, ways.strokes)))
+        for _ in sounding.go_on(time, strokes):
             pass  # nobody can play it
-        return sounding, ways_on(ways, time, tuple(sounding.presses), self._chords)
+        return sounding, ways_on(ways, time, tuple(sounding.strokes), self._chords)
 
-    def _moments(self) -> list[tuple[float, list[Press]]]:
+    def _moments(self) -> list[tuple[float, list[Stroke]]]:
         """At which notes begin that are not settled."""
-        moments: dict[float, list[Press]] = {}
-        for press in self._open:
-            moments.setdefault(press.start, []).append(self._ended(press))
+        moments: dict[float, list[Stroke]] = {}
+        for stroke in self._open:
+            moments.setdefault(stroke.start, []).append(self._ended(stroke))
         return list(moments.items())
 
-    def _ended(self, press: Press) -> Press:
+    def _ended(self, stroke: Stroke) -> Stroke:
         """With what is known of its end by now."""
-        end = self._ends[press.notes[0]]
-        return press if press.end == end else replace(press, end=end)
+        end = self._ends[stroke.notes[0]]
+        return stroke if stroke.end == end else replace(stroke, end=end)
 
     def _as_seen(self, sounding: Sounding) -> Sounding:
         seen = copy(sounding)
-        seen.presses = list(map(self._ended, sounding.presses))
+        seen.strokes = list(map(self._ended, sounding.strokes))
         return seen

@@ -11,7 +11,7 @@ from cadenza.music.score import Score, chords
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Press:
+class Stroke:
     """A key going down for one or, where a score has them double, several `notes` (indices)."""
 
     key: int
@@ -22,7 +22,7 @@ class Press:
     notes: tuple[int, ...]
 
 
-def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Press]]]:
+def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke]]]:
     """The moments at which notes begin, with what is pressed then.
 
     A note that is struck again while it sounds ends there.
@@ -46,18 +46,18 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Press]
             ends[indices[0]] = min(end, struck_again.get(key, end))
             struck_again[key] = time
     for time, keys in moments:
-        presses = []
+        strokes = []
         for key, indices in keys.items():
             notes = [score.notes[i] for i in indices]
             finger = next((n.finger for n in notes if n.finger is not None), None)
             loudest = max(note.velocity for note in notes)
-            presses.append(Press(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
-        yield time, presses
+            strokes.append(Stroke(key, time, ends[indices[0]], loudest, finger, tuple(indices)))
+        yield time, strokes
 
 
-def outer_first(begin: Sequence[Press], held: Sequence[Press]) -> list[Press]:
+def outer_first(begin: Sequence[Stroke], held: Sequence[Stroke]) -> list[Stroke]:
     """In the order in which notes are taken: given ones, then from outside to inside."""
-    keys = sorted({press.key for press in (*begin, *held)})
+    keys = sorted({stroke.key for stroke in (*begin, *held)})
     place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
     return sorted(
         begin,
