@@ -30,6 +30,7 @@ from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite, taking_up
 from cadenza.music.score import Score
+from cadenza.tasks.music import transposes
 from cadenza.tasks.piano_task import PianoTask
 
 Row = dict[str, float]
@@ -117,8 +118,7 @@ class Training:
 
     def _has_known_scores(self) -> bool:
         """Whether no other keys and fingers will be asked for."""
-        task = self.config.task
-        return not (task.random_pitch_shift or task.random_octave_shift)
+        return not transposes(self.config.task)
 
     # The loop
 

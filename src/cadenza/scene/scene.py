@@ -308,11 +308,7 @@ def _resolve(
         fingers=fingers,
         fingers_there=_joined([fingers.of_hand(SIDES.index(side)) for side in sides]),
         forearm_geoms={
-            side: np.flatnonzero(
-                np.isin(
-                    model.geom_bodyid, [model.body(prefix(side) + n).id for n in hand.kept_apart]
-                )
-            )
+            side: _geoms_of(model, [prefix(side) + name for name in hand.kept_apart])
             for side in sides
         },
         hand_bodies=as_ids(bodies),
@@ -323,6 +319,11 @@ def _resolve(
 
 def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> list[int]:
     return [i for i in range(count) if named(i).name.startswith(prefix)]
+
+
+def _geoms_of(model: mujoco.MjModel, bodies: Sequence[str]) -> Ids:
+    """Of bodies by name."""
+    return np.flatnonzero(np.isin(model.geom_bodyid, [model.body(name).id for name in bodies]))
 
 
 def _as_slice(addresses: Sequence[int]) -> slice:

@@ -153,8 +153,9 @@ class Trainings:
         if self._known.get(run, (-1, {}))[0] != size:
             config, _ = RunFolder(run).description()
             rows = read_rows(run) if size else []
-            found = [(row.get("eval_step"), row.get("eval/f1")) for row in rows]
-            points = [(step, f1) for step, f1 in found if f1 is not None]
+            points = [
+                (row["eval_step"], f1) for row in rows if (f1 := row.get("eval/f1")) is not None
+            ]
             figures = {
                 "step": max((row["step"] for row in rows), default=0),
                 "steps": config.num_steps,

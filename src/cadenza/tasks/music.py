@@ -112,9 +112,14 @@ def find_song(scores: Sequence[Score], song: Any) -> int:
     return found[0]
 
 
+def transposes(config: TaskConfig) -> bool:
+    """Whether `draw` may ask for other keys, and fingers, than the songs do."""
+    return bool(config.random_pitch_shift or config.random_octave_shift)
+
+
 def draws(config: TaskConfig) -> bool:
     """Whether `draw` changes what is played."""
-    return bool(config.random_stretch or config.random_pitch_shift or config.random_octave_shift)
+    return transposes(config) or bool(config.random_stretch)
 
 
 def draw(
