@@ -103,3 +103,9 @@ def test_hands_that_cannot_slide_to_where_their_image_is_have_none() -> None:
     turned = SceneConfig(attachment_yaw=15.0, forearm_dofs=("tx",))
     with pytest.raises(CadenzaError, match="choose attachment_yaw 0, or tx and ty"):
         Mirror(build_scene(turned))
+
+
+def test_forearms_that_turn_before_they_slide_have_none() -> None:
+    """A turned slide goes elsewhere than its image."""
+    with pytest.raises(CadenzaError, match="put tx and ty first among the forearm_dofs"):
+        Mirror(build_scene(SceneConfig(forearm_dofs=("yaw", "tx"))))

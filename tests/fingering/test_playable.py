@@ -154,6 +154,12 @@ def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
         assert {i for stroke in moment.strokes for i in stroke.notes} == sounding
 
 
+def test_notes_that_have_begun_are_counted() -> None:
+    """Also where a key is struck twice at once, for which the last note is of a lower key."""
+    score = Score((Note(0, 1, 60), Note(0, 1, 64), Note(0.01, 1, 60), Note(1, 2, 62)))
+    assert [moment.begun for moment in playable(score, shadow_hands()).moments] == [3, 4]
+
+
 def test_deciding_takes_little_of_the_time_of_fingering() -> None:
     """Also where hardly anything can be played: notes all over the keyboard."""
     rng = np.random.default_rng(0)

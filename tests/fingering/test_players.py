@@ -133,3 +133,13 @@ def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
     wider = seated(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)
     assert not find_fingering(chord, small)[1]
     assert len(find_fingering(chord, wider)[1]) == 1
+
+
+def test_forearms_in_the_way_are_told() -> None:
+    """Of hands with four fingers, eight notes at once."""
+    score = Score(tuple(Note(0, 1, pitch) for pitch in (41, 42, 43, 44, 45, 46, 47, 51)))
+    allegro = players_of(build_scene(SceneConfig(hand="allegro")))
+    _, dropped = find_fingering(score, allegro)
+    assert [(d.note.pitch, d.reason) for d in dropped] == [
+        (44, "the forearms would run into each other")
+    ]

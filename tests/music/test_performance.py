@@ -123,6 +123,14 @@ def test_the_scores_loudness_with_the_timing_that_was_played():
     assert heard.pedal == played.pedal
 
 
+@pytest.mark.parametrize("start", [0.9, 1.35, 7.7])
+def test_a_note_four_steps_late_is_still_the_same(start):
+    """As for the metrics, whatever rounding makes of the difference."""
+    score = Score((Note(start, start + 1, 60, 100),))
+    played = Score((Note(start + 0.2, start + 1, 60, 80),))
+    assert with_loudness_of(played, score).notes[0].velocity == 100
+
+
 def performed_times(score):
     return [(note.start, note.end, note.pitch) for note in score.notes]
 

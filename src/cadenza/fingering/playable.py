@@ -84,7 +84,8 @@ def playable(score: Score, players: Players) -> Playable:
                 reasons |= dict.fromkeys(stroke.notes, sounding.reason_against(stroke))
             else:
                 unheeded |= dict.fromkeys(stroke.notes, stroke.finger)
-        moments.append(Moment(time, tuple(sounding.strokes), begin[-1].notes[-1] + 1))
+        begun = 1 + max(stroke.notes[-1] for stroke in begin)
+        moments.append(Moment(time, tuple(sounding.strokes), begun))
     return Playable(tuple(moments), reasons, unheeded)
 
 
@@ -155,6 +156,8 @@ class Sounding:
             sets = limits.with_one_more(sets, n, other, given=other.start == stroke.start)
         for (i, low), (n, high) in combinations(enumerate(strokes), 2):
             sets &= limits.allowed(i, n, limits.pairs_but_for_forearms[low.key][high.key])
+        if sets and all(other.start == stroke.start for other in self.strokes):
+            return "the forearms would run into each other"
         others = "what is held by" if sets else "the other notes for"
         return f"too far from {others} {self._whose}"
 

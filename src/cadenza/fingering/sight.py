@@ -49,7 +49,10 @@ class NotesInSight:
         return number
 
     def end(self, number: int, time: float) -> None:
-        """A note is seen to end."""
+        """A note is seen to end.
+
+        Which notes are left out of a chord that nobody can play whole stays as it was.
+        """
         self._ends[number] = time
         self._come = [come for come in self._come if come[0] < time - LETTING_GO]
 

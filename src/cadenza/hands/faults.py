@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,15 @@ _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 
 
 def faults_of_body(body: Body) -> Iterator[str]:
+    if not body.links:
+        yield "has no links; begin with the forearm"
+        return
     links = [link.name for link in body.links]
     if (body.mount is None and links[:1] != [forearm.FOREARM]) or body.links[0].parent:
         yield f"the first link must be {forearm.FOREARM!r}, and have no parent"
     if forearm.FOREARM not in links:
         yield f"the link of the arm that carries the hand must be named {forearm.FOREARM!r}"
-    for name in _repeated(links):
+    for name in repeated(links):
         yield f"two links are named {name!r}; give each a name of its own"
     for place, link in enumerate(body.links):
         if place and link.parent not in links[:place]:
@@ -30,10 +34,14 @@ def faults_of_body(body: Body) -> Iterator[str]:
     joints = [link.joint.name for link in body.links if link.joint]
     couplings = [coupling.name for coupling in body.couplings]
     targets = [actuator.target for actuator in body.actuators]
-    for name in _repeated([*joints, *couplings]):
+    for name in repeated([*joints, *couplings]):
         yield f"two joints or couplings are named {name!r}; give each a name of its own"
-    for name in _repeated(targets):
+    for name in repeated(targets):
         yield f"two actuators move {name!r}; keep one"
+    moved = [target for target in targets if target in joints]
+    moved += [joint for coupling in body.couplings for joint in coupling.joints]
+    for name in repeated(moved):
+        yield f"joint {name} is moved by two actuators; keep one"
     yield from _faults_of_couplings(body, joints)
     yield from _faults_of_actuators(body, {*joints, *couplings})
     for pair in body.excluded:
@@ -52,7 +60,9 @@ def _wrong_range(of: str, limits: Any) -> Iterator[str]:
 
 def _faults_of_link(link: Link) -> Iterator[str]:
     for field, count in _LINK_NUMBERS.items():
-        yield from _wrong_numbers(f"link {link.name}: {field}", getattr(link, field), count)
+        yield from wrong_numbers(f"link {link.name}: {field}", getattr(link, field), count)
+    if not 0 <= link.mass < inf:
+        yield f"link {link.name}: its mass is {link.mass}; give 0 or more"
     if link.joint:
         yield from _faults_of_joint(link.joint)
     for geom in (*link.geoms, *link.round_geoms, *link.drawn):
@@ -60,7 +70,7 @@ def _faults_of_link(link: Link) -> Iterator[str]:
 
 
 def _faults_of_joint(joint: Joint) -> Iterator[str]:
-    yield from _wrong_numbers(f"joint {joint.name}: axis", joint.axis, 3)
+    yield from wrong_numbers(f"joint {joint.name}: axis", joint.axis, 3)
     yield from _wrong_range(f"joint {joint.name}", joint.range)
 
 
@@ -69,11 +79,14 @@ def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:
         yield f"{of}: no geom of type {geom.type!r}; choose from {', '.join(_SIZES)}"
         return
     count = _SIZES[geom.type]
-    if not _are_numbers(geom.size, count) or min(geom.size) <= 0:
-        numbers = "number" if count == 1 else "numbers"
-        yield f"{of}: the size of its {geom.type} is {geom.size}; give {count} positive {numbers}"
-    yield from _wrong_numbers(f"{of}: pos of its {geom.type}", geom.pos, 3)
-    yield from _wrong_numbers(f"{of}: quat of its {geom.type}", geom.quat, 4)
+    for size in (geom.size, geom.left_size):
+        if size is not None and (not _are_numbers(size, count) or min(size) <= 0):
+            numbers = "number" if count == 1 else "numbers"
+            yield f"{of}: the size of its {geom.type} is {size}; give {count} positive {numbers}"
+    yield from wrong_numbers(f"{of}: pos of its {geom.type}", geom.pos, 3)
+    yield from wrong_numbers(f"{of}: quat of its {geom.type}", geom.quat, 4)
+    if geom.left_quat is not None:
+        yield from wrong_numbers(f"{of}: left_quat of its {geom.type}", geom.left_quat, 4)
 
 
 def _faults_of_couplings(body: Body, joints: Sequence[str]) -> Iterator[str]:
@@ -94,7 +107,7 @@ def _faults_of_actuators(body: Body, targets: set[str]) -> Iterator[str]:
                 )
 
 
-def _wrong_numbers(of: str, numbers: Any, count: int) -> Iterator[str]:
+def wrong_numbers(of: str, numbers: Any, count: int) -> Iterator[str]:
     if not _are_numbers(numbers, count):
         yield f"{of} is {numbers}; give {count} finite numbers"
     elif count == 4 and not np.any(numbers):
@@ -110,5 +123,5 @@ def _unknown(of: str, kind: str, names: Iterable[str], known: Sequence[str]) -> 
         yield f"{of}: there is no {kind} {missing[0]!r}"
 
 
-def _repeated(names: Iterable[str]) -> Iterator[str]:
+def repeated(names: Iterable[str]) -> Iterator[str]:
     return (name for name, count in Counter(names).items() if count > 1)

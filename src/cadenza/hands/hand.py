@@ -13,7 +13,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Body, Options, add_fingertip_site, add_touch_sensor
-from cadenza.hands.faults import faults_of_body
+from cadenza.hands.faults import faults_of_body, repeated, wrong_numbers
 from cadenza.hands.jump import JumpTimes
 from cadenza.hands.reach import Reach
 from cadenza.hands.servo import Servo
@@ -95,6 +95,8 @@ def _faults(hand: Hand) -> Iterator[str]:
     count = len(hand.fingers)
     if not 0 < count <= MOST_FINGERS:
         yield f"has {count} fingers; give 1 to {MOST_FINGERS}"
+    for name in repeated(finger.name for finger in hand.fingers):
+        yield f"two fingers are named {name!r}; give each a name of its own"
     parents = {link.name: link.parent for link in hand.body.links}
     for finger in hand.fingers:
         yield from _faults_of_finger(finger, hand.fingers[0], parents)
@@ -162,6 +164,7 @@ def _faults_of_finger(
             )
     if len(finger.radii) != len(finger.links):
         yield f"finger {finger.name}: give a radius for each of its {len(finger.links)} links"
+    yield from wrong_numbers(f"finger {finger.name}: tip", finger.tip, 3)
 
 
 def _ancestors(link: str, parents: Mapping[str, str]) -> Iterator[str]:

@@ -264,6 +264,8 @@ class Keyboard:
 
 def _faults(keyboard: Keyboard) -> Iterator[str]:
     first, count = keyboard.lowest_pitch, keyboard.num_keys
+    if not (isinstance(first, int) and isinstance(count, int)):
+        yield f"lowest_pitch is {first!r} and num_keys {count!r}; give whole numbers"
     if count < 1:
         yield f"num_keys is {count}; give 1 or more"
     if not 0 <= first <= 128 - count:
@@ -271,9 +273,21 @@ def _faults(keyboard: Keyboard) -> Iterator[str]:
     if first % 12 in _BLACK_IN_OCTAVE:
         yield f"its first key, lowest_pitch {first}, is black; begin with a white one"
     for name, shape in {"white": keyboard.white, "black": keyboard.black}.items():
+        if not isinstance(shape.half_size, tuple) or len(shape.half_size) != 3:
+            yield f"{name}.half_size is {shape.half_size}; give a tuple of 3 lengths"
         yield from _not_positive(f"{name}.half_size", shape.half_size)
         yield from _not_positive(f"{name}.mass", shape.mass)
         yield from _not_positive(f"{name}.dip", shape.dip)
+    if not 0 <= keyboard.gap < np.inf:
+        yield f"gap is {keyboard.gap}; give 0 or more"
+    travel = min(keyboard.white.travel, keyboard.black.travel)
+    if not 0 < keyboard.sound_tolerance < travel:
+        yield (
+            f"sound_tolerance is {keyboard.sound_tolerance}; "
+            f"give more than 0 and less than a key turns, {travel:.3f} rad"
+        )
+    if not isinstance(keyboard.contact_solref, tuple) or len(keyboard.contact_solref) != 2:
+        yield f"contact_solref is {keyboard.contact_solref}; give a tuple of 2 numbers"
     for name in ("half_depth", "half_height", "density"):
         yield from _not_positive(f"base.{name}", getattr(keyboard.base, name))
 

@@ -96,7 +96,7 @@ def with_loudness_of(played: Score, score: Score) -> Score:
     def velocity(note: Note) -> int:
         after = bisect(starts.get(note.pitch, ()), note.start)
         near = written[note.pitch][max(0, after - 1) : after + 1]
-        same = [other for other in near if abs(other.start - note.start) <= SAME_NOTE]
+        same = [other for other in near if round(abs(other.start - note.start), 4) <= SAME_NOTE]
         nearest = min(same, key=lambda other: abs(other.start - note.start), default=None)
         return nearest.velocity if nearest else SOFTEST
 

@@ -29,7 +29,7 @@ def perturbed(scene: Scene, rng: np.random.Generator, amount: float = 0.1) -> Sc
     Sizes, places, ranges and the limits of forces stay.
 
     Raises:
-        CadenzaError: the amount is not within 0..1.
+        CadenzaError: the amount is negative, or 1 or more.
     """
     if not 0 <= amount < 1:
         raise CadenzaError(f"amount {amount}: choose 0 or more and less than 1")

@@ -111,7 +111,8 @@ def servos_of(scene: Scene) -> Servos:
             pulled = np.array([target])
         joints[a, model.jnt_dofadr[pulled] - dofs.start] = 1.0 / len(pulled)
     names = tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names)
-    # Kinetic energy and dissipation of a unit of speed add up over the joints of a coordinate.
+    # Of a unit of speed, dissipation adds up over the joints of a coordinate. So does kinetic
+    # energy, but for what joints of one tendon carry of each other.
     return Servos(
         names=names,
         joints=joints,

@@ -54,6 +54,11 @@ def swapped_joints(scene: Scene, middle: float) -> Swap:
     # A forearm's slides are at right angles to each other, however it is mounted.
     of_forearm = np.isin(model.jnt_bodyid[ids], model.jnt_bodyid[ids][scene.slide_joints])
     forearm = np.flatnonzero(slides & of_forearm)
+    if (np.diff(slides[of_forearm & (np.arange(count) < count // 2)].astype(int)) > 0).any():
+        raise CadenzaError(
+            "forearms that turn before they slide cannot be mirrored: "
+            "put tx and ty first among the forearm_dofs"
+        )
     away = np.array([0.0, 2 * middle, 0.0])
     offset = np.zeros(count)
     offset[forearm] = axes[forearm] @ away
