@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arguments import one_or_more
 from cadenza.agents.rollout import EpisodeResult, play_episodes
-from cadenza.errors import errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.tasks.piano_task import PianoTask
 
@@ -35,8 +36,13 @@ def succeeds(goal: NDArray[np.bool_], sounding: NDArray[np.bool_]) -> bool:
 
 
 def played(learnt: LearntPolicy, starts: int, beside: float) -> list[EpisodeResult]:
-    """Episodes that begin up to `beside` [m] from where hands usually do."""
-    assert learnt.score is not None, "the policy plays any song: what is it to play?"
+    """Episodes that begin up to `beside` [m] from where hands usually do.
+
+    Raises:
+        CadenzaError: the policy was not trained on one song.
+    """
+    if learnt.score is None:
+        raise CadenzaError("a policy that plays any song; give one that was trained on one song")
     config = replace(learnt.task, random_hand_position=beside)
     with closing(PianoTask([learnt.score], config, learnt.scene, starts)) as task:
         return play_episodes(task, learnt.agent, range(starts))
@@ -47,7 +53,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="How policies play what they were trained on.")
     parser.add_argument("policies", nargs="+", type=Path)
-    parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--starts", type=one_or_more, default=20)
     options = parser.parse_args()
     print("| policy | F1 | all keys right | F1, begun beside | all keys right, begun beside |")
     print("| --- | --- | --- | --- | --- |")

@@ -26,6 +26,7 @@ import flax.linen as nn
 import jax
 import numpy as np
 
+from benchmarks.arguments import one_or_more
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
 from cadenza.errors import errors_in_a_line
@@ -385,8 +386,8 @@ def main() -> None:
         help="what is learnt; with --published one of the published system",
     )
     parser.add_argument("--published", type=Path, help="venv made by tools/published_setup.sh")
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--updates", type=int, default=32, help="of each in a round")
+    parser.add_argument("--rounds", type=one_or_more, default=15)
+    parser.add_argument("--updates", type=one_or_more, default=32, help="of each in a round")
     options = parser.parse_args()
     rounds, number = options.rounds, options.updates
     score = load_score(options.song)

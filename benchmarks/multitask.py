@@ -14,7 +14,6 @@ The folder then holds multitask.csv, a row for each policy and song, and multita
 from __future__ import annotations
 
 import argparse
-import csv
 import html
 import math
 from collections.abc import Iterator, Sequence
@@ -24,10 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.arguments import one_or_more
+from benchmarks.table import write_table
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main as cadenza
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.statistics import mean_interval
+from cadenza.files import write_atomically
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
@@ -93,9 +95,10 @@ def write_songs(folder: Path, seen: Sequence[str], unseen: Sequence[str]) -> lis
     return files
 
 
-def train(folder: Path, songs: Sequence[str], width: int, seed: int, updates: int) -> Policy:
+def train(
+    demonstrations: Path, run: Path, songs: Sequence[str], width: int, seed: int, updates: int
+) -> Policy:
     """A policy of these songs, with hidden layers of this width."""
-    run = folder / "runs" / f"{len(songs)}-{width}-{seed}"
     run.mkdir(parents=True, exist_ok=True)
     config = ImitationConfig(
         learner=CloningConfig(hidden_sizes=(width,) * LAYERS),
@@ -104,7 +107,7 @@ def train(folder: Path, songs: Sequence[str], width: int, seed: int, updates: in
         held_out=0,
         seed=seed,
     )
-    Imitation(config, folder / "demonstrations", run).run(lambda: True)
+    Imitation(config, demonstrations, run).run(lambda: True)
     return Policy(config.songs, width, seed, load_policy(run / "last"))
 
 
@@ -215,23 +218,34 @@ def drawn(found: Sequence[Mean]) -> Iterator[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("multitask"))
-    parser.add_argument("--songs", type=int, nargs="+", default=[1, 2, 4, 8, 16])
+    parser.add_argument("--songs", type=one_or_more, nargs="+", default=[1, 2, 4, 8, 16])
     parser.add_argument("--more", metavar="LIBRARY", help="of songs after the bundled ones")
-    parser.add_argument("--widths", type=int, nargs="+", default=[256], help="of the hidden layers")
+    parser.add_argument(
+        "--widths", type=one_or_more, nargs="+", default=[256], help="of the hidden layers"
+    )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--episodes", type=int, default=6, help="demonstrations of each song")
-    parser.add_argument("--updates", type=int, default=625, help="for each song")
-    parser.add_argument("--least-updates", type=int, default=3_000)
+    parser.add_argument(
+        "--episodes", type=one_or_more, default=6, help="demonstrations of each song"
+    )
+    parser.add_argument("--updates", type=one_or_more, default=625, help="for each song")
+    parser.add_argument("--least-updates", type=one_or_more, default=3_000)
     options = parser.parse_args()
     folder = options.output
     learnt = to_learn(max(options.songs), options.more)
     seen, unseen = write_songs(folder / "songs", learnt, order()[-NOT_LEARNT:])
-    demonstrations = ["-o", str(folder / "demonstrations"), "--episodes", str(options.episodes)]
-    cadenza(["dataset", "collect", "--songs", str(folder / "songs/seen"), *demonstrations, *HOW])
+    # Named after how many there are of each song: with more, nothing that was learnt is kept.
+    demonstrations = folder / f"demonstrations-{options.episodes}"
+    collect = ["dataset", "collect", "--songs", str(folder / "songs/seen")]
+    cadenza([*collect, "-o", str(demonstrations), "--episodes", str(options.episodes), *HOW])
     names = [song.stem for song in seen]
     policies = [
         train(
-            folder, names[:count], width, seed, max(options.updates * count, options.least_updates)
+            demonstrations,
+            folder / f"runs-{options.episodes}" / f"{count}-{width}-{seed}",
+            names[:count],
+            width,
+            seed,
+            max(options.updates * count, options.least_updates),
         )
         for seed in options.seeds
         for width in options.widths
@@ -244,12 +258,10 @@ def main() -> None:
 
 def summed_up(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     """Writes the table and the picture, and prints the means."""
-    with open(folder / "multitask.csv", "w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    write_table(folder / "multitask.csv", rows)
     found = means(rows)
-    (folder / "multitask.svg").write_text("\n".join(drawn(found)))
+    with write_atomically(folder / "multitask.svg") as file:
+        file.write("\n".join(drawn(found)).encode())
     print("| songs | units | | F1 | 95 % interval |\n| --- | --- | --- | --- | --- |")
     for mean in found:
         kind = "learnt" if mean.learnt else "others"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.playback import load_plan
-from cadenza.errors import errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import ANY, read_arrays
 from cadenza.music.metrics import step_metrics
 from cadenza.music.score import NUM_KEYS
@@ -38,10 +38,12 @@ def variations(plan: NDArray[np.float64], scene: Scene) -> NDArray[np.float64]:
     return np.clip(plan + NOISE * half_range * noise, scene.action_low, scene.action_high)
 
 
-def replayed_f1(plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene) -> NDArray:
-    """F1 of each variation of the plan, (1 + NUM_NOISY,)."""
+def replayed_f1(
+    plan: NDArray[np.float64], goal: NDArray[np.bool_], scene: Scene, dt: float
+) -> NDArray[np.float64]:
+    """F1 of each variation of the plan, (1 + NUM_NOISY,), in control steps of `dt` [s]."""
     ctrl = variations(plan, scene)[..., :-1]
-    simulation = PlanningSimulation(scene, len(ctrl), num_threads=available_cores())
+    simulation = PlanningSimulation(scene, len(ctrl), dt, available_cores())
     played = key_activation(simulation.rollout(ctrl).key_qpos, scene.keyboard.sounds_from)
     simulation.close()
     return np.array([step_metrics(keys, goal)[2].mean() for keys in played])
@@ -59,12 +61,16 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- |")
     for path in options.episodes:
         plan, about = load_plan(path), read_arrays(path, ANY, 2**30)
+        if "goal_obs" not in about:
+            raise CadenzaError(f"{path}: no recorded episode, but a plan; give an episode.npz")
         seen = np.concatenate([about["goal_obs0"][None], about["goal_obs"][:-1]])
         goal = seen[:, :NUM_KEYS].astype(bool)
         for physics in get_args(Physics):
             reduced = bool(about["reduced_action_space"])
             scene = build_scene(SceneConfig(physics=physics, reduced_action_space=reduced))
-            exact, *noisy = replayed_f1(plan, goal, scene)
+            if plan.shape[1] != len(scene.action_low):
+                raise CadenzaError(f"{path}: not played by two Shadow hands as they are by default")
+            exact, *noisy = replayed_f1(plan, goal, scene, float(about["dt"]))
             print(
                 f"| {about['song']} | {physics} | {exact:.3f} | {np.mean(noisy):.3f} "
                 f"| {np.min(noisy):.3f} | {np.max(noisy):.3f} |"

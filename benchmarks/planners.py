@@ -1,12 +1,11 @@
 """Predictive sampling and iLQG at the paper's settings: how well they play, and where time goes.
 
-    OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners SONG [--steps N] [--iterations I ...]
+    python -m benchmarks.planners SONG [--steps N] [--iterations I ...]
 
 With --whole-song instead those that plan the whole song: the plan of `ScorePlanner` as it is and
 refined, and `TrackedPresses`.
 
-Prints a table in Markdown. Plans for small matrices are faster where the threads of the linear
-algebra do not compete with those of the simulation, hence the variable.
+Prints a table in Markdown.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.arguments import one_or_more
 from cadenza.agents.agent import Agent, PlannerPerEnv, ZeroAgent
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -85,9 +85,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("song", help="a bundled piece or a MIDI file")
-    parser.add_argument("--steps", type=int, default=40, help="control steps, at most the song's")
-    parser.add_argument("--iterations", type=int, nargs="+", default=[1], help="a control step")
-    parser.add_argument("--seeds", type=int, default=3, help="of planners that sample")
+    parser.add_argument(
+        "--steps", type=one_or_more, default=40, help="control steps, at most the song's"
+    )
+    parser.add_argument(
+        "--iterations", type=one_or_more, nargs="+", default=[1], help="a control step"
+    )
+    parser.add_argument("--seeds", type=one_or_more, default=3, help="of planners that sample")
     parser.add_argument("--centred", action="store_true", help="iLQG with centred differences")
     parser.add_argument("--whole-song", action="store_true", help="plan the whole song")
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")

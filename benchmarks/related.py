@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,7 +22,9 @@ from typing import Any, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.arguments import one_or_more
 from benchmarks.robustness import TROUBLES, Trouble, troubled_task
+from benchmarks.table import write_table
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
@@ -33,7 +34,6 @@ from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
-from cadenza.files import write_atomically
 from cadenza.music.etudes.etude import etude
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
@@ -165,16 +165,6 @@ def read() -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write(table: Sequence[dict[str, Any]]) -> None:
-    """Replaces the file."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(table)
-    with write_atomically(RESULTS) as file:
-        file.write(text.getvalue().encode())
-
-
 def _mean(table: Iterable[dict[str, str]], column: str) -> str:
     values = [float(row[column]) for row in table]
     return f"{mean(values):.3f}" if values else ""
@@ -190,8 +180,11 @@ def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
             continue  # the same as what was recorded
         mine = [r for r in table if r["setting"] == name and r["amiss"] == NOTHING.name]
         cells = [_mean((r for r in mine if r["piece"] == piece), "f1") for piece in PIECES]
-        cells += [_mean(mine, "f1"), _mean(mine, "note_onset_f1")]
-        cells += [_ratio(mine, "prepare_cpu_seconds"), _ratio(mine, "cpu_seconds")]
+        if all(cells):
+            cells += [_mean(mine, "f1"), _mean(mine, "note_onset_f1")]
+            cells += [_ratio(mine, "prepare_cpu_seconds"), _ratio(mine, "cpu_seconds")]
+        else:  # some pieces have been deleted to be measured anew
+            cells += [""] * 4
         yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
     yield ""
     yield "| setting | " + " | ".join(trouble.name for trouble in ALL) + " |"
@@ -215,7 +208,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS))
-    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--seeds", type=one_or_more, default=2)
     parser.add_argument("--tables", action="store_true", help="print what there is")
     options = parser.parse_args()
     if options.tables:
@@ -224,7 +217,7 @@ def main() -> None:
     for name in options.settings:
         known = {tuple(r[column] for column in _OF_A_ROW) for r in read()}
         for row in rows(name, options.seeds, known):
-            write([*read(), row])
+            write_table(RESULTS, [*read(), row])
             print(name, row["piece"], row["amiss"], row["seed"], f"{row['f1']:.3f}", flush=True)
 
 

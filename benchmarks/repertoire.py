@@ -11,10 +11,12 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
-from cadenza.agents.planning.config import ScorePlannerConfig
+from benchmarks.arguments import one_or_more
+from cadenza.agents.planning.config import SamplingMethod, ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
@@ -45,8 +47,12 @@ def measure(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("songs", nargs="*", help="bundled pieces or MIDI files; all bundled ones")
-    parser.add_argument("--seeds", type=int, default=5, help="0 to N - 1")
-    parser.add_argument("--method", default=ScorePlannerConfig().method)
+    parser.add_argument("--seeds", type=one_or_more, default=5, help="0 to N - 1")
+    parser.add_argument(
+        "--method",
+        choices=("none", *get_args(SamplingMethod)),
+        default=ScorePlannerConfig().method,
+    )
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
     options = parser.parse_args()
     config = ScorePlannerConfig(method=options.method)

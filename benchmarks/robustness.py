@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.arguments import one_or_more
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
 from cadenza.agents.planning.config import ScorePlannerConfig
@@ -108,7 +109,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("songs", nargs="+", help="bundled pieces or MIDI files")
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", type=one_or_more, default=5)
     parser.add_argument("--agents", nargs="+", choices=AGENTS, default=["refined"])
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
     options = parser.parse_args()

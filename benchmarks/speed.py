@@ -22,8 +22,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from benchmarks.arguments import one_or_more
 from cadenza.agents.playback import load_plan
-from cadenza.errors import errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.env import PianoVectorEnv
@@ -77,13 +78,17 @@ def environment(
 
 
 def published(venv: Path, arguments: list[str]) -> Contestant:
-    """The published environment in an interpreter of its own (tools/published_steps.py)."""
-    command = [str(venv / "bin" / "python"), "tools/published_steps.py", *arguments]
+    """The published environment in an interpreter of its own (tools/published_steps.py).
+
+    To measure it raises a CadenzaError if it does not run.
+    """
+    program = Path(__file__).parents[1] / "tools/published_steps.py"
+    command = [str(venv / "bin" / "python"), str(program), *arguments, "--seconds", "3"]
 
     def run() -> float:
-        result = subprocess.run(
-            [*command, "--seconds", "3"], capture_output=True, text=True, check=True
-        )
+        result = subprocess.run(command, capture_output=True, text=True)
+        if result.returncode:
+            raise CadenzaError(result.stderr.strip().splitlines()[-1])
         return float(json.loads(result.stdout)["steps_per_second"])
 
     return run
@@ -141,7 +146,7 @@ def main() -> None:
     )
     parser.add_argument("episode", type=Path, help="the recorded skilled performance")
     parser.add_argument("--published", type=Path, help="venv made by tools/published_setup.sh")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=one_or_more, default=3)
     options = parser.parse_args()
     skilled = load_plan(options.episode)
     scene = build_scene(SceneConfig())

@@ -1,6 +1,6 @@
 """Has the planner play several songs, and writes all steps to one file of arrays.
 
-python examples/make_dataset.py dataset.npz [SONG ...]
+python examples/make_dataset.py [dataset.npz] [SONG ...]
 
 Every array has a row per control step: an action, and the state and the goal after it. `episode`
 counts the songs, so that `episode == 0` selects the first. `cadenza.Episode` describes the others.
@@ -27,6 +27,7 @@ for song in songs:
 
 dataset = {name: np.concatenate([episode[name] for episode in episodes]) for name in ARRAYS}
 dataset["episode"] = np.repeat(range(len(songs)), [episode.num_steps for episode in episodes])
-np.savez_compressed(path, songs=songs, **dataset)
+with open(path, "wb") as file:  # under this very name; NumPy would add .npz to others
+    np.savez_compressed(file, songs=songs, **dataset)
 for name, values in np.load(path).items():
     print(f"{name:15} {values.dtype!s:8} {values.shape}")

@@ -79,6 +79,7 @@ def train(name: str, envs: Any, steps: int, options: dict[str, Any]) -> None:
         policy_kwargs={"net_arch": [256, 256, 256]},
         seed=0,
         device="cpu",
+        stats_window_size=steps,  # keeps the returns of all episodes
         **options,
     )
     started = time.perf_counter()

@@ -1,10 +1,9 @@
 """Compares the fingers that Cadenza finds with those written beside the bundled pieces.
 
-    python tools/compare_fingering.py                                       # ours
-    python tools/compare_fingering.py path/to/bin/python OdeToJoy MinuetInG # and pianoplayer's
+    python tools/compare_fingering.py [PIECE ...] [--pianoplayer PYTHON]
 
-The second form wants the Python of an environment with pianoplayer (pip install
-'pianoplayer[midi]'), which is told the hand of every note, as it does not choose hands, and takes
+With the Python of an environment that has pianoplayer (pip install 'pianoplayer[midi]'), its
+fingers are compared, too. It is told the hand of every note, as it does not choose hands, and takes
 up to minutes a piece.
 
 `hand` and `finger` are the shares of notes with the same hand and finger as written, `cost` what
@@ -37,8 +36,8 @@ HANDS = players_of(build_scene())
 @errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("pianoplayer", nargs="?", help="the Python of its environment")
     parser.add_argument("pieces", nargs="*", help="bundled pieces; all by default")
+    parser.add_argument("--pianoplayer", help="the Python of an environment that has it")
     options = parser.parse_args()
     pianoplayer, names = options.pianoplayer, options.pieces
     print(f"{'':31} notes  written (against)   found: hand, finger, cost (against)")

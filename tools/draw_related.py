@@ -28,7 +28,7 @@ ROBOTS: dict[str, dict[str, Any]] = {  # what `cadenza.play` is told beside the 
 
 
 def draw(name: str) -> None:
-    """The last step of the first seconds of a song."""
+    """The end of the first seconds of a song."""
     performance = cadenza.play(load_score(SONG).beginning(SECONDS), **ROBOTS[name])
     episode = performance.episode
     names = ("hand_qpos", "key_qpos", "key_activation", "goal_keys")

@@ -16,20 +16,23 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import astuple, replace
+import warnings
+from dataclasses import astuple
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.stats import spearmanr
+from scipy.stats import ConstantInputWarning, spearmanr
 
-from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planning.config import SamplingMethod, ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
+from cadenza.files import parsed_json
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
 from cadenza.fingering.search import find_fingering
 from cadenza.music.libraries.library import load_score, open_library
@@ -56,7 +59,12 @@ def main() -> None:
     playing.add_argument("--output", "-o", type=Path, required=True)
     playing.add_argument("--most", type=int, help="songs of each library, drawn; all by default")
     playing.add_argument("--seconds", type=float, default=15.0, help="that are played of each song")
-    playing.add_argument("--method", default="none", help="--planner.method of cadenza play")
+    playing.add_argument(
+        "--method",
+        default="none",
+        choices=("none", *get_args(SamplingMethod)),
+        help="--planner.method of cadenza play",
+    )
     fitting = commands.add_parser("fit", help="fit the weights, and check them")
     fitting.add_argument("fitted", type=Path, help="what is fitted to")
     fitting.add_argument("checked", type=Path, nargs="*", help="what is looked at only")
@@ -85,6 +93,7 @@ def play(libraries: list[str], output: Path, most: int | None, seconds: float, m
             name = songs[i].name
             if name in done:
                 continue
+            done.add(name)
             score = opening(songs[i].load(), seconds)
             task = PianoTask([score], TaskConfig(initial_buffer_time=0.5))
             f1 = play_episode(task, ScorePlanner(planner), 0).metrics["f1"]
@@ -96,14 +105,12 @@ def play(libraries: list[str], output: Path, most: int | None, seconds: float, m
 
 def opening(score: Score, seconds: float) -> Score:
     """Its first seconds, without fingers."""
-    score = score.with_silence_trimmed().without_fingers()
-    notes = (replace(n, end=min(n.end, seconds)) for n in score.notes if n.start < seconds - 0.1)
-    pedal = (event for event in score.pedal if event.time < seconds)
-    return Score(tuple(notes), tuple(pedal), score.title)
+    return score.with_silence_trimmed().beginning(seconds).without_fingers()
 
 
 def rows_of(path: Path) -> list[dict]:
-    return [json.loads(line) for line in path.read_text().splitlines()]
+    lines = enumerate(path.read_text().splitlines(), start=1)
+    return [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
 
 
 def fit(fitted: Path, checked: list[Path]) -> None:
@@ -160,8 +167,9 @@ def compare(bench: Path) -> None:
 def report(name: str, grades: Array, errors: Array) -> None:
     rng = np.random.default_rng(0)
     draws = rng.integers(len(grades), size=(2000, len(grades)))
-    drawn = [spearmanr(grades[draw], errors[draw]).statistic for draw in draws]
-    low, high = np.percentile(drawn, [2.5, 97.5])
+    with warnings.catch_warnings(action="ignore", category=ConstantInputWarning):
+        drawn = [spearmanr(grades[draw], errors[draw]).statistic for draw in draws]
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])  # without draws of one song only
     least, middle, most = np.percentile(grades, [0, 50, 100])
     print(
         f"{name}: {len(grades)} songs, grades {least:.1f} to {most:.1f}, median {middle:.1f}; "

@@ -23,6 +23,7 @@ from cadenza.agents.planning.losses import ONSETS
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
+from cadenza.files import parsed_json
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
 from cadenza.music.libraries.library import open_library
@@ -45,6 +46,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=8.0, help="that are played of each song")
     options = parser.parse_args()
     songs = openings(options.libraries, options.most, options.seconds)
+    if not songs:
+        raise CadenzaError("no songs to play")
     played = Played(songs, options.seconds, options.output)
     print(f"\nCOSTS = {fitted(played)}")
 
@@ -67,8 +70,9 @@ class Played:
         self.songs, self.path = songs, path
         self._seconds = seconds
         self._known: dict[tuple[str, Costs], float] = {}
-        for line in path.read_text().splitlines() if path.exists() else ():
-            row = json.loads(line)
+        lines = path.read_text().splitlines() if path.exists() else ()
+        for number, line in enumerate(lines, start=1):
+            row = parsed_json(line, dict, f"{path}, line {number}")
             if row.get("seconds") != seconds:
                 raise CadenzaError(
                     f"{path}: holds other than {seconds:g} s; choose another --output"

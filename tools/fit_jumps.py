@@ -27,7 +27,8 @@ from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
-from cadenza.errors import errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line
+from cadenza.files import parsed_json
 from cadenza.fingers import Finger
 from cadenza.hands.hand import Hand
 from cadenza.hands.jump import JumpTimes
@@ -78,8 +79,22 @@ def main() -> None:
     if options.command == "play":
         play(options.jumps, options.hand, options.etudes)
     else:
-        lines = map(json.loads, options.jumps.read_text().splitlines())
-        fit([Jump(**line) for line in lines], hand_named(options.hand))
+        fit(jumps_in(options.jumps, options.hand), hand_named(options.hand))
+
+
+def jumps_in(path: Path, hand: str) -> list[Jump]:
+    """Those that were written.
+
+    Raises:
+        CadenzaError: there are none, or they are of another hand.
+    """
+    lines = enumerate(path.read_text().splitlines(), start=1)
+    rows = [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
+    if any(row.pop("hand", None) != hand for row in rows):
+        raise CadenzaError(f"{path}: holds jumps of another hand than {hand}; choose another file")
+    if not rows:
+        raise CadenzaError(f"{path}: holds no jumps")
+    return [Jump(**row) for row in rows]
 
 
 # Playing
@@ -90,8 +105,8 @@ def play(path: Path, name: str, etudes: int) -> None:
     at_once = JumpTimes(glide=np.inf, glide_of_chord=np.inf, descent=0.0, climb=0.0)
     HAND = replace(hand_named(name), jump_times=at_once)
     scene = SceneConfig(hand=f"{__name__}:HAND", hands="right")
-    lines = path.read_text().splitlines() if path.exists() else []
-    for etude in range(len(lines) // (CHORDS - 1), etudes):
+    done = len(jumps_in(path, name)) if path.exists() else 0
+    for etude in range(done // (CHORDS - 1), etudes):
         rng = np.random.default_rng(etude)
         chords, ways = made_up(HAND.reach.rest, rng)
         config = TaskConfig(initial_buffer_time=0.5)
@@ -101,7 +116,7 @@ def play(path: Path, name: str, etudes: int) -> None:
         task.close()
         jumps = jumps_of(episode, chords, ways, round(config.initial_buffer_time / DT))
         with path.open("a") as file:
-            file.writelines(json.dumps(jump._asdict()) + "\n" for jump in jumps)
+            file.writelines(json.dumps({"hand": name, **jump._asdict()}) + "\n" for jump in jumps)
 
 
 def jumps_of(episode: Episode, chords: list[Chord], ways: list[float], first: int) -> list[Jump]:
@@ -158,16 +173,19 @@ def fit(jumps: list[Jump], hand: Hand) -> None:
     for name, some in (("single keys", single), ("chords", ~single)):
         print(f"{name}: steps late (jumps), by steps let go before")
         for low, high in pairwise(edges):
-            cells = [some & (way >= low) & (way < high) & (ahead == n * DT) for n in range(5)]
+            cells = [
+                some & (way >= low) & (way < high) & (ahead == n * DT) for n in range(MOST_AHEAD)
+            ]
             means = (f"{late[c].mean() / DT:.1f} ({c.sum()})" if c.any() else "-" for c in cells)
             print(f"  {low:.2f} to {high:.2f} m: " + "  ".join(means))
 
     def error(figures: Array) -> float:
-        short = np.maximum(times_of(figures).seconds(way, left, struck) - ahead, 0.0)
+        times = times_of(figures, hand.jump_times)
+        short = np.maximum(times.seconds(way, left, struck) - ahead, 0.0)
         return float(np.abs(figures[-1] + short - late).mean())
 
     bounds = [(0.0, 0.15), (5.0, 400.0), (5.0, 400.0), (0.0, 0.1), (0.0, 0.05)]
-    fitted = times_of(np.round(differential_evolution(error, bounds, seed=0).x, 3))
+    fitted = times_of(np.round(differential_evolution(error, bounds, seed=0).x, 3), hand.jump_times)
     for name, times in (("the hand's", hand.jump_times), ("fitted", fitted)):
         asked = np.ceil(np.round(times.seconds(way, left, struck) / DT, 6))
         spare = np.round(ahead / DT) - asked
@@ -180,10 +198,12 @@ def fit(jumps: list[Jump], hand: Hand) -> None:
         )
 
 
-def times_of(figures: Array) -> JumpTimes:
-    """Of a reach, two glides and a descent."""
+def times_of(figures: Array, others: JumpTimes) -> JumpTimes:
+    """Of a reach, two glides and a descent; the rest of `others`."""
     reach, glide, of_chord, descent = figures[:4].tolist()
-    return JumpTimes(within_reach=reach, glide=glide, glide_of_chord=of_chord, descent=descent)
+    return replace(
+        others, within_reach=reach, glide=glide, glide_of_chord=of_chord, descent=descent
+    )
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def control_steps_a_second(count: int = 600) -> float:
 
 
 @contextmanager
-def page(*flags: str) -> Iterator[Browser]:
+def page() -> Iterator[Browser]:
     """Of a studio of its own, when its player is ready."""
     with tempfile.TemporaryDirectory() as folder:
         command = ["studio", "--folder", f"{folder}/played", "--no-video", "--no-browser"]
@@ -98,7 +98,7 @@ def page(*flags: str) -> Iterator[Browser]:
             [sys.executable, "-m", "cadenza", *command], stdout=subprocess.PIPE, text=True
         )
         assert server.stdout is not None
-        browser = Browser(Path(folder) / "profile", *flags)
+        browser = Browser(Path(folder) / "profile")
         try:
             browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
             browser.call("Page.navigate", url=server.stdout.readline().split()[-1])

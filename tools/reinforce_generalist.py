@@ -36,9 +36,9 @@ from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
 from cadenza.agents.planning.hand_part import HandPart
 from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.errors import errors_in_a_line
+from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.collecting.episode import excerpt
-from cadenza.files import write_atomically
+from cadenza.files import plain, read_json, write_atomically, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.libraries.library import load_score, open_library
 from cadenza.scene.scene import Scene, build_scene, hand_alone
@@ -56,7 +56,13 @@ SECONDS = 12.0  # of each song
 AT_ONCE, STEPS = 32, 64  # songs, and control steps of each in a round
 NOISE = 0.2  # of answers, of which 1 is what a servo's `correction` is
 DISCOUNT, TRACE = 0.9, 0.9  # for each step
-RATE, VALUE_RATE, BATCH, SWEEPS, CLIP = 1e-4, 5e-4, 512, 2, 0.2  # the first falls to 0
+RATE, VALUE_RATE, BATCH, SWEEPS, CLIP = (
+    1e-4,
+    5e-4,
+    512,
+    2,
+    0.2,
+)  # the first falls to 0 at the last round
 FIRST = 8  # rounds in which only values are learnt
 OF_MEAN = 0.04  # of the running mean, what a round's networks are
 HIDDEN = (128, 64)  # units of what says values
@@ -134,6 +140,8 @@ def planned(library: str, most: int, rng: np.random.Generator) -> list[Song]:
         start = task.state.hand_qpos[0].copy()
         some.append(Song.of(plan_song(task.tracks[0], start, haste=HASTE), start))
         task.close()
+    if not some:
+        raise CadenzaError(f"{library}, at most {most}: no songs to play")
     return some
 
 
@@ -321,7 +329,7 @@ class Learner:
         self._networks, self._rng, self.rounds = networks, rng, 0
         self.layers = self.mean = networks.layers
         self._values = networks.initial_values(rng)
-        updates = rounds * SWEEPS * STEPS * AT_ONCE * len(SIDES) // BATCH
+        updates = max(rounds - FIRST, 1) * SWEEPS * STEPS * AT_ONCE * len(SIDES) // BATCH
         rate = optax.linear_schedule(RATE, 0.0, updates)
         improving = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
         valuing = optax.adam(VALUE_RATE)
@@ -409,6 +417,19 @@ def advantages(played: Round, values: Array) -> Array:
     return better
 
 
+def check_same(options: dict[str, Any], path: Path) -> None:
+    """Keeps the options in a file.
+
+    Raises:
+        CadenzaError: it holds others, with which something has been learnt.
+    """
+    options = {name: plain(value) for name, value in options.items() if name != "output"}
+    if path.exists() and read_json(path, dict) != options:
+        raise CadenzaError(f"{path.parent}: begun with other options, see {path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, options)
+
+
 @errors_in_a_line()
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -422,6 +443,7 @@ def main() -> None:
     rng, scene = np.random.default_rng(given.seed), build_scene()
     weights = Weights.load(given.weights) if given.weights else shipped_for(scene)
     assert weights is not None
+    check_same(vars(given), given.output / "options.json")
     networks = Networks(weights, scene)
     songs = planned(given.songs, given.most, rng)
     learner, checkpoint = Learner(networks, given.rounds, rng), given.output / "checkpoint.npz"
@@ -429,7 +451,6 @@ def main() -> None:
         learner.load(checkpoint)
         rng = np.random.default_rng((given.seed, learner.rounds))
     stage = Stage(songs, scene, rng)
-    given.output.mkdir(parents=True, exist_ok=True)
     for number in tqdm(range(learner.rounds + 1, given.rounds + 1), desc="rounds"):
         played = stage.play(networks, learner.layers, STEPS)
         learner.learn(played)

@@ -256,13 +256,14 @@ def main() -> None:
         lesson = kept_lesson(episode, given.output / "lessons")
         of_songs.setdefault(Path(episode.about.song).name, []).append(lesson)
         print(f"\r{i} of {len(episodes)} episodes read", end="", flush=True)
+    print()
     if len(of_songs) < NETWORKS_EACH:
         raise CadenzaError(
             f"{len(of_songs)} songs with episodes that were kept; {NETWORKS_EACH} are needed, "
             "so that each network can leave some out"
         )
     lessons = [joined(of_song) for of_song in of_songs.values()]
-    print(f"\n{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
+    print(f"{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
     alone = hand_alone(scene, scene.sides[0]).scene
     about, servos = About.of(alone), servos_of(alone).finger
     networks = []

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import related
+from benchmarks.table import write_table
 from cadenza.agents.agent import RandomAgent
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -30,7 +31,7 @@ def short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_known_is_not_measured_again() -> None:
     for row in related.rows("waving", 1, known=()):
-        related.write([*related.read(), row])
+        write_table(related.RESULTS, [*related.read(), row])
     table = related.read()
     assert [row["amiss"] for row in table] == [trouble.name for trouble in related.ALL]
     known = {(r["setting"], r["piece"], r["amiss"], r["seed"]) for r in table[:3]}
