@@ -18,7 +18,7 @@ import pytest
 
 import cadenza
 from cadenza.agents.planning.score_planner import SongPlanner
-from cadenza.agents.playback import options_of
+from cadenza.agents.playback import check_options, options_of
 from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
@@ -652,6 +652,13 @@ def test_a_plan_made_with_other_options(
     arguments = ("play", tune, "--agent", "playback", "--plan", path, *options, "-o", tmp_path)
     said = refused_in_a_line(capsys, *arguments)
     assert f"{path}: was planned with {message}; use the same value" in said
+
+
+def test_fingers_that_feel_play_the_same_plan(tmp_path: Path) -> None:
+    path, task = tmp_path / "plan.npz", TaskConfig()
+    options = json.dumps(options_of(task, SceneConfig(), 0))
+    np.savez(path, action=np.zeros((23, 39)), options=options)
+    check_options(path, options_of(task, SceneConfig(touch=True), 0))
 
 
 def test_a_plan_is_tried_against_noise_and_another_model() -> None:

@@ -105,8 +105,40 @@ def test_a_finger_is_not_free_until_it_has_come_up(players: Players) -> None:
     first = chord(72, end=0.5)
     alone = nearest_fingers([*first, *chord(72, start=0.45, end=0.9)], 0, players)
     assert alone[0] == alone[1]
-    still_down = nearest_fingers([*first, *chord(72, start=0.35, end=0.9)], 0, players)
-    assert still_down[0] != still_down[1]
+    free, still_down = (
+        nearest_fingers([*first, *chord(74, start=start, end=0.9)], 0, players)
+        for start in (0.75, 0.35)
+    )
+    assert still_down[1] not in (None, still_down[0])
+    assert free[1] is not None
+
+
+def test_a_key_struck_twice_at_once_or_again_has_one_finger(players: Players) -> None:
+    for other in (Note(0.0, 0.5, 72, 90), Note(0.0, 0.3, 72), Note(0.35, 0.9, 72)):
+        finger, again = nearest_fingers([Note(0.0, 0.5, 72), other], 0, players)
+        assert finger is not None
+        assert again == finger
+
+
+def test_notes_that_are_equal_are_all_kept() -> None:
+    scene = build_scene(SceneConfig(hand="arm-allegro"))
+    (track,) = PianoTask([Score((Note(0, 1, 60), Note(0, 1, 60)))], TaskConfig(), scene).tracks
+    nearest = with_nearest_fingers(track.with_found_fingers())
+    assert len(nearest.score.notes) == 2
+    assert None not in [note.finger for note in nearest.score.notes]
+
+
+def test_only_fingers_that_reach_a_key_are_given(players: Players) -> None:
+    rng = np.random.default_rng(0)
+    for hand in (0, 1):
+        reached = players.reaches(hand)
+        keys = np.flatnonzero(reached.any(axis=1))
+        ends = np.append(keys[:8], keys[-8:])
+        pitches = rng.choice(ends, 40) + players.keyboard.lowest_pitch
+        notes = [Note(0.5 * i, 0.5 * i + 0.4, int(pitch)) for i, pitch in enumerate(pitches)]
+        fingers = nearest_fingers(notes, hand, players)
+        assert None not in fingers
+        assert all(reached[pitches - players.keyboard.lowest_pitch, fingers])
 
 
 def test_hands_are_those_of_the_search_and_what_no_finger_plays_is_told(players: Players) -> None:

@@ -233,6 +233,21 @@ def test_why_a_note_did_not_sound(spoil: Callable[[Concert], None], concert: Con
     assert words in miss.reason
 
 
+@pytest.mark.parametrize("spoil", [other_hand_in_the_way, forearms])
+def test_hands_at_pianos_of_their_own_are_not_in_each_others_way(
+    spoil: Callable[[Concert], None], concert: Concert
+) -> None:
+    concert.scene = build_scene(SceneConfig(hands="apart"))
+    spoil(concert)
+    assert [miss.cause for miss in concert.misses()] == ["finger beside the key"]
+
+
+def test_a_key_that_has_sounded_for_long_was_not_struck_instead(concert: Concert) -> None:
+    neighbour(concert)
+    concert.sounds(D4, 0, 15)
+    assert [miss.cause for miss in concert.misses()] != ["neighbouring key struck"]
+
+
 def test_a_key_that_does_not_come_up_between_notes(concert: Concert) -> None:
     concert.goal[15] = False
     concert.presses[:1] = [Press("right", INDEX, C4, 11, 16), Press("right", INDEX, C4, 17, 21)]

@@ -39,7 +39,7 @@ from cadenza.tasks.view import View
 
 T = TypeVar("T")
 
-_CHANGE_NOTHING = {  # options of the task that move no key and no hand
+_CHANGE_NOTHING = {  # options that move no key and no hand
     "n_steps_lookahead",
     "n_seconds_lookahead",
     "fingering",
@@ -48,6 +48,7 @@ _CHANGE_NOTHING = {  # options of the task that move no key and no hand
     "energy_coefficient",
     "sustain_term",
     "forearm_term",
+    "touch",
 }
 _DISTURB = {"control_noise", "model_error", "model_seed"}  # what plans are tried against
 _TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
@@ -116,6 +117,8 @@ def check_options(path: Path, options: Mapping[str, Any]) -> None:
     text = str(read_arrays(path, _ABOUT, _MOST).get("options", "{}"))
     made_with = parsed_json(text, dict[str, Any], f"{path}, options")
     for name, value in made_with.items():
+        if name in _CHANGE_NOTHING:
+            continue
         if name not in options:
             raise CadenzaError(
                 f"{path}: was planned with an option {name!a}, which this version of Cadenza does "

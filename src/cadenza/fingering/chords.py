@@ -166,7 +166,7 @@ class Chords:
     def __init__(self, players: Players) -> None:
         self._players = players
         self._hands = _Hand(players, 0), _Hand(players, 1)
-        self.of = lru_cache(maxsize=2048)(self._of)  # chords come again
+        self.of = lru_cache(maxsize=512)(self._of)  # chords come again
 
     @property
     def reach(self) -> Reach:

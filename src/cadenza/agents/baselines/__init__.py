@@ -1,1 +1,1 @@
-"""Planners that are there to be compared with: the paper's two, and tracked key presses."""
+"""Planners that are there to be compared with: of the paper, and of whole songs in advance."""

@@ -81,15 +81,16 @@ def with_nearest_fingers(track: GoalTrack) -> GoalTrack:
     Which hand plays a note is taken from the search for fingers; which of its fingers is not.
     """
     searched, players = track.fingered(), players_of(track.scene)
-    notes = {note: note for note in searched.score.notes}
+    notes = list(searched.score.notes)
     dropped = list(searched.dropped or ())
     for hand in range(len(SIDES)):
-        mine = [n for n in searched.score.notes if n.finger is not None and n.finger.hand == hand]
-        for note, index in zip(mine, nearest_fingers(mine, hand, players), strict=True):
-            notes[note] = replace(note, finger=None if index is None else Finger(hand, index))
+        mine = [i for i, n in enumerate(notes) if n.finger is not None and n.finger.hand == hand]
+        nearest = nearest_fingers([notes[i] for i in mine], hand, players)
+        for i, index in zip(mine, nearest, strict=True):
+            notes[i] = replace(notes[i], finger=None if index is None else Finger(hand, index))
             if index is None:
-                dropped.append(Dropped(notes[note], "no free finger of the hand comes near enough"))
-    score = replace(searched.score, notes=tuple(notes.values()))
+                dropped.append(Dropped(notes[i], "no free finger of the hand comes near enough"))
+    score = replace(searched.score, notes=tuple(notes))
     return replace(searched, score=score, dropped=tuple(dropped), found=True)
 
 
@@ -104,13 +105,17 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     forearm, lowest = players.forearm(hand), players.keyboard.lowest_pitch
     if forearm is None:
         return [None] * len(notes)
-    y, moving = players.key_y(hand), _Hand(players.reach, forearm.home)
-    starts, done, fingers = [note.start for note in notes], 0, list[int | None]()
+    y, reached = players.key_y(hand), players.reaches(hand)
+    moving, starts = _Hand(players.reach, forearm.home), [note.start for note in notes]
+    done, fingers = 0, list[int | None]()
     for chord in chords(notes):
         done += len(chord)
         soon = notes[done : bisect_left(starts, chord[0].start + _AHEAD)]
-        keys, ahead = (y[[note.pitch - lowest for note in some]] for some in (chord, soon))
-        fingers += moving.play(chord, keys, ahead)
+        struck = {note.pitch: note for note in sorted(chord, key=lambda note: note.end)}
+        keys, ahead = ([note.pitch - lowest for note in some] for some in (struck.values(), soon))
+        played = moving.play([*struck.values()], y[keys], y[ahead], reached[keys])
+        finger_on = dict(zip(struck, played, strict=True))
+        fingers += [finger_on[note.pitch] for note in chord]
     return fingers
 
 
@@ -124,15 +129,21 @@ class _Hand:
     last: dict[int, tuple[float, float]] = field(default_factory=dict)
     """Finger -> where it pressed last [m], and until when [s]."""
 
-    def play(self, chord: Sequence[Note], keys: Array, ahead: Array) -> list[int | None]:
+    def play(
+        self, chord: Sequence[Note], keys: Array, ahead: Array, reached: NDArray[np.bool_]
+    ) -> list[int | None]:
         """The fingers for notes that begin together.
 
         Args:
-            chord: N notes.
+            chord: N notes, of keys of their own.
             keys: (N,) where their keys are [m].
             ahead: (M,) where the next keys are, in their order [m].
+            reached: (N, F) by which fingers, wherever the hand is.
         """
-        now = chord[0].start
+        now = min(note.start for note in chord)
+        # A note whose key is struck again ends there.
+        for finger, (y, end) in self.last.items():
+            self.last[finger] = y, min(end, now) if y in keys else end
         held = {finger: y for finger, (y, end) in self.last.items() if end > now + _LIFT}
         free = [f for f in range(self.reach.num_fingers) if f not in held]
         left = np.array([self.last.get(f, (np.nan, -np.inf)) for f in free]).reshape(-1, 2)
@@ -141,11 +152,13 @@ class _Hand:
         busy = rising[:, None] & (left[:, :1] != window)
         price = busy + 2.0 * ~self._spans(free, window, held)  # more than any way squared
         price[:, len(keys) :] = 0.0
+        price[:, : len(keys)] += 2.0 * ~reached.T[free]
         matches = self._matched(window, free, price, held)
         chosen: list[int | None] = [None] * len(chord)
         for i, finger in sorted((i, f) for i, f in matches.items() if i < len(chord)):
             others = {**held, **{f: keys[j] for j in range(i) if (f := chosen[j]) is not None}}
-            if all(self.reach.spans(finger, f, y - keys[i]) for f, y in others.items()):
+            spans = (self.reach.spans(finger, f, y - keys[i]) for f, y in others.items())
+            if reached[i, finger] and all(spans):
                 chosen[i] = finger
                 self.last[finger] = float(keys[i]), chord[i].end
         return chosen

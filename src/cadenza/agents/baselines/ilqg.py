@@ -125,8 +125,10 @@ class ILQGPlanner:
     @contextmanager
     def _timed(self, part: str) -> Iterator[None]:
         started = time.perf_counter()
-        yield
-        self.seconds[part] += time.perf_counter() - started
+        try:
+            yield
+        finally:
+            self.seconds[part] += time.perf_counter() - started
 
     def _ctrl(self, controls: Array) -> Array:
         """Controls in half ranges in actuator units."""
@@ -193,7 +195,7 @@ class _Misses(NamedTuple):
     """How far keys and fingers are from where they are wanted, at R moments."""
 
     keys: Array
-    """(R, 88) state of the keys less that wanted."""
+    """(R, K) state of the keys less that wanted."""
     pairs: Pairs
     """Q of a finger and its key, at such a moment."""
 
@@ -242,7 +244,7 @@ class _Cost:
     def _jacobians(
         self, seen: Linearisation, misses: _Misses, jacobian: Array
     ) -> tuple[Array, Array]:
-        """Derivatives of the misses, (R, 88, 2 V + A) and (Q, 3, 2 V + A).
+        """Derivatives of the misses, (R, K, 2 V + A) and (Q, 3, 2 V + A).
 
         A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
         """

@@ -50,7 +50,7 @@ def rehearsed(
                 simulation.step(ctrl[step : step + 1, mine])
                 state = simulation.state
                 expected[step + 1, mine] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
-                progress("rehearsing", i * steps + step, len(sides) * steps)
+                progress("rehearsing", i * steps + step + 1, len(sides) * steps)
     finally:
         threads.close()
     return tracking._replace(ctrl=ctrl, expected=expected)

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 _CLEARANCE = 0.0015  # [m]
+_POINT = 1e-12  # [m^2] no link is shorter, squared
 
 
 class Overlaps(NamedTuple):
@@ -135,6 +136,7 @@ def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
     aa, bb = np.vecdot(along_a, along_a), np.vecdot(along_b, along_b)
     ab = np.vecdot(along_a, along_b)
     da, db = np.vecdot(along_a, between), np.vecdot(along_b, between)
-    s = within((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, 1e-12), 0.0, 1.0)
+    aa, bb = np.maximum(aa, _POINT), np.maximum(bb, _POINT)
+    s = within((ab * db - da * bb) / np.maximum(aa * bb - ab * ab, _POINT), 0.0, 1.0)
     t = within((ab * s + db) / bb, 0.0, 1.0)
     return np.stack([within((ab * t - da) / aa, 0.0, 1.0), t])

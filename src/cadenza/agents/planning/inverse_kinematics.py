@@ -133,9 +133,10 @@ def _searched(problem: _Problem, postures: Array, effort: Effort, progress: Prog
             if better:
                 eased = np.where(failed, damping, np.maximum(damping / 2, 1e-3))
                 damping = np.where(near, np.minimum(damping * 4, 1e3), eased)
-            if better or not near.any():  # more trials would be the same
+            more = np.where(near, np.minimum(damping * 8, 1e3), damping)
+            if better or (more == damping).all():  # more trials would be the same
                 break
-            damping = np.where(near, np.minimum(damping * 8, 1e3), damping)
+            damping = more
             failed |= near
         if not better:
             break
@@ -190,7 +191,7 @@ class _Linearised(NamedTuple):
     """Of N postures of H hands with A servos each."""
 
     cost: Array
-    """(N,) half the squares of all residuals, those in time at their first posture."""
+    """(N,) half the squares of all residuals, those in time at their last posture."""
     pull: Array
     """(N, H, A) the gradient of the residuals that belong to one posture."""
     beyond: Array

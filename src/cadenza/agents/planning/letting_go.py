@@ -15,7 +15,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
-_AHEAD = 0.4  # [s] no jump needs more time than this
 _FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _LEAST = 0.05  # [s] that a press lasts
 _HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
@@ -61,7 +60,8 @@ class _TimeLine:
     ) -> None:
         self._dt, self._is_black = dt, is_black
         self._reach, self._times = hand.reach, hand.jump_times
-        self._ahead, self._least = steps_in(_AHEAD, dt), steps_in(_LEAST, dt)
+        widest = self._times.seconds(np.ptp(places), 2, 2)
+        self._ahead, self._least = self._steps(widest), steps_in(_LEAST, dt)
         rows = np.array([(p.finger, p.key, p.first, p.last, p.later) for p in presses])
         left = rows[:, 0] >= len(hand.fingers)
         self._of = np.argsort(left, kind="stable")
@@ -100,13 +100,16 @@ class _TimeLine:
         holding = last > first + self._least  # while the hand plays on
         means = np.add.reduceat(self._place, heads) / sizes
         way = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
-        seconds = self._times.seconds(way, sizes[here], sizes[struck], holding)
-        jump = np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
+        jump = self._steps(self._times.seconds(way, sizes[here], sizes[struck], holding))
         in_time = np.maximum(
             first - np.maximum(jump - self._later[struck], 1), begins[here] + self._least
         )
         too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
         np.minimum.at(self._last, press[too_late], in_time[too_late])
+
+    def _steps(self, seconds: Array) -> Ids:
+        """So many control steps, or as many as it takes."""
+        return np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
 
     def let_fingers_go(self) -> None:
         """Where the same finger presses another key next."""

@@ -118,6 +118,7 @@ class _Inquiry:
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
+        self._may_meet = plan.scene.config.hands != "apart"
         self._times = plan.scene.hand.jump_times
         self._numbers = plan.scene.fingers
         self._dt, self._steps = episode.dt, episode.num_steps
@@ -206,7 +207,8 @@ class _Inquiry:
     def _neighbour(self, note: _Note, press: Press) -> int | None:
         """The key near by that the finger struck in place of its own."""
         rows = slice(max(note.first - self._in_time, 0), note.first + 1 + 2 * self._in_time)
-        wrong = self._played[rows] & ~self._goal[rows]
+        before = np.pad(self._played, ((1, 0), (0, 0)))[:-1]
+        wrong = (self._played & ~before & ~self._goal)[rows]
         tip = self._tips[min(note.first + self._in_time, self._steps - 1), press.finger]
         for key in range(max(note.key - 2, 0), min(note.key + 3, self._keyboard.num_keys)):
             nearer = self._beside(tip, key) < self._beside(tip, note.key)
@@ -220,11 +222,15 @@ class _Inquiry:
         if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
             return ""
         room = np.linalg.norm(self._tips[row] - tip, axis=1) - self._radii - self._radii[finger]
+        hand = self._numbers.hand_of(np.arange(len(room)))
         room[~self._there] = room[finger] = np.inf
+        if not self._may_meet:
+            room[hand != hand[finger]] = np.inf
         if room.min() < _TOUCHING:
-            hands = self._numbers.hand_of(np.array([finger, room.argmin()]))
-            return "the finger beside it" if hands[0] == hands[1] else "a finger of the other hand"
-        return "the other forearm" if self._forearms[row] < WIDTH + _TOUCHING else ""
+            same = hand[room.argmin()] == hand[finger]
+            return "the finger beside it" if same else "a finger of the other hand"
+        touch = self._may_meet and self._forearms[row] < WIDTH + _TOUCHING
+        return "the other forearm" if touch else ""
 
     def _speed(self, state: int, finger: int) -> float:
         """At which the plan has it move along the keyboard before `state` [m/s]."""

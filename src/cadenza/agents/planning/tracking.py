@@ -16,6 +16,8 @@ from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 
+_MOST_KEPT = 2000  # steps of plans whose tables are kept, 2 kB each for two hands
+
 
 class Tracking(NamedTuple):
     """Controls over T steps that make the servos follow a reference; see `track`."""
@@ -89,7 +91,8 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     """
     step, push = discretised(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
-    gain, curvature, closed = _feedback(servos, dt, steps)
+    feedback = _kept_feedback if steps <= _MOST_KEPT else _feedback
+    gain, curvature, closed = feedback(servos, dt, steps)
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
     leading = before * earlier + now * reference[:-1] + after * reference[1:]
@@ -111,7 +114,6 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     return Tracking(servos.clip(ctrl + offset), gain, expected)
 
 
-@lru_cache(maxsize=8)  # where plans are short, it would take most of the time
 def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
     """What of the tracker does not depend on the reference: (T, A, 2), (T, A) and (T, A, 2, 2).
 
@@ -134,6 +136,9 @@ def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Arra
     for values in (gain, curvature, closed):
         values.flags.writeable = False
     return gain, curvature, closed
+
+
+_kept_feedback = lru_cache(maxsize=8)(_feedback)  # it takes most of the time of short plans
 
 
 @lru_cache(maxsize=8)
