@@ -63,6 +63,16 @@ JUMPS = Score(
     tuple(Note(0.4 * i, 0.4 * i + 0.4, (48, 60)[i % 2], 80, finger=Finger(0, 2)) for i in range(10))
 )
 
+# Far apart, so that other fingers lose less.
+WIDE = Score(
+    tuple(
+        Note(0.2 * i, 0.2 * i + 0.2, pitch)
+        for i, pitch in enumerate(
+            (75, 70, 66, 58, 61, 54, 54, 54, 56, 73, 70, 78, 66, 68, 78, 73, 68, 66)
+        )
+    )
+)
+
 # Both thumbs on neighbouring keys, closely enough for hands to meet.
 CLOSE = Score(
     tuple(
@@ -229,7 +239,7 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
 
 @pytest.mark.parametrize(
     ("score", "config", "effort", "follows"),
-    [(LONG.stretched(0.95), NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
+    [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     score: Score, config: ScorePlannerConfig, effort: float, follows: bool
@@ -509,7 +519,7 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     searches: list[SearchingHands] = []
     follow_as_ever = SearchingHands.follow
     folder = folder_of(tmp_path, "--effort", "0.1")
-    noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.05)
+    noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.1)
     monkeypatch.setattr(SearchingHands, "follow", follow)
     cadenza.play(folder)
     assert not searches

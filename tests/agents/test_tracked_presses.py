@@ -24,7 +24,7 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 
-TUNE = Score((Note(0.0, 0.3, 66), Note(0.3, 0.6, 70), Note(0.6, 0.9, 78)), (), "A tune")
+TUNE = Score((Note(0.0, 0.25, 66), Note(0.25, 0.5, 70), Note(0.5, 0.75, 78)), (), "A tune")
 
 
 def task_of(score: Score = TUNE) -> PianoTask:

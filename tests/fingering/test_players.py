@@ -143,3 +143,16 @@ def test_forearms_in_the_way_are_told() -> None:
     assert [(d.note.pitch, d.reason) for d in dropped] == [
         (44, "the forearms would run into each other")
     ]
+
+
+@pytest.mark.parametrize(
+    "config", [SceneConfig(), SceneConfig(hand="allegro-narrow", keyboard="mini", hand_spacing=0.2)]
+)
+def test_forearms_are_thought_to_slide_as_far_as_they_do(config: SceneConfig) -> None:
+    scene = build_scene(config)
+    players = players_of(scene)
+    for hand, prefix in enumerate(("rh", "lh")):
+        forearm = players.forearms[hand]
+        assert forearm is not None
+        low, high = scene.model.joint(f"{prefix}_forearm_tx").range + forearm.home
+        assert (forearm.low, forearm.high) == pytest.approx((low, high))

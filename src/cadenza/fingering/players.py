@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from cadenza.keyboards.keyboard import Keyboard
 
 _NUM_STANDS = 32  # places where a hand without notes may be
-_BEYOND = 0.15
-"""How far beyond the outermost keys there is room for a hand that slides [m]."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def seated(
         slides: whether the forearms slide along the whole keyboard.
         arm: where the right hand is brought by an arm, instead of a forearm that slides.
     """
-    end = round(float(np.abs(keyboard.grid_y).max()) + _BEYOND, 2)
+    end = keyboard.half_length  # as in the scene, see `cadenza.hands.forearm.joint_range`
 
     def forearm(side: Side) -> Forearm | None:
         if side not in sides:
