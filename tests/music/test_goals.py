@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.goals import merged_notes, score_to_goals
+from cadenza.music.goals import held_pedal_changes, merged_notes, score_to_goals
 from cadenza.music.performance import key_runs
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores, seconds
@@ -93,6 +93,19 @@ def test_notes_that_steps_do_not_tell_apart_are_counted(apart, merged):
 def test_notes_of_two_voices_on_one_key_are_no_merged_ones():
     score = Score((Note(0, 0.2, 60), Note(0, 0.4, 60), Note(0.2, 0.6, 60)))
     assert merged_notes(score, score_to_goals(score, 0.05)) == 0
+
+
+def test_a_pedal_that_is_lifted_and_pressed_on_one_step():
+    """As published it stays down; where notes before others are shortened, it comes up."""
+    moves = ((0.1, 127), (0.31, 0), (0.32, 127), (0.4, 0), (0.6, 0), (0.61, 100))
+    score = Score((Note(0, 0.9, 60),), tuple(PedalEvent(*move) for move in moves))
+    published, shortened = (
+        score_to_goals(score, 0.05, shorten).sustain for shorten in (False, True)
+    )
+    assert published.tolist() == [0, 0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1]
+    assert np.flatnonzero(published != shortened).tolist() == [6]
+    assert held_pedal_changes(score, 0.05, published) == 1
+    assert held_pedal_changes(score, 0.05, shortened) == 0
 
 
 def test_the_note_before_may_be_shortened_instead():

@@ -141,6 +141,37 @@ def test_grace_notes_before_the_first_beat_come_first(saved):
     assert played(score) == [(0.0, 0.1, 71), (0.1, 0.6, 72)]
 
 
+@pytest.mark.parametrize(
+    ("mark", "quarters_a_minute"),
+    [
+        ("<beat-unit>quarter</beat-unit><per-minute>60</per-minute>", 60),
+        ("<beat-unit>half</beat-unit><per-minute>c. 60</per-minute>", 120),
+        ("<beat-unit>quarter</beat-unit><beat-unit-dot/><per-minute>40.5</per-minute>", 60.75),
+        ("<beat-unit>eighth</beat-unit><per-minute>480</per-minute>", 240),
+        ("<beat-unit>quarter</beat-unit><beat-unit>half</beat-unit>", 120),
+        ("<beat-unit>quarter</beat-unit><per-minute>fast</per-minute>", 120),
+        ("<beat-unit>quarter</beat-unit><per-minute>0</per-minute>", 120),
+    ],
+)
+def test_a_metronome_mark_counts_where_no_tempo_is_given_for_playback(
+    mark, quarters_a_minute, saved
+):
+    alone = direction(f"<metronome>{mark}</metronome>")
+    score = load_score(saved(document([FOUR_QUARTERS + alone + note("C4", 16)])))
+    assert score.total_time == pytest.approx(240 / quarters_a_minute)
+    both = alone.replace("</direction>", '<sound tempo="30"/></direction>')
+    score = load_score(saved(document([FOUR_QUARTERS + both + note("C4", 16)])))
+    assert score.total_time == pytest.approx(8)
+
+
+def test_a_change_of_the_pedal_lifts_it_and_presses_it_again(saved):
+    start, change, stop = (direction(f'<pedal type="{of}"/>') for of in ("start", "change", "stop"))
+    first = FOUR_QUARTERS + tempo(60) + start + note("C4", 8) + change + note("D4", 8)
+    score = load_score(saved(document([first, note("E4", 16) + stop])))
+    moves = [(0.0, 127), (2.0, 0), (2.0, 127), (8.0, 0)]
+    assert [(event.time, event.value) for event in score.pedal] == moves
+
+
 def test_repeats_are_played_with_the_tempo_and_the_pedal_of_their_place(saved):
     pedal = direction('<pedal type="start"/>'), direction('<pedal type="stop"/>')
     first = FOUR_QUARTERS + tempo(60) + pedal[0] + note("C4", 16)

@@ -288,6 +288,16 @@ def test_copies_live_a_life_of_their_own(duplicate: Callable) -> None:
     assert_array_equal(envs.step(np.zeros((2, 39)))[2], [False, False])
 
 
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_as_their_originals_within_an_episode(duplicate: Callable) -> None:
+    """Some keys sleep, others do not."""
+    envs = PianoVectorEnv("OdeToJoy", num_envs=2, physics="fast", sleeping_keys=True)
+    envs.reset(seed=0)
+    for actions in np.random.default_rng(0).uniform(-1, 1, (40, 2, 39)).astype(np.float32):
+        twin = duplicate(envs)
+        assert_array_equal(envs.step(actions)[0], twin.step(actions)[0])
+
+
 def test_actions_that_are_no_numbers_end_their_episode_only() -> None:
     envs = PianoVectorEnv("OdeToJoy", num_envs=2)
     envs.reset(seed=0)

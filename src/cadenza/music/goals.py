@@ -80,7 +80,9 @@ def score_to_goals(
     `shorten` the one before, it is left out of the step before instead, and the note begins in
     time, unless nothing would be left of the one before. Of notes that share a key and a step the
     later one's finger counts. A pedal event (down from value 64) acts from step `int(time / dt)`
-    until the next; of several on one step the last counts.
+    until the next; of several on one step the last counts. Where the pedal is lifted and pressed
+    again on one step, it would so stay down. If such notes are to `shorten` the one before, it is
+    up for that step.
 
     Raises:
         CadenzaError: the score has no notes or one without a key, `dt` is not a positive number, or
@@ -114,7 +116,21 @@ def score_to_goals(
     moves = [int(event.time * fps) for event in score.pedal]
     down = np.array([False, *(event.value >= SUSTAIN_ON for event in score.pedal)])
     sustain = down[np.searchsorted(moves, np.arange(num_steps), side="right")]
+    if shorten:
+        sustain &= ~_lifted_in_passing(score, dt, sustain)
     return Goals(keys, fingers, sustain, hands.count)
+
+
+def _lifted_in_passing(score: Score, dt: float, sustain: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(T,) steps on which the pedal is lifted, and yet down as on the step before."""
+    moves = [int(event.time * (1 / dt)) for event in score.pedal if event.value < SUSTAIN_ON]
+    lifted = np.isin(np.arange(len(sustain)), moves)
+    return lifted & sustain & np.append(False, sustain[:-1])
+
+
+def held_pedal_changes(score: Score, dt: float, sustain: NDArray[np.bool_]) -> int:
+    """How many times the pedal stays down in `sustain`, (T,) of `score`, though it is lifted."""
+    return int(_lifted_in_passing(score, dt, sustain).sum())
 
 
 def merged_notes(score: Score, goals: Goals) -> int:

@@ -42,7 +42,7 @@ from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_p
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.sealed_folder import MANIFEST
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.goals import merged_notes
+from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
@@ -312,23 +312,28 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
-        if merged := _merged(piano_task.tracks[0]):
-            warnings.warn(f"{selection.song}: {merged}", CadenzaWarning, stacklevel=4)
+        for loss in _lost_on_steps(piano_task.tracks[0]):
+            warnings.warn(f"{selection.song}: {loss}", CadenzaWarning, stacklevel=4)
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
 
 
-def _merged(track: GoalTrack) -> str | None:
-    """Which notes control steps do not tell from the ones before, if any."""
-    count = merged_notes(track.score, track.goals)
-    if not count:
-        return None
-    repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
-    return (
-        f"{count} {repeat} too fast for control steps of {track.config.control_timestep:g} s, "
-        f"and {are} played as one with the note before"
-    )
+def _lost_on_steps(track: GoalTrack) -> Iterator[str]:
+    """What control steps do not tell apart, if anything."""
+    dt = track.config.control_timestep
+    if count := merged_notes(track.score, track.goals):
+        repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
+        yield (
+            f"{count} {repeat} too fast for control steps of {dt:g} s, "
+            f"and {are} played as one with the note before"
+        )
+    if count := held_pedal_changes(track.score, dt, track.goals.sustain[track.silent_steps :]):
+        changes, are = ("change", "is") if count == 1 else ("changes", "are")
+        yield (
+            f"{count} {changes} of the pedal within a control step of {dt:g} s {are} left out; "
+            "with --repeats shortened, the pedal comes up"
+        )
 
 
 def _check_plan(

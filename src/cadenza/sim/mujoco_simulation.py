@@ -25,6 +25,7 @@ PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MOST_ENVS = 10_000
 """Each takes about a megabyte."""
 _LOG = logging.getLogger(__name__)
+_AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # what MuJoCo does not pickle
 UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
 """Warnings of bad positions, velocities, accelerations and controls, neighbours in MuJoCo."""
 
@@ -178,7 +179,14 @@ class MujocoSimulation:
     @one_at_a_time
     def __getstate__(self) -> dict[str, Any]:
         # Nobody else may step what is copied, once this has returned.
-        return {**self.__dict__, "_data": [copy(data) for data in self._data]}
+        awake = [[getattr(data, name) for name in _AWAKE] for data in self._data]
+        return {**self.__dict__, "_data": [copy(data) for data in self._data], "_awake": awake}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for data, counts in zip(state["_data"], state.pop("_awake"), strict=True):
+            for name, count in zip(_AWAKE, counts, strict=True):
+                setattr(data, name, count)
+        self.__dict__.update(state)
 
 
 def _divide(control_timestep: float, physics_timestep: float) -> int:

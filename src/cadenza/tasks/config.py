@@ -37,7 +37,8 @@ class TaskConfig:
     a note at time 0."""
     repeats: Repeats = "published"
     """When a key is struck again without a gap, published: the repeated note starts one step late,
-    as in RoboPianist; shortened: the note before it ends one step early."""
+    as in RoboPianist; shortened: the note before it ends one step early, and a pedal that is lifted
+    and pressed again within a step comes up."""
     wrong_press_termination: bool = False
     """End the episode when a wrong key sounds."""
     fingering: Fingering = "auto"

@@ -6,6 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable
+from copy import deepcopy
 from fractions import Fraction
 from xml.etree import ElementTree
 
@@ -16,19 +17,24 @@ Element = ElementTree.Element
 _COUNTED = ("divisions", "duration", "offset")  # a quarter in units, and what is given in these
 _MOST_FINE = 10_000  # times as small as a file has its units
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
+_QUARTERS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0.25}
 
 
 def mend(root: Element) -> list[str]:
     """Mends a document without entities, and says what was changed of what it says.
 
-    A score ordered by measures becomes one ordered by parts. Fingerings without a number and tempos
-    that cannot be are left out. Cue notes become rests, since they are not to be played. Durations
-    that are no whole numbers are counted in finer units, alterations by less than a semitone
-    rounded. Octaves that an instrument sounds higher are added to the semitones.
+    A score ordered by measures becomes one ordered by parts. Metronome marks become tempos for
+    playback where there are none. A change of the pedal becomes a lift and a press. Fingerings
+    without a number and tempos that cannot be are left out. Cue notes become rests, since they are
+    not to be played. Durations that are no whole numbers are counted in finer units, alterations by
+    less than a semitone rounded. Octaves that an instrument sounds higher are added to the
+    semitones.
     """
     _forget_namespaces(root)
     _order_by_parts(root)
     _distinguish_parts(root)
+    _play_metronomes(root)
+    _split_pedal_changes(root)
     fingerings, tempos, cues = _strange_fingerings(root), _strange_tempos(root), _cues(root)
     _remove(root, [*fingerings, *(note for note in cues if _takes_no_time(note))])
     for mark in tempos:
@@ -75,6 +81,37 @@ def _distinguish_parts(root: Element) -> None:
             name = part.get("id", "P1")
             seen[name] += 1
             part.set("id", name if seen[name] == 1 else f"{name} ({seen[name]})")
+
+
+def _play_metronomes(root: Element) -> None:
+    """Adds the tempos of metronome marks that have none for playback."""
+    for direction in root.iter("direction"):
+        mark = direction.find("direction-type/metronome")
+        if mark is None or direction.find("sound[@tempo]") is not None:
+            continue
+        unit, number = mark.findtext("beat-unit", ""), mark.findtext("per-minute", "")
+        found = re.search(r"\d{1,5}(\.\d{1,3})?", number)
+        if unit.strip() in _QUARTERS and found and len(mark.findall("beat-unit")) == 1:
+            dots = len(mark.findall("beat-unit-dot"))
+            quarters = _QUARTERS[unit.strip()] * (2 - 0.5**dots)
+            tempo = f"{quarters * float(found[0]):g}"
+            ElementTree.SubElement(direction, "sound", {"tempo": tempo})
+
+
+def _split_pedal_changes(root: Element) -> None:
+    for measure in root.iter("measure"):
+        for place, direction in reversed([*enumerate(measure)]):
+            change = direction.find("direction-type/pedal[@type='change']")
+            if direction.tag != "direction" or change is None:
+                continue
+            pressed = deepcopy(direction)
+            for each in (*pressed.findall("direction-type"), *pressed.findall("sound")):
+                pressed.remove(each)
+            kind = ElementTree.Element("direction-type")
+            ElementTree.SubElement(kind, "pedal", {**change.attrib, "type": "start"})
+            pressed.insert(0, kind)
+            change.set("type", "stop")
+            measure.insert(place + 1, pressed)
 
 
 def _round_alterations(root: Element) -> int:

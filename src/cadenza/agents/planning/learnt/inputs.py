@@ -40,7 +40,7 @@ _KEY_OFF = 0.03  # [m] from a planned fingertip to the middle of its key
 
 
 class Mirror(NamedTuple):
-    """Makes right hands of H hands."""
+    """Makes right hands of H hands, whose forearms do not roll."""
 
     y: Array
     """(H,) what turns positions along the keyboard, 1 or -1."""
