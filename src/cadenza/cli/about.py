@@ -29,7 +29,8 @@ class Info:
     """Describe a song: length, notes, range, fingering. Without a song, this installation."""
 
     song: Annotated[tyro.conf.Positional[str | None], tyro.conf.arg(metavar="[SONG]")] = None
-    """A song by its name, or a MIDI or MusicXML file."""
+    """A song by its name, a MIDI or MusicXML file, or the folder of what has learnt or practised a
+    song."""
     arrangement: tyro.conf.OmitArgPrefixes[Arrangement] = field(default_factory=Arrangement)
 
 
@@ -37,7 +38,10 @@ def info(command: Info) -> None:
     if command.song is None:
         _print_facts(_installation_facts())
         return
-    score = command.arrangement.score(command.song)
+    from cadenza.performing.setup import is_own_folder, load_song
+
+    own, arrangement = is_own_folder(command.song), command.arrangement
+    score = load_song(command.song, arrangement) if own else arrangement.score(command.song)
     _print_facts(_song_facts(score))
     if len(score.tracks) > 1:
         print("\n" + _table_of_tracks(score.tracks))

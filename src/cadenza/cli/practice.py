@@ -77,13 +77,15 @@ def run(command: PracticeCommand, again: Again[PracticeCommand]) -> None:
 def _going_on(command: PracticeCommand, again: Again[PracticeCommand]) -> PracticeCommand:
     """As was practised in the folder that is given as the song, unless another is to be begun."""
     from cadenza.agents.planning.config import ScorePlannerConfig
-    from cadenza.performing.setup import practised_plan
+    from cadenza.performing.setup import PRACTISED_HOW, practised_plan
 
     folder = Path(command.song)
     elsewhere = command.output is not None and command.output.resolve() != folder.resolve()
     if elsewhere or practised_plan(command.song) is None:
         return command
-    where = folder / "settings.json"
+    where = folder / PRACTISED_HOW
+    if not where.exists():
+        where = folder / "settings.json"  # of folders that earlier versions made
     settings = read_json(where, dict[str, Any]) if where.exists() else {}
     kinds = {"seed": int, "arrangement": Arrangement, "task": TaskConfig, "scene": SceneConfig}
     kinds |= {"song": str, command.options[PLANNER]: ScorePlannerConfig}

@@ -300,12 +300,17 @@ def perform(
     planner = getattr(setup.agent, "planners", {}).get(0)
     plan = getattr(planner, "plan", None)
     plan = plan if isinstance(plan, SongPlan) else None
+    settings, played = setup.settings, result.episode.num_steps
+    if played < setup.num_steps:
+        part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
+        ended = f"ended after {part}; all of this page is about that part"
+        settings = settings | {"remarks": [*settings.get("remarks", ()), ended]}
     return Performance(
         score=setup.score,
         goal=setup.task.score(0),
         episode=result.episode,
         metrics=result.metrics,
-        settings=setup.settings,
+        settings=settings,
         scene=setup.task.scene,
         track=None if plan is None else plan.track,
         misses=None if plan is None else misses_of(result.episode, plan),

@@ -14,10 +14,10 @@ from cadenza.agents.planning.score_planner import ScorePlanner
 from cadenza.agents.planning.tracking import Follower, Tracking
 from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays, write_atomically
+from cadenza.files import read_arrays, write_atomically, write_json
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
-from cadenza.performing.setup import PRACTICE, PRACTISED, Setup
+from cadenza.performing.setup import PRACTICE, PRACTISED, PRACTISED_HOW, Setup
 
 _MOST = 2**32  # bytes: hours of music
 
@@ -60,7 +60,8 @@ class Practising:
             self.practice.restore(arrays, self._path)
 
     def save(self) -> None:
-        """Keeps in the folder how far practice has got."""
+        """Keeps in the folder how far practice has got, and of what it is."""
+        write_json(self._path.with_name(PRACTISED_HOW), self._setup.settings)
         with write_atomically(self._path) as file:
             np.savez_compressed(file, allow_pickle=False, **self.practice.state())
 

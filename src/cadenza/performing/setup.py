@@ -55,6 +55,7 @@ from cadenza.tasks.setups import NamedSetup
 
 PRACTISED = "plan.npz"  # what the folder of a song that was practised holds
 PRACTICE = "practice.npz"  # how far it has been practised
+PRACTISED_HOW = "practice.json"  # and in what task and scene
 Song = str | Path | Score
 SomeAgent = str | Path | Agent
 
@@ -94,7 +95,7 @@ class Setup:
     task: PianoTask
     seed: int
     settings: dict[str, Any]
-    """What was chosen, by name, as JSON has it."""
+    """What was chosen, by name, as JSON has it; and `remarks`, what of the song is not played."""
     options: dict[str, Any]
     """What of it has to be the same for a plan to play the same."""
 
@@ -231,7 +232,14 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     """The policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(song))
-    return load_policy(Path(agent)) if is_policy_folder(agent) else None
+    if not is_policy_folder(agent):
+        return None
+    if any((Path(agent) / name).is_file() for name in (PRACTISED, PRACTICE)):
+        raise CadenzaError(
+            f"{agent}: holds a song that was practised, not a policy; give it as the song, "
+            "without an agent"
+        )
+    return load_policy(Path(agent))
 
 
 def practised_plan(song: str | Path) -> Path | None:
@@ -265,10 +273,10 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
     """In the task and scene that it has learnt in."""
     if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
-        if learnt.residual:
-            raise CadenzaError(f"{what} with residual learning, so it can play nothing else")
         if learnt.score.title == selection.score.title:
             what += " in another arrangement, or a part of it"
+        if learnt.residual:
+            raise CadenzaError(f"{what}, with residual learning, so it can play nothing else")
         warnings.warn(f"{what}, not {selection.song}", CadenzaWarning, stacklevel=4)
     # Plans are made for fingers that are found, and demonstrations of any song have such.
     found = learnt.residual or learnt.score is None
@@ -312,8 +320,11 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
-        for loss in _lost_on_steps(piano_task.tracks[0]):
+        lost = list(_lost_on_steps(piano_task.tracks[0]))
+        for loss in lost:
             warnings.warn(f"{selection.song}: {loss}", CadenzaWarning, stacklevel=4)
+        if remarks := [*selection.score.remarks, *lost]:
+            settings["remarks"] = remarks
         if selection.learnt is not None:
             selection.learnt.check(selection.name, piano_task)
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
@@ -351,8 +362,9 @@ def _settings(
     selection: Selection, task: TaskConfig, scene: SceneConfig, seed: int
 ) -> dict[str, Any]:
     """See `Setup.settings`."""
-    settings = {
-        "song": selection.song,
+    song = os.path.abspath(selection.song) if os.path.exists(selection.song) else selection.song
+    settings: dict[str, Any] = {
+        "song": song,
         "agent": selection.name,
         "seed": seed,
         "plan": None if selection.plan is None else str(selection.plan),

@@ -60,8 +60,8 @@ def write_report(
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
         metrics: name -> number; nested mappings are flattened. NaN is shown as a dash.
-        settings: name -> value, nested or not; `agent` and `seed` are also named at the top. None
-            is not shown; of an absolute path, only the last part.
+        settings: name -> value, nested or not; `agent` and `seed` are also named at the top, and
+            each of `remarks`. None is not shown; of an absolute path, only the last part.
         audio: the performance as `synthesize` makes it, starting with the first step.
         misses: of each note that was lost `time` [s], `note`, `finger` as files have it, `what`
             became of it, and the `reason`; without any, the page has no such table.
@@ -84,13 +84,15 @@ def own_parts(
     video: str = "",
 ) -> dict[str, str | Iterable[str]]:
     """What the page of an episode does not share with others; `recording` is what it embeds."""
-    shown = _metrics_shown(episode, metrics)
+    shown, remarks = _metrics_shown(episode, metrics), settings.get("remarks", ())
+    settings = {name: value for name, value in settings.items() if name != "remarks"}
     facts = _facts(episode, dict(flat(settings)))
     return {
         "title": html.escape(episode.song or "Untitled"),
         "facts": "".join(
             f"<span>{html.escape(k)} <b>{html.escape(v)}</b></span>" for k, v in facts
         ),
+        "remarks": "".join(f'<p class="remark">{html.escape(each)}</p>' for each in remarks),
         "headlines": "".join(_headline(name, shown[name]) for name in _HEADLINES if name in shown),
         "figures": _figures(shown),
         "misses": _misses(misses),

@@ -21,6 +21,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
+from cadenza.music.formats.reading import name_without_ending
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
@@ -263,6 +264,5 @@ def _ending(content: bytes) -> str:
 
 def _title(name: str) -> str:
     """A file's name as it can be shown."""
-    stem = re.sub(r"\.(midi?|musicxml|xml|mxl)$", "", name.strip(), flags=re.IGNORECASE)
-    shown = "".join(c if c.isprintable() else " " for c in stem)
+    shown = "".join(c if c.isprintable() else " " for c in name_without_ending(name.strip()))
     return " ".join(shown.split())[:_LONGEST_TITLE] or "Untitled"

@@ -12,6 +12,7 @@ from typing import Any
 from cadenza.studio.messages import JSON, ROWS
 
 _OVER = ("kept", "failed", "cancelled")
+_KEPT = "metrics", "spent", "remarks"  # of a status, for those after it
 _MOST_SENT = 1 << 18  # bytes of rows at once
 
 
@@ -74,7 +75,7 @@ class Stream:
             if "state" not in said:
                 self.about = content
             elif said["state"] != "preparing" or self.status["state"] != "playing":
-                kept = {k: self.status[k] for k in ("metrics", "spent") if k in self.status}
+                kept = {k: self.status[k] for k in _KEPT if k in self.status}
                 self.status = kept | said
         self.wake()
 

@@ -14,17 +14,17 @@ import signal
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
-from typing import IO, Any
+from typing import IO, Any, cast
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner  # loaded before it is needed
 from cadenza.agents.registry import PLANNER
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
@@ -128,7 +128,11 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         check()
         told.stage(stage, done, total)
 
-    with _as_practised(order) or set_up_as_asked(order, preparing) as setup:
+    with ExitStack() as kept:
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always", CadenzaWarning)
+            setup = kept.enter_context(_as_practised(order) or set_up_as_asked(order, preparing))
+        remarks = [what_failed(cast("Warning", each.message), order) for each in heard]
         live = Live(setup.task, send)
         live.begin()
 
@@ -141,7 +145,8 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
 
         performance = perform(setup, progress)
         spent = round(time.monotonic() - began, 3)
-        send(as_json(state="played", metrics=plain(performance.metrics), spent=spent))
+        metrics = plain(performance.metrics)
+        send(as_json(state="played", metrics=metrics, spent=spent, remarks=remarks))
         return performance, live
 
 

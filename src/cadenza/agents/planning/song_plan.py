@@ -88,7 +88,10 @@ def scene_planned_with(track: GoalTrack) -> Scene:
         CadenzaError: there are no hands in it.
     """
     if not track.scene.sides:
-        raise CadenzaError("cannot plan: this scene has no hands")
+        raise CadenzaError(
+            "cannot plan: this scene has no hands; choose some, or an agent that needs none "
+            "(zero, random)"
+        )
     return _as_described(track.scene)
 
 

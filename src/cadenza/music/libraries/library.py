@@ -87,6 +87,8 @@ def open_library(spec: str | Path) -> Library:
     else:
         close = get_close_matches(name, list(libraries()), n=1)
         hint = f"did you mean {close[0]}? " if close else ""
+        if any(song.name == text for song in songs()):
+            hint = "that is a song. Libraries and folders hold several: "
         raise CadenzaError(
             f"no song library {text!r}: {hint}run `cadenza libraries` for all names, or give the "
             "path of a folder"

@@ -89,6 +89,7 @@ function showStatus(performance) {
     history.replaceState(null, "", chosen ? `#${asHash(request())}` : location.pathname);
   }
   if (performance !== heard) return;
+  if (performance.request) showFacts(performance);
   $("cancel").disabled = performance.over || performance.complete;
   cadenza.state = state;
   if (state === "cancelled" && isReady()) {
@@ -101,7 +102,12 @@ function showRequest({ title, request: wanted }) {
   set(wanted);
   $("title").textContent = $("title").title = title;
   document.title = `${title} · Cadenza studio`;
-  $("facts").replaceChildren(make("span", `Played by ${howPlayed(wanted)}`));
+  showFacts(heard);
+}
+/** Who plays, and what of the song they do not play. */
+function showFacts({ request: wanted, status: { remarks = [] } }) {
+  const said = [`Played by ${howPlayed(wanted)}`, ...remarks];
+  $("facts").replaceChildren(...said.map((each) => make("span", each)));
 }
 /** Who plays, and how, where that is not as usual. */
 function howPlayed({ agent, hand, seed, tempo, transpose }) {
