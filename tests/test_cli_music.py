@@ -15,7 +15,7 @@ import pytest
 from cadenza.cli import main
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.reading import name_without_ending
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Note, PedalEvent, Score
 
 QUICK = ("--agent", "zero", "--no-video")
 
@@ -167,3 +167,19 @@ def test_a_folder_of_something_else_is_no_song(
     assert capsys.readouterr().err == (
         f"cadenza: {tmp_path}: is a folder, but not of a policy or of practice; give a file\n"
     )
+
+
+def test_a_pedal_that_is_hardly_lifted_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moves = ((0.0, 127), (0.5, 0), (0.51, 127), (0.9, 0))
+    song = tmp_path / "pedal.mid"
+    write_midi(Score((Note(0, 1, 60),), tuple(PedalEvent(*move) for move in moves)), song)
+    options = ("--agent", "zero", "--no-video", "-q", "-o", str(tmp_path / "out"))
+    main(["play", str(song), *options])
+    said = "1 change of the pedal within a control step of 0.05 s is left out"
+    assert said in capsys.readouterr().err
+    assert said in (tmp_path / "out" / "report.html").read_text()
+    main(["play", str(song), *options, "--repeats", "shortened"])
+    assert "pedal" not in capsys.readouterr().err
+    assert "pedal within" not in (tmp_path / "out" / "report.html").read_text()

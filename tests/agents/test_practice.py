@@ -485,6 +485,26 @@ def test_a_practised_plan_plays_again_bit_for_bit(hands: Hands, tmp_path: Path) 
     assert (folder / "report.html").exists()
 
 
+def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_midi(HARD, tmp_path / "hard.mid")
+    quick = ("--no-video", "-q", "--planner.method", "none", "--initial-buffer-time", "0.4")
+    main(["practice", "hard.mid", "-o", "hard", "--effort", "0.02", *quick])
+    main(["play", "OdeToJoy", "--agent", "zero", "--first-seconds", "1", "-o", "hard", *quick[:2]])
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    before = (tmp_path / "hard" / "practice.npz").read_bytes()
+    main(["practice", "../hard", "--effort", "0.2", *quick[:2]])
+    assert (tmp_path / "hard" / "practice.npz").read_bytes() != before
+    main(["info", "../hard"])
+    assert "6" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["play", "OdeToJoy", "--agent", "../hard"])
+    assert "holds a song that was practised, not a policy" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("by_play", [False, True])
 def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
     by_play: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]

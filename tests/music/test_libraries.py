@@ -130,6 +130,8 @@ def test_etudes() -> None:
 
 
 def test_libraries_that_there_are_not(folder: Path) -> None:
+    with pytest.raises(CadenzaError, match="no song library 'OdeToJoy': that is a song"):
+        open_library("OdeToJoy")
     with pytest.raises(CadenzaError, match="no song library 'bundle': did you mean bundled"):
         open_library("bundle")
     with pytest.raises(CadenzaError, match="no song library '/nowhere:valid'"):

@@ -57,6 +57,14 @@ def test_the_figures_and_settings_are_in_the_page(write, episode):
     assert page.words.index("F1") < page.words.index("Precision")
 
 
+def test_what_is_not_played_is_at_the_top_of_the_page(write, episode):
+    settings = {"agent": "planner", "remarks": ["3 notes are <left> out"]}
+    page = write(episode, {"f1": 0.5}, settings)
+    assert page.words.count("3 notes are <left> out") == 1
+    assert page.words.index("3 notes are <left> out") < page.words.index("F1")
+    assert not any("remarks" in word for word in page.words)
+
+
 def test_what_was_missed_is_in_the_page(tmp_path, episode):
     misses = [
         {"time": 1.25, "note": "C♯4", "finger": 7, "what": "never sounded", "reason": "<too fast>"},

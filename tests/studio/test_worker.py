@@ -13,6 +13,8 @@ from typing import IO
 
 import pytest
 
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
 from cadenza.studio.messages import HEADER, JSON, READY, ROWS
 from cadenza.studio.request import Order, PlayRequest
 
@@ -62,6 +64,21 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
         while told[-1][0] != READY:
             told.append(hear())
         assert not any(b"failed" in content for kind, content in told if kind == JSON)
+
+
+def test_what_is_not_played_is_told(tmp_path: Path) -> None:
+    trill = tuple(Note(0.08 * i, 0.08 * i + 0.02, 60) for i in range(10))
+    write_midi(Score(trill), tmp_path / "trill.mid")
+    request, source = PlayRequest("trill"), str(tmp_path / "trill.mid")
+    order = Order(request, "Trill", source, True, "0" * 16, str(tmp_path / "out"), False)
+    with working() as (say, hear):
+        say(json.dumps(asdict(order)).encode())
+        told = [hear()]
+        while b"kept" not in told[-1][1]:
+            told.append(hear())
+    (played,) = [json.loads(c) for kind, c in told if kind == JSON and b'"played"' in c]
+    (remark,) = played["remarks"]
+    assert remark.startswith("Trill: 4 notes repeat too fast for control steps of 0.05 s")
 
 
 def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) -> None:
