@@ -21,7 +21,7 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
-from cadenza.music.formats.reading import name_without_ending
+from cadenza.music.formats.reading import MUSIC
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
@@ -264,5 +264,8 @@ def _ending(content: bytes) -> str:
 
 def _title(name: str) -> str:
     """A file's name as it can be shown."""
-    shown = "".join(c if c.isprintable() else " " for c in name_without_ending(name.strip()))
+    name = name.strip()
+    stem, dot, ending = name.rpartition(".")
+    bare = stem if f"{dot}{ending}".lower() in MUSIC else name
+    shown = "".join(c if c.isprintable() else " " for c in bare)
     return " ".join(shown.split())[:_LONGEST_TITLE] or "Untitled"
