@@ -67,6 +67,7 @@ FIRST = 8  # rounds in which only values are learnt
 OF_MEAN = 0.04  # of the running mean, what a round's networks are
 HIDDEN = (128, 64)  # units of what says values
 KEPT_EVERY = 20  # rounds
+_LASTING = "songs", "weights", "most", "seed"  # options that stay when learning goes on
 
 # What a step costs, as in the planner's search, but that a key counts the less the more are wanted.
 WRONG, EARLY, ASTRAY = 3.0, 1.5, 0.3
@@ -418,12 +419,12 @@ def advantages(played: Round, values: Array) -> Array:
 
 
 def check_same(options: dict[str, Any], path: Path) -> None:
-    """Keeps the options in a file.
+    """Keeps the options in a file, but for how many rounds there are and where.
 
     Raises:
         CadenzaError: it holds others, with which something has been learnt.
     """
-    options = {name: plain(value) for name, value in options.items() if name != "output"}
+    options = {name: plain(value) for name, value in options.items() if name in _LASTING}
     if path.exists() and read_json(path, dict) != options:
         raise CadenzaError(f"{path.parent}: begun with other options, see {path.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
