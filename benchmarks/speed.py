@@ -88,7 +88,8 @@ def published(venv: Path, arguments: list[str]) -> Contestant:
     def run() -> float:
         result = subprocess.run(command, capture_output=True, text=True)
         if result.returncode:
-            raise CadenzaError(result.stderr.strip().splitlines()[-1])
+            said = result.stderr.strip() or f"{command[0]} ended with status {result.returncode}"
+            raise CadenzaError(said.splitlines()[-1])
         return float(json.loads(result.stdout)["steps_per_second"])
 
     return run

@@ -90,7 +90,7 @@ def jumps_in(path: Path, hand: str) -> list[Jump]:
     """
     lines = enumerate(path.read_text().splitlines(), start=1)
     rows = [parsed_json(line, dict, f"{path}, line {n}") for n, line in lines]
-    if any(row.pop("hand", None) != hand for row in rows):
+    if any(row.pop("hand", hand) != hand for row in rows):
         raise CadenzaError(f"{path}: holds jumps of another hand than {hand}; choose another file")
     if not rows:
         raise CadenzaError(f"{path}: holds no jumps")

@@ -444,9 +444,9 @@ def main() -> None:
     rng, scene = np.random.default_rng(given.seed), build_scene()
     weights = Weights.load(given.weights) if given.weights else shipped_for(scene)
     assert weights is not None
-    check_same(vars(given), given.output / "options.json")
     networks = Networks(weights, scene)
     songs = planned(given.songs, given.most, rng)
+    check_same(vars(given), given.output / "options.json")
     learner, checkpoint = Learner(networks, given.rounds, rng), given.output / "checkpoint.npz"
     if checkpoint.exists():
         learner.load(checkpoint)

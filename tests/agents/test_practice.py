@@ -499,7 +499,7 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     main(["practice", "../hard", "--effort", "0.2", *quick[:2]])
     assert (tmp_path / "hard" / "practice.npz").read_bytes() != before
     main(["info", "../hard"])
-    assert "6" in capsys.readouterr().out
+    assert "notes      6\n" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["play", "OdeToJoy", "--agent", "../hard"])
     assert "holds a song that was practised, not a policy" in capsys.readouterr().err

@@ -73,7 +73,13 @@ def with_joint(joint: str, **changes: Any) -> Body:
         ({"body": with_joint("FFJ3", name="FFJ4")}, "two joints or couplings are named 'FFJ4'"),
         ({"body": replace(BODY, actuators=BODY.actuators * 2)}, "two actuators move 'WRJ2'; keep"),
         (
-            {"body": replace(BODY, couplings=(*BODY.couplings, Coupling("X", ("FFJ3",), (0, 1))))},
+            {
+                "body": replace(
+                    BODY,
+                    couplings=(*BODY.couplings, Coupling("X", ("FFJ3",), (0, 1))),
+                    actuators=(*BODY.actuators, Actuator("X", 1.0, 1.0)),
+                )
+            },
             "joint FFJ3 is moved by two actuators",
         ),
         ({"body": replace(BODY, links=())}, "has no links"),

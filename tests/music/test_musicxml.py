@@ -159,8 +159,7 @@ def test_a_metronome_mark_counts_where_no_tempo_is_given_for_playback(
     alone = direction(f"<metronome>{mark}</metronome>")
     score = load_score(saved(document([FOUR_QUARTERS + alone + note("C4", 16)])))
     assert score.total_time == pytest.approx(240 / quarters_a_minute)
-    both = alone.replace("</direction>", '<sound tempo="30"/></direction>')
-    score = load_score(saved(document([FOUR_QUARTERS + both + note("C4", 16)])))
+    score = load_score(saved(document([FOUR_QUARTERS + tempo(30) + alone + note("C4", 16)])))
     assert score.total_time == pytest.approx(8)
 
 

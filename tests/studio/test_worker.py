@@ -78,7 +78,7 @@ def test_what_is_not_played_is_told(tmp_path: Path) -> None:
             told.append(hear())
     (played,) = [json.loads(c) for kind, c in told if kind == JSON and b'"played"' in c]
     (remark,) = played["remarks"]
-    assert remark.startswith("Trill: 4 notes repeat too fast for control steps of 0.05 s")
+    assert remark.startswith("4 notes repeat too fast for control steps of 0.05 s")
 
 
 def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) -> None:

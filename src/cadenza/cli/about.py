@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,13 +39,19 @@ def info(command: Info) -> None:
     if command.song is None:
         _print_facts(_installation_facts())
         return
-    from cadenza.performing.setup import is_own_folder, load_song
-
-    own, arrangement = is_own_folder(command.song), command.arrangement
-    score = load_song(command.song, arrangement) if own else arrangement.score(command.song)
+    score = _score(command.song, command.arrangement)
     _print_facts(_song_facts(score))
     if len(score.tracks) > 1:
         print("\n" + _table_of_tracks(score.tracks))
+
+
+def _score(song: str, arrangement: Arrangement) -> Score:
+    if os.path.isdir(song):  # heavy, so only where it may be what has learnt or practised a song
+        from cadenza.performing.setup import is_own_folder, load_song
+
+        if is_own_folder(song):
+            return load_song(song, arrangement)
+    return arrangement.score(song)
 
 
 def _print_facts(facts: dict[str, Any]) -> None:

@@ -39,7 +39,7 @@ def faults_of_body(body: Body) -> Iterator[str]:
     for name in repeated(targets):
         yield f"two actuators move {name!r}; keep one"
     moved = [target for target in targets if target in joints]
-    moved += [joint for coupling in body.couplings for joint in coupling.joints]
+    moved += [joint for each in body.couplings if each.name in targets for joint in each.joints]
     for name in repeated(moved):
         yield f"joint {name} is moved by two actuators; keep one"
     yield from _faults_of_couplings(body, joints)

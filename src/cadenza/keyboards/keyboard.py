@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral
 
 import mujoco
 import numpy as np
@@ -264,7 +265,7 @@ class Keyboard:
 
 def _faults(keyboard: Keyboard) -> Iterator[str]:
     first, count = keyboard.lowest_pitch, keyboard.num_keys
-    if not (isinstance(first, int) and isinstance(count, int)):
+    if not (isinstance(first, Integral) and isinstance(count, Integral)):
         yield f"lowest_pitch is {first!r} and num_keys {count!r}; give whole numbers"
     if count < 1:
         yield f"num_keys is {count}; give 1 or more"
@@ -288,6 +289,8 @@ def _faults(keyboard: Keyboard) -> Iterator[str]:
         )
     if not isinstance(keyboard.contact_solref, tuple) or len(keyboard.contact_solref) != 2:
         yield f"contact_solref is {keyboard.contact_solref}; give a tuple of 2 numbers"
+    if not np.isfinite(keyboard.contact_solref).all():
+        yield f"contact_solref is {keyboard.contact_solref}; give finite numbers"
     for name in ("half_depth", "half_height", "density"):
         yield from _not_positive(f"base.{name}", getattr(keyboard.base, name))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,13 @@ from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically, write_json
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
-from cadenza.performing.setup import PRACTICE, PRACTISED, PRACTISED_HOW, Setup
+from cadenza.performing.setup import (
+    PRACTICE,
+    PRACTISED,
+    PRACTISED_HOW,
+    Setup,
+    is_own_folder,
+)
 
 _MOST = 2**32  # bytes: hours of music
 
@@ -61,7 +68,10 @@ class Practising:
 
     def save(self) -> None:
         """Keeps in the folder how far practice has got, and of what it is."""
-        write_json(self._path.with_name(PRACTISED_HOW), self._setup.settings)
+        settings, song = self._setup.settings, self._setup.settings["song"]
+        if os.path.isfile(song) or is_own_folder(song):  # it goes on from anywhere
+            settings = settings | {"song": os.path.abspath(song)}
+        write_json(self._path.with_name(PRACTISED_HOW), settings)
         with write_atomically(self._path) as file:
             np.savez_compressed(file, allow_pickle=False, **self.practice.state())
 

@@ -342,8 +342,8 @@ def _lost_on_steps(track: GoalTrack) -> Iterator[str]:
     if count := held_pedal_changes(track.score, dt, track.goals.sustain[track.silent_steps :]):
         changes, are = ("change", "is") if count == 1 else ("changes", "are")
         yield (
-            f"{count} {changes} of the pedal within a control step of {dt:g} s {are} left out; "
-            "with --repeats shortened, the pedal comes up"
+            f"{count} {changes} of the pedal within a control step of {dt:g} s {are} left out "
+            "(with repeats shortened, it comes up)"
         )
 
 
@@ -362,9 +362,8 @@ def _settings(
     selection: Selection, task: TaskConfig, scene: SceneConfig, seed: int
 ) -> dict[str, Any]:
     """See `Setup.settings`."""
-    song = os.path.abspath(selection.song) if os.path.exists(selection.song) else selection.song
     settings: dict[str, Any] = {
-        "song": song,
+        "song": selection.song,
         "agent": selection.name,
         "seed": seed,
         "plan": None if selection.plan is None else str(selection.plan),

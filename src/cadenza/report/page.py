@@ -84,7 +84,7 @@ def own_parts(
     video: str = "",
 ) -> dict[str, str | Iterable[str]]:
     """What the page of an episode does not share with others; `recording` is what it embeds."""
-    shown, remarks = _metrics_shown(episode, metrics), settings.get("remarks", ())
+    shown, remarks = _metrics_shown(episode, metrics), settings.get("remarks") or ()
     settings = {name: value for name, value in settings.items() if name != "remarks"}
     facts = _facts(episode, dict(flat(settings)))
     return {

@@ -183,7 +183,8 @@ class MujocoSimulation:
         return {**self.__dict__, "_data": [copy(data) for data in self._data], "_awake": awake}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for data, counts in zip(state["_data"], state.pop("_awake"), strict=True):
+        # Earlier versions did not keep them.
+        for data, counts in zip(state["_data"], state.pop("_awake", ()), strict=False):
             for name, count in zip(_AWAKE, counts, strict=True):
                 setattr(data, name, count)
         self.__dict__.update(state)

@@ -66,6 +66,8 @@ class Kept:
     seconds: float
     finished: float
     """[s] since 1970."""
+    remarks: list[str] = field(default_factory=list)
+    """On what of the song is not played; earlier versions kept none."""
 
 
 class Shelf:
@@ -199,7 +201,8 @@ class Shelf:
         """
         folder = self._performance(id)
         kept = read_json(folder / _ABOUT, Kept)
-        status = {"state": "kept", "performance": id, "metrics": {"f1": kept.f1}}
+        status: dict[str, Any] = {"state": "kept", "performance": id}
+        status |= {"metrics": {"f1": kept.f1}, "remarks": kept.remarks}
         if not _was_told(folder):
             raise CadenzaError("of this performance there is only the report")
         about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)

@@ -42,7 +42,8 @@ class Showing:
 
     def played(self, performance: Performance) -> None:
         """Tells the end."""
-        self._send(as_json(state="played", metrics=plain(performance.metrics)))
+        metrics, remarks = plain(performance.metrics), performance.settings.get("remarks", [])
+        self._send(as_json(state="played", metrics=metrics, remarks=remarks))
 
     def stay(self) -> None:
         """Until Ctrl-C."""

@@ -18,13 +18,13 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
-from typing import IO, Any, cast
+from typing import IO, Any
 
 from cadenza.agents.agent import Progress
 from cadenza.agents.planning.config import ScorePlannerConfig
 from cadenza.agents.planning.score_planner import ScorePlanner  # loaded before it is needed
 from cadenza.agents.registry import PLANNER
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
@@ -129,10 +129,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         told.stage(stage, done, total)
 
     with ExitStack() as kept:
-        with warnings.catch_warnings(record=True) as heard:
-            warnings.simplefilter("always", CadenzaWarning)
-            setup = kept.enter_context(_as_practised(order) or set_up_as_asked(order, preparing))
-        remarks = [what_failed(cast("Warning", each.message), order) for each in heard]
+        setup = kept.enter_context(_as_practised(order) or set_up_as_asked(order, preparing))
         live = Live(setup.task, send)
         live.begin()
 
@@ -146,6 +143,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         performance = perform(setup, progress)
         spent = round(time.monotonic() - began, 3)
         metrics = plain(performance.metrics)
+        remarks = performance.settings.get("remarks", [])
         send(as_json(state="played", metrics=metrics, spent=spent, remarks=remarks))
         return performance, live
 
@@ -211,6 +209,7 @@ def keep(performance: Performance, live: Live, order: Order, send: Send) -> None
         "request": order.request.__dict__,
         "f1": performance.metrics["f1"],
         "seconds": performance.seconds,
+        "remarks": performance.settings.get("remarks", []),
         "finished": time.time(),
     }
     try:

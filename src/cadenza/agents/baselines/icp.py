@@ -111,7 +111,7 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     for chord in chords(notes):
         done += len(chord)
         soon = notes[done : bisect_left(starts, chord[0].start + _AHEAD)]
-        struck = {note.pitch: note for note in sorted(chord, key=lambda note: note.end)}
+        struck = {note.pitch: note for note in sorted(chord, key=lambda n: (n.pitch, n.end))}
         keys, ahead = ([note.pitch - lowest for note in some] for some in (struck.values(), soon))
         played = moving.play([*struck.values()], y[keys], y[ahead], reached[keys])
         finger_on = dict(zip(struck, played, strict=True))

@@ -65,10 +65,10 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
     Parts with pitched notes are tracks, see `Score.tracks`; all are played together, or only
     `tracks`. Tied notes are one. Repeats, endings, da capo and dal segno are followed as the
     part with most measures has them, the first of those. Times follow the tempos given for playback
-    (`<sound tempo>`), velocities the dynamic markings. Grace notes last 0.1 s before the beat;
-    signs of other ornaments are not played. Of a part on two staves the fingering is taken over,
-    that of the upper staff for the right hand. What cannot be played on one piano is repaired as by
-    `read_midi`.
+    (`<sound tempo>`, or metronome marks), velocities the dynamic markings. Grace notes last 0.1 s
+    before the beat; signs of other ornaments are not played. Of a part on two staves the fingering
+    is taken over, that of the upper staff for the right hand. What cannot be played on one piano is
+    repaired as by `read_midi`.
 
     Raises:
         CadenzaError: no such file, not MusicXML, damaged, too large, without notes, or

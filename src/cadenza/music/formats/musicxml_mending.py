@@ -24,7 +24,7 @@ def mend(root: Element) -> list[str]:
     """Mends a document without entities, and says what was changed of what it says.
 
     A score ordered by measures becomes one ordered by parts. Metronome marks become tempos for
-    playback where there are none. A change of the pedal becomes a lift and a press. Fingerings
+    playback if there are none. A change of the pedal becomes a lift and a press. Fingerings
     without a number and tempos that cannot be are left out. Cue notes become rests, since they are
     not to be played. Durations that are no whole numbers are counted in finer units, alterations by
     less than a semitone rounded. Octaves that an instrument sounds higher are added to the
@@ -84,10 +84,12 @@ def _distinguish_parts(root: Element) -> None:
 
 
 def _play_metronomes(root: Element) -> None:
-    """Adds the tempos of metronome marks that have none for playback."""
+    """Makes metronome marks tempos for playback, in a file without any."""
+    if root.find(".//sound[@tempo]") is not None:
+        return
     for direction in root.iter("direction"):
         mark = direction.find("direction-type/metronome")
-        if mark is None or direction.find("sound[@tempo]") is not None:
+        if mark is None:
             continue
         unit, number = mark.findtext("beat-unit", ""), mark.findtext("per-minute", "")
         found = re.search(r"\d{1,5}(\.\d{1,3})?", number)
