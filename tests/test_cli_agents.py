@@ -173,7 +173,7 @@ def test_a_policy_that_corrects_a_plan_plays_no_other_song(
 ) -> None:
     folder = pretrained_folder("OdeToJoy")
     line = refused(capsys, "play", "tune.mid", "--agent", folder)
-    assert "'Ode to Joy' with residual learning, so it can play nothing else" in line
+    assert "'Ode to Joy', with residual learning, so it can play nothing else" in line
 
 
 def test_what_the_user_gives_wins_over_what_the_policy_was_trained_with(here: Path) -> None:

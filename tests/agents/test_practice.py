@@ -703,7 +703,8 @@ def test_a_folder_that_does_not_say_how_it_was_practised(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = folder_of(tmp_path, "--effort", "0")
-    (folder / "settings.json").unlink()
+    for name in ("practice.json", "settings.json"):
+        (folder / name).unlink()
     with pytest.raises(SystemExit):
         main(["practice", str(folder)])
     assert "run the same command again that practised there" in capsys.readouterr().err
