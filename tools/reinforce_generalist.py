@@ -56,13 +56,7 @@ SECONDS = 12.0  # of each song
 AT_ONCE, STEPS = 32, 64  # songs, and control steps of each in a round
 NOISE = 0.2  # of answers, of which 1 is what a servo's `correction` is
 DISCOUNT, TRACE = 0.9, 0.9  # for each step
-RATE, VALUE_RATE, BATCH, SWEEPS, CLIP = (
-    1e-4,
-    5e-4,
-    512,
-    2,
-    0.2,
-)  # the first falls to 0 at the last round
+RATE, VALUE_RATE, BATCH, SWEEPS, CLIP = 1e-4, 5e-4, 512, 2, 0.2  # the first falls to 0
 FIRST = 8  # rounds in which only values are learnt
 OF_MEAN = 0.04  # of the running mean, what a round's networks are
 HIDDEN = (128, 64)  # units of what says values

@@ -79,6 +79,11 @@ class Performance:
         return played_in(self.episode)
 
     @property
+    def remarks(self) -> list[str]:
+        """On what of the song is not played."""
+        return list(self.settings.get("remarks", ()))
+
+    @property
     def energy(self) -> float | None:
         """Of all actuators, their power as of each step's end [J]; None if the task counts none."""
         task = self.settings["task"]

@@ -42,8 +42,8 @@ class Showing:
 
     def played(self, performance: Performance) -> None:
         """Tells the end."""
-        metrics, remarks = plain(performance.metrics), performance.settings.get("remarks", [])
-        self._send(as_json(state="played", metrics=metrics, remarks=remarks))
+        metrics = plain(performance.metrics)
+        self._send(as_json(state="played", metrics=metrics, remarks=performance.remarks))
 
     def stay(self) -> None:
         """Until Ctrl-C."""

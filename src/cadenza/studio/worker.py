@@ -14,7 +14,7 @@ import signal
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
@@ -128,8 +128,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         check()
         told.stage(stage, done, total)
 
-    with ExitStack() as kept:
-        setup = kept.enter_context(_as_practised(order) or set_up_as_asked(order, preparing))
+    with _as_practised(order) or set_up_as_asked(order, preparing) as setup:
         live = Live(setup.task, send)
         live.begin()
 
@@ -143,7 +142,7 @@ def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performan
         performance = perform(setup, progress)
         spent = round(time.monotonic() - began, 3)
         metrics = plain(performance.metrics)
-        remarks = performance.settings.get("remarks", [])
+        remarks = performance.remarks
         send(as_json(state="played", metrics=metrics, spent=spent, remarks=remarks))
         return performance, live
 
@@ -209,7 +208,7 @@ def keep(performance: Performance, live: Live, order: Order, send: Send) -> None
         "request": order.request.__dict__,
         "f1": performance.metrics["f1"],
         "seconds": performance.seconds,
-        "remarks": performance.settings.get("remarks", []),
+        "remarks": performance.remarks,
         "finished": time.time(),
     }
     try:
