@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from benchmarks.arguments import one_or_more
-from cadenza.agents.planning.inverse_kinematics import rest_posture
-from cadenza.agents.planning.letting_go import let_go_in_time
-from cadenza.agents.planning.nominal import forearm_places
-from cadenza.agents.planning.presses import presses_of
+from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
+from cadenza.agents.planner.plan.nominal_trajectory import forearm_places
+from cadenza.agents.planner.plan.presses import presses_of
+from cadenza.agents.planner.plan.release_times import let_go_in_time
 from cadenza.errors import errors_in_a_line
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering

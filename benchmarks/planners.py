@@ -2,7 +2,7 @@
 
     python -m benchmarks.planners SONG [--steps N] [--iterations I ...]
 
-With --whole-song instead those that plan the whole song: the plan of `ScorePlanner` as it is and
+With --whole-song instead those that plan the whole song: the plan of `Planner` as it is and
 refined, and `TrackedPresses`.
 
 Prints a table in Markdown.
@@ -21,12 +21,12 @@ from cadenza.agents.agent import Agent, PlannerPerEnv, ZeroAgent
 from cadenza.agents.baselines.ilqg import ILQG
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
-from cadenza.agents.planning.config import (
+from cadenza.agents.planner.config import (
     ILQGConfig,
+    PlannerConfig,
     PredictiveSamplingConfig,
-    ScorePlannerConfig,
 )
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.planner import Planner
 from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
@@ -109,8 +109,8 @@ def main() -> None:
     print("| planner | F1 | fingering | planning time / music | of which |")
     print("| --- | --- | --- | --- | --- |")
     if options.whole_song:
-        row("nominal plan", ScorePlanner(ScorePlannerConfig(method="none")))
-        row("nominal plan, refined", ScorePlanner(), options.seeds)
+        row("nominal plan", Planner(PlannerConfig(method="none")))
+        row("nominal plan, refined", Planner(), options.seeds)
         row("optimised presses, tracked", TrackedPresses())
         return
     row("hands at rest", ZeroAgent())

@@ -29,8 +29,8 @@ from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
 from cadenza.agents.baselines.stitched.agent import Stitched
-from cadenza.agents.planning.config import ICPConfig, ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import ICPConfig, PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
@@ -70,7 +70,7 @@ class Setting:
 
 
 def _nominal() -> Agent:
-    return ScorePlanner(ScorePlannerConfig(method="none"))
+    return Planner(PlannerConfig(method="none"))
 
 
 def _icp(fingers: Literal["nearest", "found"]) -> Agent:
@@ -82,10 +82,8 @@ ARMS = replace(SceneConfig(), **_ARM.of(SceneConfig))
 TIME = replace(with_time_to_begin(), **_ARM.of(TaskConfig))
 ALL = (NOTHING, SLIGHT, STRONG, MODEL)
 SETTINGS: dict[str, Setting] = {
-    "planner": Setting("planner", ScorePlanner, troubles=ALL),
-    "planner-played-back": Setting(
-        "planner, played back", ScorePlanner, open_loop=True, troubles=ALL
-    ),
+    "planner": Setting("planner", Planner, troubles=ALL),
+    "planner-played-back": Setting("planner, played back", Planner, open_loop=True, troubles=ALL),
     "nominal": Setting("plan with feedback", _nominal, troubles=ALL),
     "nominal-played-back": Setting("plan, played back", _nominal, open_loop=True, troubles=ALL),
     "stitched": Setting("stitched motions", Stitched, troubles=ALL),

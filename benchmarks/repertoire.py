@@ -16,8 +16,8 @@ from typing import get_args
 import numpy as np
 
 from benchmarks.arguments import one_or_more
-from cadenza.agents.planning.config import SamplingMethod, ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score, songs
@@ -28,14 +28,14 @@ _METRICS = ("f1", "precision", "recall", "note_onset_f1")
 
 
 def measure(
-    song: str, seeds: int, config: ScorePlannerConfig, silence: float
+    song: str, seeds: int, config: PlannerConfig, silence: float
 ) -> tuple[dict[str, float], float, float]:
     """Means over seeds of the metrics, the least F1, and time over that of the music."""
     task = PianoTask([load_score(song)], TaskConfig(initial_buffer_time=silence))
     played = []
     started = time.perf_counter()
     for seed in range(seeds):
-        played.append(play_episode(task, ScorePlanner(config), seed).metrics)
+        played.append(play_episode(task, Planner(config), seed).metrics)
     took = time.perf_counter() - started
     task.close()
     music = sum(metrics["steps"] for metrics in played) * task.config.control_timestep
@@ -51,11 +51,11 @@ def main() -> None:
     parser.add_argument(
         "--method",
         choices=("none", *get_args(SamplingMethod)),
-        default=ScorePlannerConfig().method,
+        default=PlannerConfig().method,
     )
     parser.add_argument("--initial-buffer-time", type=float, default=0.5, help="[s]")
     options = parser.parse_args()
-    config = ScorePlannerConfig(method=options.method)
+    config = PlannerConfig(method=options.method)
     print("| piece | F1 | least | precision | recall | note onsets | time / music |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for song in options.songs or [piece.name for piece in songs()]:

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.arguments import one_or_more
 from cadenza.agents.agent import Agent, Array
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import errors_in_a_line
@@ -29,8 +29,8 @@ from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 AGENTS: dict[str, Callable[[], Agent]] = {
-    "refined": ScorePlanner,
-    "nominal": lambda: ScorePlanner(ScorePlannerConfig(method="none")),
+    "refined": Planner,
+    "nominal": lambda: Planner(PlannerConfig(method="none")),
     "tracked": TrackedPresses,
 }
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_info
 
 import cadenza
 from cadenza import Note, SceneConfig, Score, TaskConfig
-from cadenza.agents.planning.nominal import Nominal
+from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
 from cadenza.agents.registry import make_agent
 from cadenza.cli import main
 from cadenza.music.formats.fingering_file import read_fingering
@@ -191,12 +191,10 @@ def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
 def test_a_performance_does_not_keep_the_postures_that_were_planned() -> None:
     def postures() -> int:
         gc.collect()
-        return sum(isinstance(each, Nominal) for each in gc.get_objects())
+        return sum(isinstance(each, NominalTrajectory) for each in gc.get_objects())
 
     before = postures()
-    performance = cadenza.play(
-        TUNE, make_agent("planner", cadenza.ScorePlannerConfig(method="none"))
-    )
+    performance = cadenza.play(TUNE, make_agent("planner", cadenza.PlannerConfig(method="none")))
     assert performance.track is not None
     assert postures() == before
 

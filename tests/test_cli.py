@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planning.score_planner import SongPlanner
+from cadenza.agents.planner.planner import SongPlanner
 from cadenza.agents.playback import check_options, options_of
 from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from cadenza.agents.agent import Agent, ZeroAgent
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.cli import estimate
 from cadenza.cli.progress import QUIET
 from cadenza.music.score import Note, Score
@@ -25,7 +25,7 @@ def one_millisecond(monkeypatch: pytest.MonkeyPatch) -> None:
 def setup(seconds: int, agent: Agent | None = None) -> Setup:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i % 8) for i in range(5 * seconds)))
     task = PianoTask([score], scene=SceneConfig(hands="right"))
-    return Setup(score, agent or ScorePlanner(), task, 0, {}, {})
+    return Setup(score, agent or Planner(), task, 0, {}, {})
 
 
 def test_a_long_song_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +37,7 @@ def test_a_long_song_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_practice_is_part_of_it(capsys: pytest.CaptureFixture[str]) -> None:
-    estimate.tell_how_long(setup(20, ScorePlanner(ScorePlannerConfig(effort=8.0))))
+    estimate.tell_how_long(setup(20, Planner(PlannerConfig(effort=8.0))))
     assert "0:20 of music takes about 5 to 15 min" in capsys.readouterr().err
 
 

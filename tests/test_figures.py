@@ -27,15 +27,15 @@ PECULIAR = ("hands", "keyboards")
 COUNTS = {5, 10, 88}
 # Where one of these numbers may stand, and what it counts there.
 ALLOWED = {
-    ("agents/planning/hand_rehearsal.py", 5): "takes of a rehearsal",
+    ("agents/planner/search/hand_rehearsal.py", 5): "takes of a rehearsal",
     ("music/formats/finger_numbers.py", 5): "the fingers of a hand, in the numbering of files",
     ("music/formats/midi_chunks.py", 88): "the kind of a time signature in MIDI",
     ("music/libraries/pig_dataset.py", 5): "the note F, in semitones above C",
     ("music/libraries/pig_dataset.py", 10): "lines of a file that are named",
     ("music/score.py", 88): "the keys of a piano, which is what music is written for",
-    ("agents/planning/learnt/inputs.py", 5): "steps ahead; a column of the inputs",
-    ("agents/planning/config.py", 10): "candidates and step sizes",
-    ("agents/planning/variations.py", 10): "the base of the sizes of variations",
+    ("agents/planner/search/networks/inputs.py", 5): "steps ahead; a column of the inputs",
+    ("agents/planner/config.py", 10): "candidates and step sizes",
+    ("agents/planner/practice/perturbations.py", 10): "the base of the sizes of variations",
     ("cli/dataset.py", 10): "the most noise",
     ("cli/estimate.py", 5): "plain control steps",
     ("fingering/difficulty.py", 10): "the hardest grade",

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.stats import ConstantInputWarning, spearmanr
 
-from cadenza.agents.planning.config import SamplingMethod, ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.overview import overview
@@ -86,7 +86,7 @@ def play(libraries: list[str], output: Path, most: int | None, seconds: float, m
             f"{output}: holds other --seconds or another --method; choose another file"
         )
     done = {row["song"] for row in rows}
-    planner = ScorePlannerConfig(method=method)  # type: ignore[arg-type]
+    planner = PlannerConfig(method=method)  # type: ignore[arg-type]
     for library in libraries:
         songs = open_library(library).songs
         for i in np.random.default_rng(0).permutation(len(songs))[:most]:
@@ -96,7 +96,7 @@ def play(libraries: list[str], output: Path, most: int | None, seconds: float, m
             done.add(name)
             score = opening(songs[i].load(), seconds)
             task = PianoTask([score], TaskConfig(initial_buffer_time=0.5))
-            f1 = play_episode(task, ScorePlanner(planner), 0).metrics["f1"]
+            f1 = play_episode(task, Planner(planner), 0).metrics["f1"]
             task.close()
             row = {"library": library, "song": name, "seconds": seconds, "method": method, "f1": f1}
             with output.open("a") as file:

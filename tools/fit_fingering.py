@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.losses import ONSETS
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.practice.losses import ONSETS
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import parsed_json
@@ -34,7 +34,7 @@ from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask
 
 HANDS = players_of(build_scene())
-WITH_THESE_FINGERS = ScorePlannerConfig(fingering="score")
+WITH_THESE_FINGERS = PlannerConfig(fingering="score")
 
 
 @errors_in_a_line()
@@ -99,7 +99,7 @@ def metrics_of(score: Score, costs: Costs) -> dict[str, float]:
     fingered, _ = find_fingering(score, HANDS, costs=costs)
     task = PianoTask([fingered], TaskConfig(initial_buffer_time=0.5))
     try:
-        return play_episode(task, ScorePlanner(WITH_THESE_FINGERS), 0).metrics
+        return play_episode(task, Planner(WITH_THESE_FINGERS), 0).metrics
     finally:
         task.close()
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, errors_in_a_line
@@ -111,7 +111,7 @@ def play(path: Path, name: str, etudes: int) -> None:
         chords, ways = made_up(HAND.reach.rest, rng)
         config = TaskConfig(initial_buffer_time=0.5)
         task = PianoTask([score_of(chords, rng)], config, scene)
-        agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
+        agent = Planner(PlannerConfig(fingering="score"))
         episode = play_episode(task, agent, etude).episode
         task.close()
         jumps = jumps_of(episode, chords, ways, round(config.initial_buffer_time / DT))

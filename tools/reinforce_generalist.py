@@ -31,11 +31,11 @@ from tqdm import tqdm
 
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import HASTE, shipped_for
-from cadenza.agents.planning.ahead import NO_HARM
-from cadenza.agents.planning.correction import FURTHEST as FURTHEST_ASTRAY
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, Network, Weights
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.search.fingertip_correction import FURTHEST as FURTHEST_ASTRAY
+from cadenza.agents.planner.search.horizon_cost import NO_HARM
+from cadenza.agents.planner.search.networks.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.collecting.episode import excerpt
 from cadenza.files import plain, read_json, write_atomically, write_json
@@ -74,7 +74,7 @@ class Demands:
 
     def __init__(self, plan: SongPlan) -> None:
         scene, goals, nominal = plan.scene, plan.goals, plan.nominal
-        parts = [HandPart(plan, side) for side in scene.sides]
+        parts = [HandGoals(plan, side) for side in scene.sides]
         self.num_steps, self.keyboard = goals.num_steps, scene.keyboard
         self._held = np.any([part.planned for part in parts], axis=0)
         self._due = self._held & np.any([part.due for part in parts], axis=0)

@@ -28,9 +28,15 @@ import optax
 from numpy.typing import NDArray
 
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.planning.learnt.inputs import About
-from cadenza.agents.planning.learnt.weights import CONSTANTS, FURTHEST, NETWORKS, Network, Weights
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.agents.planner.search.networks.inputs import About
+from cadenza.agents.planner.search.networks.weights import (
+    CONSTANTS,
+    FURTHEST,
+    NETWORKS,
+    Network,
+    Weights,
+)
 from cadenza.demonstrations.dataset import Dataset, kept
 from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError, errors_in_a_line

@@ -11,7 +11,7 @@ from cadenza.tasks.registration import register_envs
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
-    from cadenza.agents.planning.config import ScorePlannerConfig
+    from cadenza.agents.planner.config import PlannerConfig
     from cadenza.agents.registry import make_agent
     from cadenza.episode import Episode, load_episode
     from cadenza.errors import CadenzaError, CadenzaWarning
@@ -50,9 +50,9 @@ __all__ = [
     "PianoVectorEnv",
     "Piece",
     "Plan",
+    "PlannerConfig",
     "SceneConfig",
     "Score",
-    "ScorePlannerConfig",
     "Song",
     "TaskConfig",
     "TaskSpec",
@@ -71,7 +71,7 @@ __all__ = [
 _MODULES = {
     "agents.agent": ("Agent",),
     "agents.registry": ("make_agent",),
-    "agents.planning.config": ("ScorePlannerConfig",),
+    "agents.planner.config": ("PlannerConfig",),
     "episode": ("Episode", "load_episode"),
     "errors": ("CadenzaError", "CadenzaWarning"),
     "fingers": ("Finger",),

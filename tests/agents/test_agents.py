@@ -16,12 +16,12 @@ from cadenza.agents.baselines.icp import ICP
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
 from cadenza.agents.baselines.stitched.agent import Stitched
 from cadenza.agents.baselines.tracked_presses import TrackedPresses
-from cadenza.agents.planning.config import (
+from cadenza.agents.planner.config import (
     ICPConfig,
     PredictiveSamplingConfig,
     TrackedPressesConfig,
 )
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.playback import Playback, load_plan, options_of
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
@@ -60,7 +60,7 @@ PLANNERS: tuple[Callable[[], Agent], ...] = (
     lambda: TrackedPresses(TrackedPressesConfig(iterations=0)),
     lambda: ICP(ICPConfig(rehearse=False)),
     Stitched,
-    ScorePlanner,
+    Planner,
 )
 
 

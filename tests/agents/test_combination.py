@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cadenza.agents.agent import Array
-from cadenza.agents.planning.ahead import Ahead, Trial
-from cadenza.agents.planning.combination import combined
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.agents.planner.search.combination import combined
+from cadenza.agents.planner.search.horizon_cost import HorizonCost, Rollout
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
@@ -58,19 +58,19 @@ class Chord:
         (track,) = task.tracks
         plan = plan_song(track.with_found_fingers(), task.state.hand_qpos[0])
         task.close()
-        self.part = HandPart(plan, "right")
+        self.part = HandGoals(plan, "right")
         self.rows = np.flatnonzero(plan.goals.keys.any(axis=1))
         self.tips = self.part.fingertips[self.rows + 1]
-        self.ahead = Ahead(self.part, self.rows, PIANO, slice(None), np.zeros(88))
+        self.ahead = HorizonCost(self.part, self.rows, PIANO, slice(None), np.zeros(88))
         self.wanted = plan.goals.keys[self.rows]
 
-    def trial(self, depth: Array) -> Trial:
+    def trial(self, depth: Array) -> Rollout:
         """In which keys are (H, 88) of their travel down."""
         key_qpos, sounding, costs = depth * PIANO.travel, np.zeros(88, bool), list[float]()
         for k, (keys, tips) in enumerate(zip(key_qpos, self.tips, strict=True)):
             cost, _, sounding = self.ahead.cost(k, keys, tips, sounding)
             costs.append(cost)
-        return Trial(sum(costs), 0, costs, list(self.tips), [], list(key_qpos))
+        return Rollout(sum(costs), 0, costs, list(self.tips), [], list(key_qpos))
 
 
 def test_what_fingers_cost_is_what_the_trial_costs() -> None:

@@ -19,17 +19,17 @@ from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist
+from cadenza.agents.generalist.receding_plan import InSight
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.planning import hand_rehearsal
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.hand_rehearsal import HandRehearsal
-from cadenza.agents.planning.in_sight import InSight
-from cadenza.agents.planning.learning_control import changes
-from cadenza.agents.planning.learnt.inputs import Corrections, HandInputs
-from cadenza.agents.planning.learnt.weights import Weights
-from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.planner import hand_rehearsal
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
+from cadenza.agents.planner.search.iterative_learning_control import changes
+from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs
+from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES, Side
@@ -133,7 +133,7 @@ def actions(score: Score, config: GeneralistConfig) -> Array:
     return play_episode(PianoTask([score], TASK), Generalist(config), 0).episode["action"]
 
 
-def play(score: Score, agent: Generalist | ScorePlanner, seed: int = 0) -> dict[str, float]:
+def play(score: Score, agent: Generalist | Planner, seed: int = 0) -> dict[str, float]:
     return play_episode(PianoTask([score], TASK), agent, seed).metrics
 
 
@@ -231,8 +231,8 @@ def test_told_the_same_by_a_plan_of_what_is_in_sight(scene_of_both: SongPlan, se
 @pytest.mark.parametrize("config", [CORRECTED, REHEARSED], ids=["corrected", "rehearsed"])
 def test_plays_better_than_its_plan(config: GeneralistConfig) -> None:
     score = load_score("ArpeggiosTwoHands").beginning(5.0)
-    alone = ScorePlannerConfig(method="none")
-    assert play(score, Generalist(config))["f1"] > play(score, ScorePlanner(alone))["f1"] + 0.05
+    alone = PlannerConfig(method="none")
+    assert play(score, Generalist(config))["f1"] > play(score, Planner(alone))["f1"] + 0.05
 
 
 def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.ahead import Ahead, Trial
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.hand_rehearsal import HandRehearsal
-from cadenza.agents.planning.mending import mending
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
+from cadenza.agents.planner.search.horizon_cost import HorizonCost, Rollout
+from cadenza.agents.planner.search.mending import mending
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, hand_alone
-from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -40,7 +40,7 @@ class Rehearsed:
         self.tracking = self.plan.nominal.tracking
         self.simulation = PlanningSimulation(self.scene, 1, DT)
         self.simulation.place(start, np.zeros_like(start), np.zeros(88))
-        self.trials = HandTrials(self.scene, DT)
+        self.trials = HandRollouts(self.scene, DT)
         self.rehearsal = HandRehearsal(self.scene, self.trials, DT)
 
     def go_astray(self) -> None:
@@ -53,8 +53,8 @@ class Rehearsed:
     def rehearse(self) -> int:
         rows = np.arange(self.rehearsal.steps_seen)
         self.trials.begin_from(self.simulation, -1.0, 1.0)
-        part, keys = HandPart(self.plan, "right"), self.trials.keys
-        ahead = Ahead(part, rows, PIANO, keys, np.zeros(88)[keys])
+        part, keys = HandGoals(self.plan, "right"), self.trials.keys
+        ahead = HorizonCost(part, rows, PIANO, keys, np.zeros(88)[keys])
         return self.rehearsal.rehearse(self.tracking, rows, ahead)
 
 
@@ -76,9 +76,9 @@ def test_what_goes_well_is_played_once_and_foreseen() -> None:
 def test_a_finger_that_is_off_its_key_is_put_right(monkeypatch: pytest.MonkeyPatch) -> None:
     hand = Rehearsed("TwinkleTwinkleLittleStar")
     hand.go_astray()
-    takes, play = list[Trial](), hand.rehearsal._play
+    takes, play = list[Rollout](), hand.rehearsal._play
 
-    def noted(*args: Any) -> Trial:
+    def noted(*args: Any) -> Rollout:
         takes.append(play(*args))
         return takes[-1]
 
@@ -106,7 +106,7 @@ class Played:
     """Twinkle, with fingertips just where the plan has them, and keys as it holds them."""
 
     def __init__(self) -> None:
-        self.part = HandPart(Rehearsed("TwinkleTwinkleLittleStar").plan, "right")
+        self.part = HandGoals(Rehearsed("TwinkleTwinkleLittleStar").plan, "right")
         self.steps = np.arange(30)
         self.tips = self.part.fingertips[self.steps + 1]
         self.sounding = (self.part.mine & self.part.planned)[self.steps]

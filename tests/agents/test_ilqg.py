@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Agent, ZeroAgent
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass, box_qp
 from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
-from cadenza.agents.planning.config import ILQGConfig
+from cadenza.agents.planner.config import ILQGConfig
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, PedalEvent, Score

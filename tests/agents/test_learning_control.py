@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.learning_control import NEAR, changes
-from cadenza.agents.planning.tracking import discretised
+from cadenza.agents.planner.plan.tracking import discretised
+from cadenza.agents.planner.search.iterative_learning_control import NEAR, changes
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of

@@ -7,9 +7,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.hand_part import HandPart, last_in_time, may_begin
-from cadenza.agents.planning.losses import Heard, Losses
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.hand_goals import HandGoals, last_in_time, may_begin
+from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.agents.planner.practice.losses import KeyHistory, Losses
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -61,9 +61,9 @@ def test_what_is_due_in_a_long_song_takes_little_memory() -> None:
 
 def test_steps_since_keys_began_to_sound() -> None:
     sounding = np.array([[0, 1], [1, 1], [1, 0], [1, 1], [0, 1]], bool)
-    heard = Heard.of_steps(sounding)
+    heard = KeyHistory.of_steps(sounding)
     assert heard.since.tolist() == [3, 1]
-    assert Heard.of_steps(sounding[:0]).since.min() > 100
+    assert KeyHistory.of_steps(sounding[:0]).since.min() > 100
 
 
 @pytest.mark.parametrize("dt", STEPS)
@@ -72,13 +72,13 @@ def test_practice_loses_what_the_metric_does(dt: float) -> None:
     task = PianoTask([score], TaskConfig(control_timestep=dt), SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     plan = plan_song(task.sheets.tracks[0], task.state.hand_qpos[0])
-    part, keyboard = HandPart(plan, "right"), plan.scene.keyboard
+    part, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
     losses, goal = Losses(plan, part), plan.goals.keys
     (first, *_), count = np.flatnonzero(goal[:, KEY]), len(goal)
 
     def lost(late: int) -> float:
         """By all notes together, beside F1."""
-        heard, total = Heard.of_steps(np.zeros((0, 88), bool)), 0.0
+        heard, total = KeyHistory.of_steps(np.zeros((0, 88), bool)), 0.0
         for row in range(count):
             angles = np.zeros(88)
             angles[KEY] = (goal[row, KEY] and row >= first + late) * keyboard.travel[KEY]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planning.misses import Miss, in_words, misses_of
-from cadenza.agents.planning.nominal import Nominal
-from cadenza.agents.planning.presses import Press, presses_of
-from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planner.misses import Miss, in_words, misses_of
+from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
+from cadenza.agents.planner.plan.presses import Press, presses_of
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.episode import Episode
 from cadenza.fingering.search import Dropped
 from cadenza.keyboards.piano import PIANO
@@ -75,7 +75,7 @@ class Concert:
             "body_xpos": xpos,
         }
         self.episode = Episode("A concert", self.dt, arrays, FOREARMS)
-        nominal = Nominal(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
+        nominal = NominalTrajectory(self.presses, np.zeros((STEPS + 1, 1)), self.planned, None)  # type: ignore[arg-type]
         config = TaskConfig(initial_buffer_time=0.5)
         track = GoalTrack(SCORE, self.dropped, config, self.scene)
         return misses_of(self.episode, SongPlan(self.scene, track, track.goals, nominal))

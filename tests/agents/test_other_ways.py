@@ -10,8 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cadenza.agents.planning.other_ways import Passage, Pieced, Way, passages_of
-from cadenza.agents.planning.takes import Take
+from cadenza.agents.planner.practice.plan_variants import (
+    Passage,
+    SplicedTrajectory,
+    Variant,
+    passages_of,
+)
+from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.fingering.changes import Costs
 from cadenza.fingers import NO_FINGER, Finger
 from cadenza.music.score import Note, Score
@@ -24,11 +29,11 @@ SONG = Score(tuple(Note(0.5 * i, 0.5 * i + 0.4, 60 + i % 7, 80, Finger(0, 0)) fo
 TRACK = GoalTrack(SONG, (), TaskConfig(initial_buffer_time=0.5), build_scene(), found=True)
 STEPS = TRACK.goals.num_steps
 STRIKES = [TRACK.first_step(note) for note in SONG.notes]
-USUAL = Way(np.full(len(SONG.notes), THUMB), np.zeros((STEPS, 2), np.int8))
+USUAL = Variant(np.full(len(SONG.notes), THUMB), np.zeros((STEPS, 2), np.int8))
 EVERYTHING = slice(STEPS)
 
 
-def with_index(*notes: int) -> Way:
+def with_index(*notes: int) -> Variant:
     fingers = USUAL.fingers.copy()
     fingers[list(notes)] = INDEX
     return USUAL._replace(fingers=fingers)
@@ -44,10 +49,10 @@ SERVOS = [TRACK.scene.servos_on(side) for side in TRACK.scene.sides]
 PARTS: Any = [SimpleNamespace(mine=np.zeros((STEPS, 88), bool))] * 2
 
 
-def take(loss: np.ndarray, ctrl: float = 0.0) -> Take:
+def take(loss: np.ndarray, ctrl: float = 0.0) -> Trajectory:
     """That loses this; its servos have all the same controls."""
     servos = SERVOS[-1].stop
-    return Take(
+    return Trajectory(
         np.full((STEPS, servos), ctrl),
         np.zeros((STEPS, servos, 2)),
         np.zeros((STEPS, 88), bool),
@@ -78,7 +83,9 @@ def test_of_each_passage_the_fingers_are_kept_that_lose_less() -> None:
     early, late = passages_of(TRACK, USUAL, other)
     loss, other_loss = lost(EVERYTHING, 0.1), lost(EVERYTHING, 0.1)
     other_loss[early], other_loss[late] = 0.2, 0.0
-    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss, 1.0), PARTS)
+    pieced = SplicedTrajectory(TRACK, USUAL, take(loss)).with_better(
+        other, take(other_loss, 1.0), PARTS
+    )
     assert pieced.way.is_like(with_index(12))
     assert pieced.take.loss.sum() == pytest.approx(loss.sum() - loss[late].sum())
     theirs = np.zeros(STEPS, bool)
@@ -94,7 +101,9 @@ def test_where_fingers_are_the_same_each_second_of_a_hand_is_kept_that_loses_les
     for hand in (0, 1):
         other_loss = lost(EVERYTHING, 0.2)
         other_loss[:, hand] = 0.0
-        pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss, 1.0), PARTS)
+        pieced = SplicedTrajectory(TRACK, USUAL, take(loss)).with_better(
+            other, take(other_loss, 1.0), PARTS
+        )
         assert pieced.way.is_like(USUAL)  # as both hands together lose more
         same = (pieced.take.loss[:, hand] > 0).nonzero()[0]
         # Fingers are those of the right hand.
@@ -111,20 +120,22 @@ def test_a_note_without_a_finger_is_of_no_hand() -> None:
     ((steps, _),) = passages_of(TRACK, USUAL, other)
     other_loss = lost(EVERYTHING, 0.0)
     other_loss[steps] = 1.0
-    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
+    pieced = SplicedTrajectory(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
     assert (pieced.take.loss[steps, 0] == 0.1).all()  # of the hand that plays it otherwise
     other_loss[steps] = [1.0, 0.0]
-    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
+    pieced = SplicedTrajectory(TRACK, USUAL, take(loss)).with_better(other, take(other_loss), PARTS)
     assert not pieced.take.loss[:, 1].any()
 
 
 def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
     other_costs = Costs(way=64.0, same_finger=0.0)
-    nowhere = Pieced(TRACK, USUAL, take(lost(slice(0))))
+    nowhere = SplicedTrajectory(TRACK, USUAL, take(lost(slice(0))))
     assert nowhere.with_fingers_by(other_costs).is_like(USUAL)
-    everywhere = Pieced(TRACK, USUAL, take(lost(EVERYTHING))).with_fingers_by(other_costs)
+    everywhere = SplicedTrajectory(TRACK, USUAL, take(lost(EVERYTHING))).with_fingers_by(
+        other_costs
+    )
     assert not everywhere.is_like(USUAL)
-    at_the_end = Pieced(TRACK, USUAL, take(lost(slice(STEPS - 3, STEPS))))
+    at_the_end = SplicedTrajectory(TRACK, USUAL, take(lost(slice(STEPS - 3, STEPS))))
     changed = at_the_end.with_fingers_by(other_costs)
     loss = at_the_end.take.loss
     assert all(loss[passage].any() for passage in passages_of(TRACK, USUAL, changed))
@@ -132,7 +143,7 @@ def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
 
 def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     loss = lost(EVERYTHING, 0.1)
-    later = Pieced(TRACK, USUAL, take(loss)).letting_go(1)
+    later = SplicedTrajectory(TRACK, USUAL, take(loss)).letting_go(1)
     assert (later.later[STRIKES, 0] == 1).all()
     assert not later.later[:, 1].any()  # which plays nothing
     passages = passages_of(TRACK, USUAL, later)
@@ -140,14 +151,14 @@ def test_of_each_jump_the_time_to_let_go_is_kept_that_loses_less() -> None:
     other_loss = loss.copy()
     other_loss[passages[3]] = 0.0
     other_loss[passages[4]] = 0.2
-    pieced = Pieced(TRACK, USUAL, take(loss)).with_better(later, take(other_loss), PARTS)
+    pieced = SplicedTrajectory(TRACK, USUAL, take(loss)).with_better(later, take(other_loss), PARTS)
     assert np.flatnonzero(pieced.way.later[STRIKES, 0]).tolist() == [3]
     assert pieced.letting_go(2).is_like(pieced.way)  # nothing is lost there any more
 
 
 def test_a_hand_lets_go_later_only_where_it_loses_something() -> None:
     third = slice(STRIKES[3] - 1, STRIKES[3] + 1)
-    pieced = Pieced(TRACK, USUAL, take(lost(third)))
+    pieced = SplicedTrajectory(TRACK, USUAL, take(lost(third)))
     assert np.flatnonzero(pieced.letting_go(1).later[STRIKES, 0]).tolist() == [3]
     assert pieced.letting_go(2).is_like(USUAL)  # one step has not been tried
     other_hand = USUAL._replace(fingers=np.full(len(SONG.notes), LEFT_THUMB))

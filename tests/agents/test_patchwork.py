@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.patchwork import better_windows, patched
-from cadenza.agents.planning.takes import Take
+from cadenza.agents.planner.practice.patchwork import better_windows, patched
+from cadenza.agents.planner.practice.trajectory import Trajectory
 
 STEPS, KEYS, WINDOW = 23, 5, 4
 SERVOS = [slice(0, 3), slice(3, 6)]
@@ -25,8 +25,8 @@ class Part:
 PARTS: Any = [Part(0), Part(1)]
 
 
-def take(rng: np.random.Generator) -> Take:
-    return Take(
+def take(rng: np.random.Generator) -> Trajectory:
+    return Trajectory(
         rng.random((STEPS, 6)),
         rng.random((STEPS, 6, 2)),
         rng.random((STEPS, KEYS)) < 0.5,

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 import cadenza
 from cadenza.agents.agent import silent
-from cadenza.agents.planning import practice as practice_of_hands
-from cadenza.agents.planning import takes
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.first_takes import FirstTakes
-from cadenza.agents.planning.practice import Practice
-from cadenza.agents.planning.practised_planner import PractisedHands, PractisedPlanner
-from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.searching import SearchingHands
+from cadenza.agents.planner import practice as practice_of_hands
+from cadenza.agents.planner import takes
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories
+from cadenza.agents.planner.practice.practice import Practice
+from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlanner
+from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
@@ -47,7 +47,7 @@ QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.5
 WAY = "fingers", "later"
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
-NO_SEARCH = ScorePlannerConfig(method="none")
+NO_SEARCH = PlannerConfig(method="none")
 GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
 HARD, _ = find_fingering(
     Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch, 80) for i, pitch in enumerate(BLACK_KEYS)))
@@ -87,7 +87,7 @@ def practice(
     num_threads: int = 1,
     seed: int = 0,
     score: Score = HARD,
-    config: ScorePlannerConfig = GIVEN_FINGERS,
+    config: PlannerConfig = GIVEN_FINGERS,
 ) -> Practice:
     task = PianoTask([score], QUICK)
     task.reset([np.random.default_rng(0)], [0])
@@ -132,14 +132,14 @@ def test_it_plays_better_than_at_first_sight(practised: Practice) -> None:
 
 
 def test_the_first_take_is_what_the_planner_plays() -> None:
-    planner = ScorePlanner()
+    planner = Planner()
     planner.num_threads = 1
     played = play_episode(PianoTask([HARD], QUICK), planner, 0).episode["action"]
     task_rng, rng = np.random.default_rng(0).spawn(2)
     del task_rng
     task = PianoTask([HARD], QUICK)
     task.reset([np.random.default_rng(0)], [0])
-    take = Practice(task.view(), rng, ScorePlannerConfig(), 1)
+    take = Practice(task.view(), rng, PlannerConfig(), 1)
     take.run(0.0)
     np.testing.assert_array_equal(take.best().practised.tracking.ctrl, played[:, :-1])
 
@@ -189,7 +189,7 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
 
 
 def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
-    one = practice(config=ScorePlannerConfig())
+    one = practice(config=PlannerConfig())
     one.run(0.0)
     stage, hands = one._version.stage, one._version.searching
 
@@ -242,7 +242,7 @@ def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
     [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
-    score: Score, config: ScorePlannerConfig, effort: float, follows: bool
+    score: Score, config: PlannerConfig, effort: float, follows: bool
 ) -> None:
     straight = practice(score=score, config=config)
     at_sight = straight.plan
@@ -265,16 +265,16 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
 def test_hands_that_follow_try_a_second_again_unless_it_is_as_good(
     lost: float, costs: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    play, made = FirstTakes._play, list[float]()
+    play, made = InitialTrajectories._play, list[float]()
 
-    def with_cost(takes: FirstTakes, first: int, last: int) -> Any:
+    def with_cost(takes: InitialTrajectories, first: int, last: int) -> Any:
         played = play(takes, first, last)
         if takes._follows:
             made.append(costs[len(made)])
             played.take.cost[:], played.take.loss[:] = made[-1], lost
         return played
 
-    monkeypatch.setattr(FirstTakes, "_play", with_cost)
+    monkeypatch.setattr(InitialTrajectories, "_play", with_cost)
     one = practice(score=JUMPS)
     one.run(np.inf, lambda: not made)
     assert made == costs
@@ -292,13 +292,13 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
-    with_search = ScorePlannerConfig(  # a short one, which leaves something to practise
+    with_search = PlannerConfig(  # a short one, which leaves something to practise
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
     straight = practice(score=LONG, config=with_search, seed=1)
-    follow, followed = SearchingHands.follow, list[Any]()
+    follow, followed = HandsInScene.follow, list[Any]()
     monkeypatch.setattr(
-        SearchingHands, "follow", lambda *args: followed.append(args) or follow(*args)
+        HandsInScene, "follow", lambda *args: followed.append(args) or follow(*args)
     )
     straight.run(0.3)
     assert followed
@@ -366,7 +366,7 @@ def test_practice_with_parts_missing_is_refused(lost: str) -> None:
 def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Moments are whole simulations: none is made of the song before the window."""
+    """Snapshots are whole simulations: none is made of the song before the window."""
     left = practice(score=LONG)
     while left._sweep is None or not left._sweep.first:
         left.run(2.0, on_and_off(1))
@@ -413,7 +413,7 @@ def test_the_only_passage_of_a_short_song_is_told() -> None:
 
 
 def test_the_planner_practises_before_it_plays() -> None:
-    planner = ScorePlanner(replace(NO_SEARCH, effort=0.01))
+    planner = Planner(replace(NO_SEARCH, effort=0.01))
     planner.num_threads = 1
     told = []
     result = play_episode(
@@ -532,15 +532,15 @@ def test_what_was_practised_is_scored_and_explained_alike_when_it_is_played(
 def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def follow(self: SearchingHands, *arguments: Any) -> None:
+    def follow(self: HandsInScene, *arguments: Any) -> None:
         searches.append(self)
         follow_as_ever(self, *arguments)
 
-    searches: list[SearchingHands] = []
-    follow_as_ever = SearchingHands.follow
+    searches: list[HandsInScene] = []
+    follow_as_ever = HandsInScene.follow
     folder = folder_of(tmp_path, "--effort", "0.1")
     noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.1)
-    monkeypatch.setattr(SearchingHands, "follow", follow)
+    monkeypatch.setattr(HandsInScene, "follow", follow)
     cadenza.play(folder)
     assert not searches
     pushed, actions = cadenza.play(folder, task=noisy), load_plan(folder / "plan.npz")

@@ -9,13 +9,13 @@ import pytest
 
 from cadenza.agents.agent import Array
 from cadenza.agents.generalist.generalist import Generalist, shipped_for
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.proposal import Proposal, proposal
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search.network_candidate import Proposal, proposal
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
@@ -29,7 +29,7 @@ def test_proposes_what_the_generalist_plays() -> None:
     agent = Generalist()
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
-    trials = HandTrials(task.scene, TASK.control_timestep)
+    trials = HandRollouts(task.scene, TASK.control_timestep)
     played, proposed = list[Array](), list[Array]()
     before = np.zeros(task.action_size - 1)
     for step in range(6 * STEPS):
@@ -61,7 +61,7 @@ def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The steps from which on networks have proposed something."""
     steps, controls = list[int](), Proposal.controls
 
-    def noted(self: Proposal, trials: HandTrials, step: int, *given: Any) -> Any:
+    def noted(self: Proposal, trials: HandRollouts, step: int, *given: Any) -> Any:
         steps.append(step)
         return controls(self, trials, step, *given)
 
@@ -71,12 +71,10 @@ def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def test_search_begins_with_what_is_proposed(proposed: list[int]) -> None:
     score = load_score("CMajorChordProgressionTwoHands").beginning(3.0)
-    with_it = play_episode(PianoTask([score], TASK), ScorePlanner(), 0)
+    with_it = play_episode(PianoTask([score], TASK), Planner(), 0)
     assert proposed
     proposed.clear()
-    without = play_episode(
-        PianoTask([score], TASK), ScorePlanner(ScorePlannerConfig(proposals="none")), 0
-    )
+    without = play_episode(PianoTask([score], TASK), Planner(PlannerConfig(proposals="none")), 0)
     assert not proposed
     assert (with_it.episode["action"] != without.episode["action"]).any()
 
@@ -87,7 +85,7 @@ def test_nothing_is_proposed_to_hands_that_it_was_not_learnt_with() -> None:
         actions = [
             play_episode(
                 PianoTask([score], TASK, scene),
-                ScorePlanner(ScorePlannerConfig(proposals=proposals)),  # type: ignore[arg-type]
+                Planner(PlannerConfig(proposals=proposals)),  # type: ignore[arg-type]
                 0,
             ).episode["action"]
             for proposals in ("learnt", "none")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cadenza.agents.planning.learnt.weights import Weights
+from cadenza.agents.planner.search.networks.weights import Weights
 
 ROOT = Path(__file__).parents[2]
 

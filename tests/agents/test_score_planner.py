@@ -18,26 +18,26 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import cadenza
-from cadenza.agents.planning import inverse_kinematics, nominal, refinement
-from cadenza.agents.planning.ahead import Ahead
-from cadenza.agents.planning.collisions import LinkCollisions
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.inverse_kinematics import (
+from cadenza.agents.planner import inverse_kinematics, nominal, refinement
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan.fingertip_targets import targets_of
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.inverse_kinematics import (
     _Linearised,
     _Postures,
     _Problem,
     rest_posture,
     solve_postures,
 )
-from cadenza.agents.planning.letting_go import let_go_in_time
-from cadenza.agents.planning.nominal import nominal_plans
-from cadenza.agents.planning.presses import Press, presses_of
-from cadenza.agents.planning.sampling import UPDATES, Around
-from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.agents.planning.targets import targets_of
-from cadenza.agents.planning.tracking import Tracking, track
+from cadenza.agents.planner.plan.link_collisions import LinkCollisions
+from cadenza.agents.planner.plan.nominal_trajectory import nominal_plans
+from cadenza.agents.planner.plan.presses import Press, presses_of
+from cadenza.agents.planner.plan.release_times import let_go_in_time
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.tracking import Tracking, track
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search.horizon_cost import HorizonCost
+from cadenza.agents.planner.search.sampling import UPDATES, Around
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES
@@ -64,10 +64,10 @@ def melody(*pitches: int, length: float = 0.4) -> Score:
 
 
 def perform(
-    score: Score, config: ScorePlannerConfig | None = None, seed: int = 0, hands: str = "both"
+    score: Score, config: PlannerConfig | None = None, seed: int = 0, hands: str = "both"
 ) -> EpisodeResult:
     task = PianoTask([score], BUFFER, SceneConfig(hands=hands))  # type: ignore[arg-type]
-    return play_episode(task, ScorePlanner(config), seed)
+    return play_episode(task, Planner(config), seed)
 
 
 # What is heard
@@ -85,19 +85,19 @@ def test_other_control_steps_play_as_well(dt: float) -> None:
         replace(BUFFER, control_timestep=dt),
         SceneConfig(hands="right"),
     )
-    assert play_episode(task, ScorePlanner()).metrics["f1"] > 0.97
+    assert play_episode(task, Planner()).metrics["f1"] > 0.97
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [FINER, COARSER])
 def test_twinkle_is_played_at_other_control_steps(dt: float) -> None:
     task = PianoTask([load_score("TwinkleTwinkleLittleStar")], replace(BUFFER, control_timestep=dt))
-    assert play_episode(task, ScorePlanner()).metrics["f1"] > 0.97
+    assert play_episode(task, Planner()).metrics["f1"] > 0.97
 
 
 @pytest.mark.parametrize("method", ["none", "cross-entropy", "mppi"])
 def test_every_way_to_refine_plays_a_melody(method: str) -> None:
-    config = ScorePlannerConfig(method=method)  # type: ignore[arg-type]
+    config = PlannerConfig(method=method)  # type: ignore[arg-type]
     assert perform(melody(60, 62, 64, 65, 67), config).metrics["f1"] > 0.85
 
 
@@ -109,7 +109,7 @@ def test_one_hand_plays_alone(hands: str) -> None:
 def test_black_keys_and_chords_with_the_full_hand() -> None:
     chord = Score(tuple(Note(0.0, 1.0, p) for p in (48, 54, 66, 70, 73)))
     task = PianoTask([chord], BUFFER, SceneConfig(reduced_action_space=False))
-    assert play_episode(task, ScorePlanner()).metrics["recall"] > 0.7
+    assert play_episode(task, Planner()).metrics["recall"] > 0.7
 
 
 def test_the_pedal_follows_the_score() -> None:
@@ -119,7 +119,7 @@ def test_the_pedal_follows_the_score() -> None:
 
 def test_same_bits_for_any_number_of_threads_and_of_environments() -> None:
     score = melody(60, 79, 61, 78, 58, length=0.15)  # too fast, so that it samples
-    agent = ScorePlanner()
+    agent = Planner()
     agent.num_threads = 1
     scene = build_scene(SceneConfig(hands="right"))
     alone = [play_episode(PianoTask([score], BUFFER, scene), agent, seed) for seed in (3, 4)]
@@ -141,7 +141,7 @@ def assert_same_metrics(a: EpisodeResult, b: EpisodeResult) -> None:
 def test_episodes_of_several_songs_end_when_their_songs_do() -> None:
     short, long = melody(72), melody(72, 76, 74)
     task = PianoTask([short, long], BUFFER, SceneConfig(hands="right"), num_envs=3)
-    results = play_episodes(task, ScorePlanner(ScorePlannerConfig(method="none")), [0, 1, 2])
+    results = play_episodes(task, Planner(PlannerConfig(method="none")), [0, 1, 2])
     steps = {result.metrics["steps"] for result in results}
     assert steps == {19, 35}
     for result in results:
@@ -165,7 +165,7 @@ def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.Monk
 def test_notes_that_no_finger_is_there_for_are_told() -> None:
     cluster = Score(tuple(Note(0.0, 0.5, p) for p in range(40, 60)))
     task = PianoTask([cluster], BUFFER)
-    agent = ScorePlanner()
+    agent = Planner()
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
@@ -181,7 +181,7 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
     )
     task = PianoTask([score], BUFFER)
     task.reset([np.random.default_rng(0)], [0])
-    agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
+    agent = Planner(PlannerConfig(fingering="score"))
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
     assert [press.finger for press in agent.planners[0].plan.nominal.presses] == [2, 1]
@@ -190,13 +190,13 @@ def test_fingers_of_the_score_are_taken_on_request() -> None:
 @pytest.mark.parametrize("options", [{"num_candidates": 1}, {"iterations": 0}, {"horizon": -1.0}])
 def test_options_without_sense_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(CadenzaError, match=next(iter(options))):
-        ScorePlanner(ScorePlannerConfig(**options))  # type: ignore[arg-type]
+        Planner(PlannerConfig(**options))  # type: ignore[arg-type]
 
 
 def test_a_piano_without_hands_is_refused() -> None:
     task = PianoTask([melody(60)], BUFFER, SceneConfig(hands="none"))
     with pytest.raises(CadenzaError, match="hands"):
-        play_episode(task, ScorePlanner())
+        play_episode(task, Planner())
 
 
 def octaves(hands: str, white: int, black: int, length: float) -> Score:
@@ -211,9 +211,9 @@ def octaves(hands: str, white: int, black: int, length: float) -> Score:
     )
 
 
-def searching(score: Score, hands: str) -> refinement.HandRefinement:
+def searching(score: Score, hands: str) -> refinement.HandSearch:
     task = PianoTask([score], BUFFER, SceneConfig(hands=hands))  # type: ignore[arg-type]
-    agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
+    agent = Planner(PlannerConfig(fingering="score"))
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
@@ -267,7 +267,7 @@ def test_detours_lift_what_is_caught() -> None:
 @pytest.mark.parametrize(("white", "black"), [(59, 56), (60, 58), (60, 49), (62, 44)])
 def test_jumps_from_white_octaves_to_black_ones_land(white: int, black: int) -> None:
     task = PianoTask([octaves("left", white, black, 1.2)], BUFFER, SceneConfig(hands="left"))
-    agent = ScorePlanner(ScorePlannerConfig(fingering="score"))
+    agent = Planner(PlannerConfig(fingering="score"))
     assert play_episode(task, agent).metrics["f1"] > 0.75
 
 
@@ -287,10 +287,10 @@ def test_fingertips_that_go_astray_are_corrected() -> None:
 
 def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> None:
     plan = whole_plan(melody(60, length=0.5))
-    part, key, wrong = HandPart(plan, "right"), 60 - 21, 65 - 21
+    part, key, wrong = HandGoals(plan, "right"), 60 - 21, 65 - 21
     first, *_, last = np.flatnonzero(plan.goals.keys[:, key])
     rows = np.arange(first, last + 1)
-    ahead = Ahead(part, rows, PIANO, slice(None), np.zeros(88))
+    ahead = HorizonCost(part, rows, PIANO, slice(None), np.zeros(88))
 
     def cost(key: int, sounds: str) -> float:
         """Of a key of its own or a wrong one that sounds where the text has an x."""
@@ -312,7 +312,7 @@ def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> No
 
 def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
     task = PianoTask([melody(60, 72, 61, length=0.2)], BUFFER, SceneConfig(hands="right"))
-    agent = ScorePlanner()
+    agent = Planner()
     task.reset([np.random.default_rng(0)], [0])
     agent.reset([0], [np.random.default_rng(0)])
     while task.sheets.steps_done[0] < 8:
@@ -333,16 +333,16 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated = []
-    run = refinement.HandTrials.run
+    run = refinement.HandRollouts.run
 
-    def counted(trials: refinement.HandTrials, *args: Any) -> Iterator[object]:
+    def counted(trials: refinement.HandRollouts, *args: Any) -> Iterator[object]:
         for state in run(trials, *args):
             simulated.append(1)
             yield state
 
-    monkeypatch.setattr(refinement.HandTrials, "run", counted)
+    monkeypatch.setattr(refinement.HandRollouts, "run", counted)
     leaps = melody(*[40, 90] * 10, length=0.1)
-    config = ScorePlannerConfig(num_candidates=8, iterations=5)
+    config = PlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]
     full_search = 5 * 8 * 7  # for 0.35 s each
     share = sum(simulated) / steps / full_search
@@ -376,7 +376,7 @@ def test_planning_can_be_interrupted() -> None:
 
     task = PianoTask([melody(60, 62, 64)], BUFFER, SceneConfig(hands="right"))
     with pytest.raises(KeyboardInterrupt):
-        play_episode(task, ScorePlanner(), progress=interrupt)
+        play_episode(task, Planner(), progress=interrupt)
     assert task.sheets.steps_done[0] == 0
 
 
@@ -441,7 +441,7 @@ def test_windows_begin_with_what_was_found_for_the_same_steps(
 def test_a_long_song_is_planned_as_it_is_played() -> None:
     score = melody(*[60, 62, 64, 65, 67] * 5, length=0.3)
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
-    agent, planned = ScorePlanner(ScorePlannerConfig(method="none")), []
+    agent, planned = Planner(PlannerConfig(method="none")), []
 
     def progress(stage: str, done: int, _: int) -> None:
         if stage == "playing":
@@ -792,7 +792,7 @@ def test_a_thumb_strikes_in_time_without_a_search() -> None:
         for note in melody(60, 62, 64, 65, 64, 62, 60, length=0.5).notes
     ]
     score = Score(tuple(replace(note, end=note.end - 0.2) for note in notes))
-    config = ScorePlannerConfig(method="none", fingering="score")
+    config = PlannerConfig(method="none", fingering="score")
     episode = perform(score, config, hands="right").episode
     first = np.flatnonzero(np.diff(episode["goal_keys"].any(axis=1).astype(int)) == 1) + 1
     heard = episode["key_activation"][first] & episode["goal_keys"][first].astype(bool)

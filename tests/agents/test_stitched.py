@@ -12,7 +12,7 @@ from cadenza.agents.agent import Agent
 from cadenza.agents.baselines.stitched.agent import Stitched, StitchedSong
 from cadenza.agents.baselines.stitched.motions import Change, Motions
 from cadenza.agents.baselines.stitched.stitching import changes_of, stitched
-from cadenza.agents.planning.presses import Press
+from cadenza.agents.planner.plan.presses import Press
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.music.score import Note, Score

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.evaluation.collecting.episode import Demonstrator, EpisodeJob, episodes, record
 from cadenza.evaluation.collecting.variation import Variation, varied
 from cadenza.evaluation.results import RUNS
@@ -34,7 +34,7 @@ def jobs(
 def demonstrator(variation: Variation, **task: Any) -> Demonstrator:
     return Demonstrator(
         agent="planner",
-        config=ScorePlannerConfig(method="none"),
+        config=PlannerConfig(method="none"),
         task=replace(varied(), **task),
         scene=SceneConfig(),
         arrangement=Arrangement(),

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cadenza.agents.planning.config import ScorePlannerConfig
+from cadenza.agents.planner.config import PlannerConfig
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.episode import EpisodeSpec
 from cadenza.evaluation.collecting.variation import varied
@@ -139,7 +139,7 @@ def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
 
 def test_folders_of_earlier_versions_are_gone_on_with() -> None:
     """A new option of the task or the scene is to be `added`; else all would be played again."""
-    planner = ScorePlannerConfig(num_candidates=16, proposals="none")  # the defaults then
+    planner = PlannerConfig(num_candidates=16, proposals="none")  # the defaults then
     of_a_bench = JobSpec("A", "0", "planner", 0, TaskConfig(), SceneConfig(), config=planner)
     of_a_dataset = EpisodeSpec("A", "0", "planner", 0, varied(), SceneConfig(), config=planner)
     assert (of_a_bench.key, of_a_dataset.key) == ("f12cac18197f", "8196e2dd1441")

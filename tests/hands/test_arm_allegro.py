@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from cadenza.agents.planning.config import ICPConfig
-from cadenza.agents.planning.inverse_kinematics import rest_posture
-from cadenza.agents.planning.stances import Stances
+from cadenza.agents.planner.config import ICPConfig
+from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
+from cadenza.agents.planner.plan.rest_poses import RestPoses
 from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
@@ -202,7 +202,7 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     places = np.linspace(mount.low - mount.home, mount.high - mount.home, 9)
     places *= 1 if side == "right" else -1
     postures = np.tile(rest, (len(places), 1))
-    Stances(scene, kinematics, servos, rest).stand(postures, side, places)
+    RestPoses(scene, kinematics, servos, rest).stand(postures, side, places)
     points, at_home = kinematics.points(postures), kinematics.points(rest[None])
     moved = np.stack([np.zeros(9), places, np.zeros(9)], axis=1)[:, None, None]
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 
 import cadenza
 from cadenza import Finger, Note, PianoEnv, SceneConfig, Score, load_episode
-from cadenza.agents.planning.misses import Miss
+from cadenza.agents.planner.misses import Miss
 from cadenza.hands import forearm
 from cadenza.hands.body import Actuator, Body, Geom, Joint, Link
 from cadenza.hands.hand import FingerChain, Hand

@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody, reset
 
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.ranges import ranges_of
 from cadenza.music.etudes import etude

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from rl_examples import melody
 
 from cadenza.agents.agent import Agent
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.residual import ReferenceTracker, reference_of
@@ -55,7 +55,7 @@ def performance(agent: Any, score: Score = SONG, **options: Any) -> EpisodeResul
 def test_without_corrections_it_is_the_plan_of_the_planner(options: dict[str, Any]) -> None:
     """Also where the task does not care about fingers, and the score names none."""
     ours = performance(Following(), **options)
-    planner = performance(ScorePlanner(ScorePlannerConfig(method="none")), **options)
+    planner = performance(Planner(PlannerConfig(method="none")), **options)
     for name in ("action", "hand_qpos"):
         assert_allclose(ours.episode.arrays[name], planner.episode.arrays[name], atol=1e-4)
     assert ours.metrics["f1"] == planner.metrics["f1"] > 0.9

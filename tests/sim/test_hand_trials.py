@@ -12,7 +12,7 @@ from cadenza.agents.playback import load_plan
 from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene, hand_alone, hand_on_keys, parts_that_touch
-from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
 RECORDED = Path(__file__).parents[1] / "data" / "episode_d.npz"
@@ -24,7 +24,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     scene, servos, _ = hand_alone(build_scene(), side)
     actions = load_plan(RECORDED)[:, :-1][:, servos]
     whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
-    trials = HandTrials(scene, whole.control_timestep)
+    trials = HandRollouts(scene, whole.control_timestep)
     fingers = scene.fingers_there
     touched = False
     for step in range(len(actions) - AHEAD):
@@ -50,7 +50,7 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
 def test_fingertips_move_with_joints_as_told() -> None:
     scene, _, _ = hand_alone(build_scene(), "left")
     simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)
-    trials = HandTrials(scene, simulation.control_timestep)
+    trials = HandRollouts(scene, simulation.control_timestep)
     y = scene.keyboard.centre[:, 1]
     trials.begin_from(simulation, y[30], y[50])
     rng = np.random.default_rng(0)
@@ -90,7 +90,7 @@ def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
 def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again() -> None:
     scene, _, _ = hand_alone(build_scene(), "right")
     simulation = PlanningSimulation(scene)
-    trials = HandTrials(scene, simulation.control_timestep)
+    trials = HandRollouts(scene, simulation.control_timestep)
     y = scene.keyboard.centre[:, 1]
     actions = np.zeros((AHEAD, scene.model.nu))
 

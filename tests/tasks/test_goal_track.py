@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.learning.observation import GoalTable
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig

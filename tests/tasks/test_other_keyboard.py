@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import cadenza
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
 from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.keyboard import note_name
@@ -22,7 +22,7 @@ from cadenza.tasks.env import PianoEnv, PianoVectorEnv
 from cadenza.tasks.piano_task import PianoTask
 
 TWO_OCTAVES = replace(PIANO, name="two_octaves", lowest_pitch=48, num_keys=25)
-UNREFINED = ScorePlannerConfig(method="none")
+UNREFINED = PlannerConfig(method="none")
 KEYBOARD = f"{__name__}:TWO_OCTAVES"
 SONG = Score((Note(0.0, 0.1, 48), Note(0.1, 0.3, 72), Note(0.1, 0.3, 60)), title="three notes")
 
@@ -57,7 +57,7 @@ def test_the_planner_plays_it() -> None:
         TaskConfig(initial_buffer_time=0.5),
         SceneConfig(hands="right", keyboard=KEYBOARD),
     )
-    task, planner = PianoTask([Score(tuple(notes))], config, scene), ScorePlanner()
+    task, planner = PianoTask([Score(tuple(notes))], config, scene), Planner()
     task.reset([np.random.default_rng(0)], [0])
     planner.reset([0], [np.random.default_rng(0)])
     while not task.step(planner.act(task.view())).truncated[0]:
@@ -86,7 +86,7 @@ def test_a_performance_on_it_is_saved_with_its_page(agent: str, tmp_path: Path) 
 def test_misses_are_named_by_the_keys_that_it_has() -> None:
     keys = tuple(Note(0.0, 0.4, pitch) for pitch in range(60, 71))  # too many for a hand
     performance = cadenza.play(
-        Score(keys), ScorePlanner(UNREFINED), scene=SceneConfig(hands="right", keyboard=KEYBOARD)
+        Score(keys), Planner(UNREFINED), scene=SceneConfig(hands="right", keyboard=KEYBOARD)
     )
     assert performance.track is not None
     dropped = [note.pitch for note, _ in performance.track.dropped or ()]

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Array, check_planned_for
-from cadenza.agents.planning.other_ways import Way
-from cadenza.agents.planning.practised_planner import Practised
-from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.practice.plan_variants import Variant
+from cadenza.agents.planner.practice.practised_planner import Practised
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import (
@@ -145,7 +145,7 @@ def save_plan(
     action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
     fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none, by the
     numbers that fingers of these `hands` have in the episode's arrays. Of a practised plan also
-    gain and expected, see `Tracking`, later, see `Way`, and the song and its score as JSON.
+    gain and expected, see `Tracking`, later, see `Variant`, and the song and its score as JSON.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
     more: dict[str, Any] = {}
@@ -183,7 +183,7 @@ def practised_in(path: Path) -> Practised | None:
         raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")
     fingers = arrays["fingering"][:, 2].astype(np.int64)
     tracking = Tracking(ctrl, arrays["gain"], expected)
-    return Practised(tracking, Way(fingers, arrays["later"]))
+    return Practised(tracking, Variant(fingers, arrays["later"]))
 
 
 class PractisedSong(NamedTuple):

@@ -12,11 +12,11 @@ from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from cadenza.agents.generalist.config import GeneralistConfig
-from cadenza.agents.planning.config import (
+from cadenza.agents.planner.config import (
     ICPConfig,
     ILQGConfig,
+    PlannerConfig,
     PredictiveSamplingConfig,
-    ScorePlannerConfig,
     TrackedPressesConfig,
 )
 from cadenza.configs import as_config, check_kind
@@ -35,9 +35,9 @@ AGENTS = Registry(
     "cadenza.agents",
     {
         PLANNER: Entry(
-            "cadenza.agents.planning.score_planner:ScorePlanner",
+            "cadenza.agents.planner.planner:Planner",
             "inverse kinematics of the song, refined by sampling",
-            ScorePlannerConfig,
+            PlannerConfig,
         ),
         "generalist": Entry(
             "cadenza.agents.generalist.generalist:Generalist",

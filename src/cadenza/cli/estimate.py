@@ -22,11 +22,11 @@ _LEAST, _MOST = 0.6, 1.8
 
 def tell_how_long(setup: Setup) -> None:
     """Says on stderr about how long the planner will take, where that is long."""
-    from cadenza.agents.planning.practice import EFFORT
-    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.planner.planner import Planner
+    from cadenza.agents.planner.practice.practice import EFFORT
 
     agent, config, score = setup.agent, setup.task.config, setup.task.scores[0]
-    if QUIET.get() or not isinstance(agent, ScorePlanner) or agent.config.method == "none":
+    if QUIET.get() or not isinstance(agent, Planner) or agent.config.method == "none":
         return
     seconds = score.total_time + config.initial_buffer_time
     steps = seconds / config.control_timestep

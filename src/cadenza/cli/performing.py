@@ -198,7 +198,7 @@ def print_what_was_lost(performance: Performance) -> None:
     """How many notes, and why, if there was a plan."""
     from collections import Counter
 
-    from cadenza.agents.planning.misses import in_words
+    from cadenza.agents.planner.misses import in_words
 
     if performance.track is None or performance.misses is None:
         return

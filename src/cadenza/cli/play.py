@@ -110,7 +110,7 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
 
 def _who_plays(selection: Selection) -> set[str]:
     """Whose options count: where what was practised is played, the planner searches."""
-    from cadenza.agents.planning.practised_planner import PractisedHands
+    from cadenza.agents.planner.practice.practised_planner import PractisedHands
 
     searches = isinstance(selection.agent, PractisedHands)
     return {selection.name, *[PLANNER] * searches}
@@ -119,9 +119,9 @@ def _who_plays(selection: Selection) -> set[str]:
 @contextmanager
 def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
     """Has the planner practise in the folder first, if it is to; and whether Ctrl-C stopped it."""
-    from cadenza.agents.planning.score_planner import ScorePlanner
+    from cadenza.agents.planner.planner import Planner
 
-    if not isinstance(setup.agent, ScorePlanner) or not setup.agent.config.effort:
+    if not isinstance(setup.agent, Planner) or not setup.agent.config.effort:
         yield setup, False
         return
     with ExitStack() as kept:

@@ -51,7 +51,7 @@ class PracticeCommand(Performing):
 
 
 def run(command: PracticeCommand, again: Again[PracticeCommand]) -> None:
-    from cadenza.agents.planning.config import ENOUGH
+    from cadenza.agents.planner.config import ENOUGH
     from cadenza.performing.performance import check_replaceable
 
     command = _going_on(command, again)
@@ -76,7 +76,7 @@ def run(command: PracticeCommand, again: Again[PracticeCommand]) -> None:
 
 def _going_on(command: PracticeCommand, again: Again[PracticeCommand]) -> PracticeCommand:
     """As was practised in the folder that is given as the song, unless another is to be begun."""
-    from cadenza.agents.planning.config import ScorePlannerConfig
+    from cadenza.agents.planner.config import PlannerConfig
     from cadenza.performing.setup import PRACTISED_HOW, practised_plan
 
     folder = Path(command.song)
@@ -88,7 +88,7 @@ def _going_on(command: PracticeCommand, again: Again[PracticeCommand]) -> Practi
         where = folder / "settings.json"  # of folders that earlier versions made
     settings = read_json(where, dict[str, Any]) if where.exists() else {}
     kinds = {"seed": int, "arrangement": Arrangement, "task": TaskConfig, "scene": SceneConfig}
-    kinds |= {"song": str, command.options[PLANNER]: ScorePlannerConfig}
+    kinds |= {"song": str, command.options[PLANNER]: PlannerConfig}
     if not kinds.keys() <= settings.keys():
         raise CadenzaError(
             f"{folder}: does not say how it was practised; run the same command again that "
@@ -103,7 +103,7 @@ def _going_on(command: PracticeCommand, again: Again[PracticeCommand]) -> Practi
 
 
 def _check(command: PracticeCommand) -> None:
-    from cadenza.agents.planning.practice import MOST_EFFORT
+    from cadenza.agents.planner.practice.practice import MOST_EFFORT
 
     if command.effort is not None and command.minutes is not None:
         raise CadenzaError("--effort and --minutes: give one of them")

@@ -14,7 +14,7 @@ from cadenza.files import locked
 from cadenza.music.bars import places
 
 if TYPE_CHECKING:
-    from cadenza.agents.planning.practice import Practice
+    from cadenza.agents.planner.practice.practice import Practice
     from cadenza.music.score import Score
     from cadenza.performing.practising import Practising
     from cadenza.performing.setup import Setup
@@ -64,7 +64,7 @@ def _practise(
     practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
 ) -> None:
     """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
-    from cadenza.agents.planning.practice import MOST_EFFORT
+    from cadenza.agents.planner.practice.practice import MOST_EFFORT
 
     practice = practising.practice
     score, told = practice.plan.track.on_the_clock, len(practice.history)

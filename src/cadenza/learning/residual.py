@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.errors import CadenzaError
 from cadenza.learning.observation import Floats
 from cadenza.scene.servos import servos_of

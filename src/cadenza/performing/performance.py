@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.misses import Miss, misses_of
-from cadenza.agents.planning.song_plan import SongPlan
+from cadenza.agents.planner.misses import Miss, misses_of
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError, CadenzaWarning

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.practised_planner import Practised
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.practice.practised_planner import Practised
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
@@ -78,7 +78,7 @@ def plan(
     *,
     task: TaskConfig | None = None,
     scene: SceneConfig | None = None,
-    config: ScorePlannerConfig | None = None,
+    config: PlannerConfig | None = None,
     progress: Progress = silent,
     num_threads: int | None = None,
 ) -> Plan:

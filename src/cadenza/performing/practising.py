@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.practice import OF, Practice
-from cadenza.agents.planning.practised_planner import Practised, PractisedHands
-from cadenza.agents.planning.score_planner import ScorePlanner
-from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.practice.practice import OF, Practice
+from cadenza.agents.planner.practice.practised_planner import Practised, PractisedHands
 from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically, write_json
@@ -54,7 +54,7 @@ class Practising:
         Raises:
             CadenzaError: the folder holds practice of something else, or it cannot be read.
         """
-        assert isinstance(setup.agent, ScorePlanner)
+        assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder / PRACTICE
         self.performance: Performance | None = None
         task_rng, rng = np.random.default_rng(setup.seed).spawn(2)

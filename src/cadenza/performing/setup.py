@@ -14,8 +14,8 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.planning.practised_planner import PractisedHands
-from cadenza.agents.planning.score_planner import ScorePlanner
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.practice.practised_planner import PractisedHands
 from cadenza.agents.playback import (
     Playback,
     check_options,
@@ -219,7 +219,7 @@ def _played_back(
     """
     if (practised := practised_in(plan)) is None:
         return selection(name=PLAYBACK, agent=Playback(load_plan(plan)), plan=plan)
-    config = ScorePlanner((configs or {}).get(PLANNER)).config
+    config = Planner((configs or {}).get(PLANNER)).config
     if config.effort:
         raise CadenzaError(
             f"{plan}: is played as it was practised; leave out --planner.effort, or practise more: "

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from cadenza.agents.planning.config import ENOUGH
+from cadenza.agents.planner.config import ENOUGH
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, locked, parsed_json
 from cadenza.performing.practising import Practising

@@ -21,8 +21,8 @@ from select import POLLIN, poll
 from typing import IO, Any
 
 from cadenza.agents.agent import Progress
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.score_planner import ScorePlanner  # loaded before it is needed
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner  # loaded before it is needed
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json, plain, write_json
@@ -45,7 +45,7 @@ from cadenza.studio.request import (
     practice_folder,
 )
 
-__all__ = ["ScorePlanner", "main"]
+__all__ = ["Planner", "main"]
 
 _MOST_PUT_DOWN = 32  # songs, of each of which a few MB stay behind, before the process ends
 _LESS = 4  # priority
@@ -181,7 +181,7 @@ def practised_in(order: Order) -> Path:
 def _selected(order: Order) -> Selection:
     """The song and who plays it, called as the visitor calls it."""
     request, agent = order.request, order.agent
-    config = {PLANNER: ScorePlannerConfig(method="none")} if request.agent == SIGHT else None
+    config = {PLANNER: PlannerConfig(method="none")} if request.agent == SIGHT else None
     arrangement = Arrangement(tracks=request.tracks)
     song = _score(order, arrangement) if order.uploaded else order.source
     selection = select(song, agent, arrangement=arrangement, configs=config)

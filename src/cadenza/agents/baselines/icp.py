@@ -17,9 +17,9 @@ from scipy.optimize import linear_sum_assignment
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.rehearsal import rehearsed
-from cadenza.agents.planning.config import ICPConfig
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.planner.config import ICPConfig
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.tracking import Follower, Tracking
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import Dropped
 from cadenza.fingers import SIDES, Finger

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.pairs import Pairs, pairs_of
-from cadenza.agents.planning.config import ILQGConfig
+from cadenza.agents.planner.config import ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.pairs import pairs_of
-from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.agents.planner.config import PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.baselines.box_ddp import Model, backward_pass
-from cadenza.agents.planning.ahead import NO_HARM
-from cadenza.agents.planning.config import TrackedPressesConfig
-from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.tracking import Tracking
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.config import TrackedPressesConfig
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.horizon_cost import NO_HARM
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
@@ -86,7 +86,7 @@ class PressOptimisation:
     def __init__(
         self,
         scene: Scene,
-        part: HandPart,
+        part: HandGoals,
         onsets: NDArray[np.intp],
         tracking: Tracking,
         config: TrackedPressesConfig,

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array, Progress
-from cadenza.agents.planning.config import ScorePlannerConfig
-from cadenza.agents.planning.hand_of_two import HandOfTwo
-from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.planning.tracking import Follower, Tracking
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.search.hand_in_scene import HandInScene
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.threads import Threads
 
 # The hand looks for longer than while it plays, and not as far ahead.
-_SEARCH = ScorePlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposals="none")
+_SEARCH = PlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposals="none")
 
 
 def rehearsed(
@@ -38,7 +38,7 @@ def rehearsed(
     threads, steps = Threads(num_threads), len(ctrl)
     try:
         for i, side in enumerate(sides):
-            hand = HandOfTwo(plan, side, _SEARCH, rng, threads)
+            hand = HandInScene(plan, side, _SEARCH, rng, threads)
             scene, mine, joints = hand_alone(plan.scene, side)
             follower = Follower(scene, tracking.of(mine))
             simulation = MujocoSimulation(scene, 1, dt)

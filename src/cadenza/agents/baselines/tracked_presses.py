@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
-from cadenza.agents.planning.config import TrackedPressesConfig
-from cadenza.agents.planning.hand_part import HandPart
-from cadenza.agents.planning.song_plan import plan_song
+from cadenza.agents.planner.config import TrackedPressesConfig
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.scene.scene import HandAlone, hand_alone
@@ -84,7 +84,7 @@ class TrackingPlanner:
         mine = [press.first - 1 for press in nominal.presses if press.side == side]
         return PressOptimisation(
             hand.scene,
-            HandPart(self.plan, side),
+            HandGoals(self.plan, side),
             np.array(mine, np.intp),
             nominal.tracking.of(hand.servos),
             self._config,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.planning.learnt.inputs import FAR, About, Corrections, HandInputs
-from cadenza.agents.planning.learnt.weights import Floats, Weights
-from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.tracking import Follower
+from cadenza.agents.planner.search.networks.inputs import FAR, About, Corrections, HandInputs
+from cadenza.agents.planner.search.networks.weights import Floats, Weights
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
 

@@ -16,14 +16,14 @@ from typing import Protocol
 import numpy as np
 
 from cadenza.agents.agent import Array, PlannerPerEnv
+from cadenza.agents.control_steps import steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
+from cadenza.agents.generalist.receding_plan import InSight
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.in_sight import InSight
-from cadenza.agents.planning.learnt.inputs import sizes_of
-from cadenza.agents.planning.learnt.weights import Weights, shipped
-from cadenza.agents.planning.song_plan import SongPlan, scene_planned_with, song_plans
+from cadenza.agents.planner.plan.song_plan import SongPlan, scene_planned_with, song_plans
+from cadenza.agents.planner.search.networks.inputs import sizes_of
+from cadenza.agents.planner.search.networks.weights import Weights, shipped
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import Scene

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from cadenza.agents.agent import Array
-from cadenza.agents.planning.ahead import look_ahead
-from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.hand_part import ABOUT_TO_PRESS, HandPart
-from cadenza.agents.planning.hand_rehearsal import HandRehearsal, Manner
-from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.agents.planner.plan.tracking import Follower
+from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal, RehearsalConfig
+from cadenza.agents.planner.search.horizon_cost import look_ahead
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
-from cadenza.sim.hand_trials import HandTrials
+from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_MANNER = Manner(window=0.5, judged=0.5, seen=0.7, left=1.0)
+_MANNER = RehearsalConfig(window=0.5, judged=0.5, seen=0.7, left=1.0)
 _SAME = 1e-3  # [rad] that a key may be off where a take had it, to be as fast
 
 
@@ -42,7 +42,7 @@ class RehearsedHand:
         self._side, self._keyboard = side, plan.scene.keyboard
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._here = PlanningSimulation(self._alone, 1, dt)
-        self._trials = HandTrials(self._alone, dt)
+        self._trials = HandRollouts(self._alone, dt)
         manner = _MANNER._replace(takes=takes)
         self._rehearsal = HandRehearsal(self._alone, self._trials, dt, manner)
         self.steps_seen = self._rehearsal.steps_seen + steps_in(ABOUT_TO_PRESS, dt)
@@ -50,7 +50,7 @@ class RehearsedHand:
 
     def follow(self, plan: SongPlan, step: int) -> None:
         """From that step on, by a plan that goes further than the one before."""
-        self._part = HandPart(plan, self._side)
+        self._part = HandGoals(plan, self._side)
         tracking = plan.nominal.tracking.of(self.servos)
         self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
         self._follower = Follower(self._alone, self._tracking)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress
-from cadenza.agents.planning.song_plan import SongPlan, plan_song
-from cadenza.agents.planning.tracking import Follower
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.configs import added

@@ -11,12 +11,16 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.stitched.motions import Motions
 from cadenza.agents.baselines.stitched.stitching import stitched
-from cadenza.agents.planning.inverse_kinematics import rest_posture
-from cadenza.agents.planning.letting_go import let_go_in_time
-from cadenza.agents.planning.nominal import Nominal, controls_along, forearm_places
-from cadenza.agents.planning.presses import RISE, Press, presses_of
-from cadenza.agents.planning.song_plan import SongPlan
-from cadenza.agents.planning.targets import targets_of
+from cadenza.agents.planner.plan.fingertip_targets import targets_of
+from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
+from cadenza.agents.planner.plan.nominal_trajectory import (
+    NominalTrajectory,
+    controls_along,
+    forearm_places,
+)
+from cadenza.agents.planner.plan.presses import RISE, Press, presses_of
+from cadenza.agents.planner.plan.release_times import let_go_in_time
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.hands.hand import Hand
@@ -109,7 +113,7 @@ def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
         at_rest,
         dt,
     )
-    return SongPlan(scene, track, goals, Nominal(presses, postures, fingertips, tracking))
+    return SongPlan(scene, track, goals, NominalTrajectory(presses, postures, fingertips, tracking))
 
 
 def _presses(

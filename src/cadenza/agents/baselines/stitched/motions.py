@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planning.control_steps import steps_in
-from cadenza.agents.planning.inverse_kinematics import rest_posture, solve_postures
-from cadenza.agents.planning.nominal import forearm_places
-from cadenza.agents.planning.presses import Press
-from cadenza.agents.planning.targets import Targets, targets_of
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.fingertip_targets import Targets, targets_of
+from cadenza.agents.planner.plan.inverse_kinematics import rest_posture, solve_postures
+from cadenza.agents.planner.plan.nominal_trajectory import forearm_places
+from cadenza.agents.planner.plan.presses import Press
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.baselines.stitched.motions import Change, Held, Motions
-from cadenza.agents.planning.presses import Press
+from cadenza.agents.planner.plan.presses import Press
 
 Array = NDArray[np.float64]
 _Down = set[tuple[int, int]]

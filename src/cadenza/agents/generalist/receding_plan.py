@@ -1,0 +1,174 @@
+"""Plans of a song of which only what is in sight is known: the next half second, or the next two.
+
+Fingers, presses, postures and controls are found as for a whole song, but again at every step for
+what is in sight then. Each time postures go on from those of the plan before, which are only
+improved, by two steps of Gauss-Newton: what is still lacking, the looks that follow make up for
+(real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and Optimization 43, 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
+
+from cadenza.agents.agent import Array
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, Effort
+from cadenza.agents.planner.plan.nominal_trajectory import Found, Motion, NominalTrajectory
+from cadenza.agents.planner.plan.presses import Press
+from cadenza.fingering.players import Players
+from cadenza.fingering.sight import NotesInSight
+from cadenza.fingers import NO_FINGER
+from cadenza.scene.scene import Scene
+
+_MOTION = 0.6  # [s] for which postures are planned
+_LED = 0.3  # [s] for which controls are found
+_PRESSES = 1.3  # [s] whose presses matter to them
+_PAST = 0.5  # [s] for which is remembered what was pressed
+_FREED = Effort(iterations=2, trials=0, converged=0.1, damping=10.0)
+_IMPROVED = _FREED._replace(damping=20.0, derivatives_kept=True)  # in 0.7 of the time
+_SETTLED = 0.1  # of what is in sight, in which fingers do not change
+_MOMENTS = 12  # at which notes begin, for which fingers are found at once
+_ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
+_LIFT = 0.15  # [s] that it takes until it presses
+_AGAIN = 0.3  # [s] after which it may begin once more
+
+
+@dataclass
+class _Note:
+    """That is in sight, or was."""
+
+    key: int
+    number: int
+    first: int
+    last: int | None = None
+    """The step from which on it is not held; None as long as that is not in sight."""
+    finger: int = NO_FINGER
+
+
+class InSight:
+    """Plans again and again, from what is in sight at a step, for the steps from there on.
+
+    What is caught gets free by itself: where a finger is not where it should press, it is lifted
+    above all keys, and presses again.
+    """
+
+    def __init__(
+        self, scene: Scene, players: Players, hand_qpos: Array, dt: float, haste: float = 1.0
+    ) -> None:
+        """Args:
+        scene: with one hand or two.
+        players: the hands of the scene at its keyboard.
+        hand_qpos: (J,) where the joints of the hands are in the beginning.
+        dt: control step [s].
+        haste: times the acceleration with which the hands are known to jump.
+        """
+        self._scene, self._dt = scene, dt
+        self._motion = Motion(scene, dt, haste)
+        self._fingers = NotesInSight(players, _MOMENTS)
+        self._notes: list[_Note] = []
+        self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
+        self._seen = 0
+        self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
+        self._blas = ThreadpoolController()
+        self._plan = self._motion.at_rest(hand_qpos, 0)  # from its first step on, as what follows
+        self._found: Found | None = None
+
+    def look(self, step: int, keys: NDArray[np.bool_], tips: Array) -> NominalTrajectory:
+        """The plan of what is in sight at a step; its first step is this one.
+
+        Args:
+            step: of the song: the first one, then always the next.
+            keys: (S, K) that should be down after this step and those after it.
+            tips: (F, 3) where the fingertips are [m].
+        """
+        self._note(step, keys)
+        self._find_fingers(step + max(1, round(_SETTLED * len(keys))))
+        past = min(step, steps_in(_PAST, self._dt))
+        concern, ahead, led = (
+            min(len(keys), steps_in(seconds, self._dt)) for seconds in (_PRESSES, _MOTION, _LED)
+        )
+        presses = self._motion.presses(self._asked(step, past, concern))
+        if self._found is None:
+            before, known, effort = self._plan, None, THOROUGH
+        else:
+            before = self._plan.part(0, 1)
+            presses = self._again(presses, step, past, tips, before.fingertips[1])
+            effort = _FREED if self._lifted else _IMPROVED  # what is lifted has far to go
+            known = self._found.improved[2:]
+            known = np.concatenate([known, known[-1:]])  # as far as is planned now
+        with self._blas.limit(limits=1):  # as in `nominal_plans`
+            found = self._motion.found(
+                before, presses, past, past + ahead, known=known, effort=effort
+            )
+            plan = self._motion.led_along(before, presses, found.part(led + 1), played=1)
+        presses = [
+            press._replace(first=press.first - past, last=press.last - past) for press in presses
+        ]
+        self._found, self._plan = found, plan._replace(presses=presses)
+        return self._plan
+
+    def _again(
+        self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
+    ) -> list[Press]:
+        """`presses`, of which those begin again, from above, whose fingers are caught elsewhere.
+
+        Args:
+            presses: by time.
+            step: of the song.
+            now: the state before it, as presses count them.
+            tips: (F, 3) where fingertips are [m].
+            planned: (F', 3) where those of the fingers that are there should be [m].
+        """
+        there, off = self._scene.fingers_there, np.zeros(len(tips))
+        off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
+        lift, wait = steps_in(_LIFT, self._dt), steps_in(_AGAIN, self._dt)
+        lifted = {press: since for press, since in self._lifted.items() if step < since + wait}
+        result = []
+        for press in presses:
+            place = press.finger, press.key
+            if press.first <= now < press.last:
+                if off[press.finger] > _ASTRAY:
+                    lifted.setdefault(place, step)
+                if place in lifted:
+                    first = max(press.first, now + lifted[place] + lift - step)
+                    press = press._replace(first=first, from_above=True)
+            if press.first < press.last:
+                result.append(press)
+        self._lifted = lifted
+        return result
+
+    def _note(self, step: int, keys: NDArray[np.bool_]) -> None:
+        """Which notes begin and end in what was not in sight before."""
+        dt = self._dt
+        for now, row in enumerate(keys[self._seen - step :], start=self._seen):
+            down = set(np.flatnonzero(row).tolist())
+            for key in self._held.keys() - down:
+                note = self._held.pop(key)
+                note.last = now
+                self._fingers.end(note.number, (now - 0.5) * dt)  # in the middle of a step
+            for key in sorted(down - self._held.keys()):
+                note = _Note(key, self._fingers.begin(key, now * dt), now)
+                self._held[key] = note
+                self._notes.append(note)
+        self._seen = step + len(keys)
+
+    def _find_fingers(self, settled: int) -> None:
+        """Those of notes that begin before a step are settled."""
+        found = self._fingers.find(settled * self._dt)
+        for note in self._notes:
+            if note.number in found:
+                note.finger = self._scene.fingers.number(found[note.number])
+
+    def _asked(self, step: int, past: int, ahead: int) -> NDArray[np.int8]:
+        """(P + S, K) fingers that should press the keys before and after a step, -1 for none."""
+        first = step - past
+        self._notes = [note for note in self._notes if note.last is None or note.last > first]
+        asked = np.full((past + ahead, self._scene.keyboard.num_keys), NO_FINGER, np.int8)
+        for note in self._notes:
+            end = None if note.last is None else note.last - first
+            asked[max(note.first - first, 0) : end, note.key] = note.finger
+        return asked

@@ -1,0 +1,95 @@
+"""What can be chosen about the planners. Imports nothing heavy: the command line shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cadenza.configs import added
+
+ENOUGH = 8.0
+"""Effort of practice: about 25 times the music of one core, half of that on two."""
+
+
+@dataclass(frozen=True)
+class PredictiveSamplingConfig:
+    """Predictive sampling. The defaults are the paper's."""
+
+    num_candidates: int = 10
+    """Candidate plans per iteration, including the best one so far."""
+    sigma: float = 0.05
+    """Standard deviation of the noise on the knots, as a fraction of half the control range."""
+    num_knots: int = 2
+    """Knots of the cubic spline that parametrises a plan."""
+    horizon: float = 0.2
+    """Planning horizon [s]."""
+    planning_timestep: float = 0.01
+    """Timestep at which the cost is evaluated in a rollout [s]."""
+    iterations: int = 1
+    """Iterations of sampling per control step."""
+
+
+@dataclass(frozen=True)
+class ILQGConfig:
+    """iLQG, the derivative-based planner. The defaults are the paper's where it states any."""
+
+    horizon: float = 0.2
+    """Planning horizon [s]: a whole number of control steps."""
+    planning_timestep: float = 0.01
+    """Timestep at which the cost is evaluated in a rollout [s]. It must divide the control
+    timestep."""
+    iterations: int = 1
+    """Iterations of optimisation per control step."""
+    num_step_sizes: int = 10
+    """Step sizes in the line search, spaced logarithmically from 1 to 0.001."""
+    control_weight: float = 1e-2
+    """Weight of the squared control cost. Controls count from rest, in half ranges."""
+    centred: bool = False
+    """Use centred finite differences. They take twice as long as forward differences."""
+
+
+SamplingMethod = Literal["predictive-sampling", "cross-entropy", "mppi"]
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """The planner: inverse kinematics of the song, refined by sampling."""
+
+    fingering: Literal["found", "score"] = "found"
+    """Fingering to plan with. found: what suits these hands. score: the score's, where it has
+    any."""
+    method: SamplingMethod | Literal["none"] = "predictive-sampling"
+    """Sampling method that refines the plan. With none, the plan is executed with feedback only."""
+    num_candidates: int = 6
+    """Candidate plans that are drawn per hand and iteration, where the plan makes mistakes. Some
+    that are not drawn are tried as well."""
+    iterations: int = 3
+    """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
+    horizon: float = 0.35
+    """Planning horizon [s]."""
+    proposals: Literal["learnt", "none"] = field(default="learnt", metadata=added(before="none"))
+    """learnt: a search begins with what networks would do, where they have learnt to play with such
+    hands."""
+    effort: float = 0.0
+    """Effort of practice before playing: 1 is 100 simulated control steps for each control step of
+    the song and each hand. With 0, it plays without practice."""
+
+
+@dataclass(frozen=True)
+class ICPConfig:
+    """Offline planning: all of the song before the first action, and feedback of joints alone."""
+
+    fingers: Literal["nearest", "found"] = "nearest"
+    """nearest: the fingertips that come nearest to the keys of each chord. found: those that the
+    search finds for the whole song."""
+    rehearse: bool = True
+    """Rehearse the plan in simulation first, each hand by itself, refined by the planner's
+    sampling. Otherwise it is played as inverse kinematics made it."""
+
+
+@dataclass(frozen=True)
+class TrackedPressesConfig:
+    """Key presses optimised beforehand and tracked with time-varying LQR."""
+
+    iterations: int = 4
+    """Maximum iterations of trajectory optimisation per press. It stops when no key is wrong."""

@@ -1,0 +1,295 @@
+"""Which notes a planned performance lost, and why, in plain words.
+
+A note is a stretch of steps over which a key should sound without a break. It is lost where it
+never sounded, sounded more than `_IN_TIME` late, or was let go more than that early. Of these rules
+the first that holds says why it did not sound, or late:
+
+1. no finger: the fingering left it out, or gave it to a hand that is not there.
+2. key not released: the key still sounded from the note before.
+3. finger needed elsewhere: the plan holds the key for `_SHORTEST` at most and less than wanted,
+   because its finger, or the whole hand, has to be elsewhere soon.
+4. neighbouring key struck: up to two keys away another began to sound at about that time, with the
+   finger nearer to that key than to its own.
+5. collided: the finger was not over its key and more than `_ASTRAY` from where the plan has it,
+   and another fingertip, or the other forearm, was within `_TOUCHING` of touching.
+6. out of reach: the plan itself has the finger beside the key.
+7. too fast to get there: the finger came late, or the plan has it come faster than `_FAST`.
+8. finger beside the key: the finger was not over its key, and none of the above.
+9. key not pressed far enough: the finger was over the key, which did not reach its stop.
+
+Of a note that was let go early, the finger was needed elsewhere where the plan says so; otherwise
+it left the key ("finger beside the key"), or the key came up under it ("key not held down").
+
+These are rules about where things were, not proofs of what caused what: of several troubles, the
+list names one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.presses import Press, steps_between
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.episode import Episode
+from cadenza.fingers import SIDES, Finger
+from cadenza.hands.body import prefix
+from cadenza.hands.forearm import FOREARM, WIDTH
+from cadenza.music.keyboard import note_name
+from cadenza.music.performance import key_runs
+from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.reward import key_state
+
+Array = NDArray[np.float64]
+
+_IN_TIME = 0.05  # [s] that a note may begin late, or end early
+_SHORTEST = 0.1  # [s] that a key takes to go down
+_BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
+_ASTRAY = 0.01  # [m]
+_TOUCHING = 0.003  # [m]
+_FAST = 0.7  # [m/s]
+_COMING = 0.2  # [s] within which a finger that is late is seen to come
+_STRIDE = 0.1  # [s] over which its speed is taken
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A note that was lost, in whole or in part."""
+
+    time: float
+    """When it should have begun [s]."""
+    note: str
+    """Its name, such as C4."""
+    finger: Finger | None
+    """That should have played it."""
+    what: str
+    """What became of it, such as "never sounded"."""
+    cause: str
+    """One of a few, to count them by."""
+    reason: str
+    """The same in more words."""
+    sounded: bool
+    """In time; it was only let go early."""
+
+
+class _Note(NamedTuple):
+    """`key` should sound from step `first` up to, not including, `last`."""
+
+    key: int
+    first: int
+    last: int
+
+
+def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
+    """What was lost of an episode, by time, where whoever played it followed `plan`."""
+    inquiry = _Inquiry(episode, plan)
+    runs = zip(*(array.tolist() for array in key_runs(episode["goal_keys"])), strict=True)
+    notes = sorted((_Note(key, first, last) for first, last, key in runs), key=lambda n: n[1])
+    return [miss for note in notes if (miss := inquiry.into(note))]
+
+
+def in_words(misses: Sequence[Miss], episode: Episode) -> list[str]:
+    """Lines such as "missed 3 of 210 notes: too fast to get there (2), no finger (1)"."""
+    num_notes = len(key_runs(episode["goal_keys"])[0])
+    missed = [miss.cause for miss in misses if not miss.sounded]
+    early = [miss.cause for miss in misses if miss.sounded]
+    lines = [f"missed {len(missed)} of {num_notes} note{'s'[: num_notes != 1]}{_counted(missed)}"]
+    if early:
+        lines += [f"let go of {len(early)} note{'s'[: len(early) > 1]} early{_counted(early)}"]
+    return lines
+
+
+def _counted(causes: Sequence[str]) -> str:
+    """After a colon, with how many of each where there are several."""
+    counts = Counter(causes).most_common()
+    if len(counts) <= 1:
+        return "".join(f": {cause}" for cause, _ in counts)
+    return ": " + ", ".join(f"{cause} ({count})" for cause, count in counts)
+
+
+class _Inquiry:
+    """What is known about an episode, and the rules."""
+
+    def __init__(self, episode: Episode, plan: SongPlan) -> None:
+        nominal, self._keyboard = plan.nominal, plan.scene.keyboard
+        self._may_meet = plan.scene.config.hands != "apart"
+        self._times = plan.scene.hand.jump_times
+        self._numbers = plan.scene.fingers
+        self._dt, self._steps = episode.dt, episode.num_steps
+        self._in_time = steps_in(_IN_TIME, self._dt)
+        self._goal, self._played = episode["goal_keys"], episode["key_activation"]
+        self._depth = key_state(episode["key_qpos"], self._keyboard.travel)
+        self._tips = episode["fingertip_xpos"]
+        self._there = plan.scene.has_fingers(np.arange(self._numbers.count))
+        self._radii = np.array([f.tip_radius for f in plan.scene.hand.fingers * len(SIDES)])
+        self._planned = np.zeros((len(nominal.fingertips), self._numbers.count, 3))
+        self._planned[:, self._there] = nominal.fingertips
+        self._presses = {(press.key, press.first - 1): press for press in nominal.presses}
+        self._of_finger = defaultdict[int, list[Press]](list)
+        for press in nominal.presses:
+            self._of_finger[press.finger].append(press)
+        self._left_out = _left_out(plan.track)
+        self._forearms = _forearms_apart(episode)
+
+    def into(self, note: _Note) -> Miss | None:
+        """What became of a note, if it was lost."""
+        press = self._presses.get((note.key, note.first))
+        finger = self._numbers.finger(press.finger) if press else None
+        sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
+        never = not len(sounding)
+        late = 0 if never else int(sounding[0]) - note.first
+        held_through = not (never or late) and self._sounds_from_before(note)
+        if never or held_through or late > self._in_time:
+            what = "never sounded" if never else f"{self._ms(late)} late"
+            what = "not struck again" if held_through else what
+            cause, reason = self._why_not(note, press, held_through)
+            sounded = False
+        elif (short := note.last - 1 - int(sounding[-1])) > self._in_time:
+            what, sounded = f"let go {self._ms(short)} early", True
+            cause, reason = self._why_early(note, press, int(sounding[-1]) + 1)
+        else:
+            return None
+        name = self._name(note.key)
+        return Miss(note.first * self._dt, name, finger, what, cause, reason, sounded)
+
+    def _name(self, key: int) -> str:
+        return note_name(key + self._keyboard.lowest_pitch)
+
+    def _ms(self, steps: int) -> str:
+        return f"{1000 * steps * self._dt:.0f} ms"
+
+    def _sounds_from_before(self, note: _Note) -> bool:
+        """Whether the key still sounds from an earlier note of the score."""
+        before = np.flatnonzero(~self._played[: note.first, note.key])
+        since = int(before[-1]) + 1 if len(before) else 0
+        return bool(self._goal[since : note.first, note.key].any())
+
+    # Notes that did not sound in time
+
+    def _why_not(self, note: _Note, press: Press | None, held_through: bool) -> tuple[str, str]:
+        if press is None:
+            why = self._left_out.get((note.key, note.first), "its hand does not play")
+            return "no finger", f"no finger for it: {why}"
+        if held_through:
+            return "key not released", "the key did not come up after the note before it"
+        if press.last < note.last + 1 and press.last - press.first <= steps_in(_SHORTEST, self._dt):
+            return (
+                "finger needed elsewhere",
+                f"let go too early to sound, as planned: {self._cut(press)}",
+            )
+        if (neighbour := self._neighbour(note, press)) is not None:
+            return "neighbouring key struck", f"the finger pressed {self._name(neighbour)} instead"
+        rows = slice(note.first, min(note.first + 1 + self._in_time, self._steps))
+        beside = float(self._beside(self._tips[rows, press.finger], note.key).min())
+        if beside <= _BESIDE:
+            depth = float(self._depth[note.first : note.last, note.key].max())
+            return "key not pressed far enough", f"the key went {100 * depth:.0f} % of its way"
+        return self._why_elsewhere(note, press, f"the finger was {1000 * beside:.0f} mm away")
+
+    def _why_elsewhere(self, note: _Note, press: Press, where: str) -> tuple[str, str]:
+        row, finger = note.first, press.finger
+        if with_what := self._collision(row, finger):
+            return "collided", f"collided with {with_what}: {where}"
+        if (planned := float(self._beside(self._planned[row + 1, finger], note.key))) > _BESIDE:
+            return "out of reach", f"out of reach: the plan has it {1000 * planned:.0f} mm away"
+        coming = self._tips[row : row + 1 + steps_in(_COMING, self._dt), finger]
+        speed = self._speed(row + 1, finger)
+        if (self._beside(coming, note.key) <= _BESIDE).any() or speed > _FAST:
+            return "too fast to get there", f"too fast, planned at {speed:.1f} m/s: {where}"
+        return "finger beside the key", where
+
+    def _neighbour(self, note: _Note, press: Press) -> int | None:
+        """The key near by that the finger struck in place of its own."""
+        rows = slice(max(note.first - self._in_time, 0), note.first + 1 + 2 * self._in_time)
+        before = np.pad(self._played, ((1, 0), (0, 0)))[:-1]
+        wrong = (self._played & ~before & ~self._goal)[rows]
+        tip = self._tips[min(note.first + self._in_time, self._steps - 1), press.finger]
+        for key in range(max(note.key - 2, 0), min(note.key + 3, self._keyboard.num_keys)):
+            nearer = self._beside(tip, key) < self._beside(tip, note.key)
+            if key != note.key and wrong[:, key].any() and nearer:
+                return key
+        return None
+
+    def _collision(self, row: int, finger: int) -> str:
+        """What is in the way of a finger that is not where it is planned to be, if anything."""
+        tip = self._tips[row, finger]
+        if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
+            return ""
+        room = np.linalg.norm(self._tips[row] - tip, axis=1) - self._radii - self._radii[finger]
+        hand = self._numbers.hand_of(np.arange(len(room)))
+        room[~self._there] = room[finger] = np.inf
+        if not self._may_meet:
+            room[hand != hand[finger]] = np.inf
+        if room.min() < _TOUCHING:
+            same = hand[room.argmin()] == hand[finger]
+            return "the finger beside it" if same else "a finger of the other hand"
+        touch = self._may_meet and self._forearms[row] < WIDTH + _TOUCHING
+        return "the other forearm" if touch else ""
+
+    def _speed(self, state: int, finger: int) -> float:
+        """At which the plan has it move along the keyboard before `state` [m/s]."""
+        before = max(state - steps_in(_STRIDE, self._dt), 0)
+        way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
+        return float(abs(way)) / ((state - before) * self._dt)
+
+    # Notes that were let go early
+
+    def _why_early(self, note: _Note, press: Press | None, end: int) -> tuple[str, str]:
+        """Of a note that no longer sounds from step `end` on."""
+        if press is None:
+            return "no finger", "no finger was there for it; another pressed the key in passing"
+        if press.last <= note.last and end >= press.last - 1 - self._in_time:
+            return "finger needed elsewhere", f"as planned: {self._cut(press)}"
+        beside = float(self._beside(self._tips[end, press.finger], note.key))
+        if beside > _BESIDE:
+            return (
+                "finger beside the key",
+                f"the finger left the key and was {1000 * beside:.0f} mm away",
+            )
+        return "key not held down", "the key came up under the finger"
+
+    def _cut(self, press: Press) -> str:
+        """Why the plan lets a key go early."""
+        later = (p for p in self._of_finger[press.finger] if p.first > press.first)
+        following = next((p for p in later if p.key != press.key), None)
+        if following:
+            is_black = self._keyboard.is_black
+            steps = steps_between(press.key, following.key, is_black, self._times, self._dt)
+            if following.first - press.last <= steps:
+                return f"its finger had to press {self._name(following.key)}"
+        return "the hand had to jump"
+
+    def _beside(self, tips: Array, key: int) -> Array:
+        """(...) how far fingertips (..., 3) are from being over a key [m], seen from above."""
+        outside = np.abs(tips - self._keyboard.centre[key])[..., :2]
+        outside -= self._keyboard.half_size[key, :2]
+        return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
+
+
+def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
+    """(key, step) -> why the note that begins there has no finger.
+
+    Where a key is struck again at once, the goal begins a step after the note.
+    """
+    lowest = track.scene.keyboard.lowest_pitch
+    return {
+        (note.pitch - lowest, track.first_step(note) + late): reason
+        for late in (1, 0)
+        for note, reason in track.dropped or ()
+    }
+
+
+def _forearms_apart(episode: Episode) -> Array:
+    """(T,) distance of the forearms along the keyboard [m]."""
+    bodies = list(episode.scene["bodies"])
+    forearms = [prefix(side) + FOREARM for side in SIDES]
+    if not set(forearms) <= set(bodies):
+        return np.full(episode.num_steps, np.inf)
+    right, left = (episode["body_xpos"][:, bodies.index(name), 1] for name in forearms)
+    return np.asarray(right - left, np.float64)

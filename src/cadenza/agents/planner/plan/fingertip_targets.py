@@ -1,0 +1,245 @@
+"""Where the fingertips have to be when: boxes in space that they keep to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.presses import RISE, Press
+from cadenza.fingers import SIDES
+from cadenza.scene.scene import Scene
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+# Where fingertips press and stay, towards the player from the middle of the white keys [m].
+_ON_BLACK = 0.0  # on their ridge; on white ones as suits the finger, clear of the black
+_FROM_FRONT = 0.004  # not nearer to the player's end of white keys
+_BEFORE_BLACK, _BESIDE_BLACK = 0.01, 0.0015  # in front of black keys; from them to the finger
+_OVER_KEYS = (-0.04, 0.066)  # idle ones
+
+_TOLERANCE = np.array([0.003, 0.001])  # [m] along the key, across it
+_DEEP = 0.0015  # [m] below where the key stops
+_HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is pressed next
+_LIFTED = 0.008  # [m] above a key that was let go, and above all keys for an idle finger
+_APPROACH = 0.2  # [s] before a press in which its finger gets over the key
+_READY = 0.05  # [s] of them in which it is just above it
+# More than what just holds the key down, so that it sounds in spite of what is not modelled.
+_FORCE_MARGIN = 1.6
+# As many times that where it goes down, in which its inertia has to be overcome; on a black key
+# a fingertip would slip off.
+_STRIKE = 1.5
+_STRIKING = 0.05  # [s]
+
+# What a box is worth: the distance from it [m] that counts as one standard deviation.
+_X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
+# Closely along it as well: friction holds a fingertip that is to slide, and the hand is late.
+_AT_KEY = np.array([0.003, 0.0015, 0.001])
+_ABOVE_KEY = np.array([0.006, 0.0015, 0.003])
+_IDLE = np.array([0.005, 1.0, 0.006])
+_IN_FLIGHT = np.array([16.0, 16.0, 1.0])  # times as far in a jump, where only the height matters
+_BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
+
+
+class Targets(NamedTuple):
+    """Boxes for the fingertips in S states, (S, F, 3) each, and what they press with."""
+
+    low: Array
+    high: Array
+    sigma: Array
+    """Distances from the box that count as one [m]."""
+    wall: Array
+    """(S, F) nearest to the player that black keys are: the least x [m]."""
+    force: Array
+    """(S, F) downwards [N]."""
+
+    def part(self, first: int, last: int) -> Targets:
+        """The states from `first` up to, not including, `last`, as views."""
+        return Targets._make(rows[first:last] for rows in self)
+
+
+def by_hand(rows: Array, hands: int) -> Array:
+    """(N, H, X, ...) of rows (N, H X, ...), in which what belongs to a hand stands together."""
+    return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
+
+
+def pressing(sinking: Array, force: Array) -> Array:
+    """(S, H, A) the force along each servo's coordinate that presses keys.
+
+    Args:
+        sinking: (S, H, F, A) how the heights of a hand's fingertips change with its coordinates.
+        force: (S, H, F) of the fingertips, downwards [N].
+    """
+    return -np.einsum("shfa,shf->sha", sinking, force)
+
+
+def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
+    """Where `presses` want the fingertips of a scene's hands; idle ones stay above all keys.
+
+    States are `dt` [s] apart.
+    """
+    return _Writer(scene, num_states, dt).write(presses)
+
+
+class _Writer:
+    """Writes presses into targets that begin with all fingers idle."""
+
+    def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
+        self._dt, self._keyboard, figures = dt, scene.keyboard, _figures(scene)
+        self._radius, self._on_white, self._walls, self._above_all = figures
+        shape = (num_states, len(self._radius), 3)
+        low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+        low[:, :, 0], high[:, :, 0] = _OVER_KEYS
+        low[:, :, 2] = self._above_all
+        sigma = np.broadcast_to(_IDLE, shape).copy()
+        self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
+
+    def write(self, presses: Sequence[Press]) -> Targets:
+        if presses:
+            some = _Presses.of(presses, len(self._targets.low))
+            over = self._at(some, np.zeros(len(presses)))
+            self._hold(some)
+            self._let_go(some, over)
+            self._approach(some, over)
+        return self._targets
+
+    def _approach(self, some: _Presses, over: Array) -> None:
+        """Over the key, the nearer in time the more closely, and low when it is ready."""
+        approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
+        risen = some.before + steps_in(RISE, self._dt)
+        which, states = self._spread(np.maximum(some.first - approach, risen), some.first)
+        ahead, height = some.first[which] - states, over[which, 2]
+        is_ready = ahead <= ready
+        low = height + np.where(is_ready, _HOVER, _HOVER + 0.004)
+        high = np.where(is_ready, height + _HOVER + _HOVER_ROOM, np.inf)
+        from_above = some.from_above[which] & ~is_ready
+        above_all = self._above_all[some.finger[which]]
+        low = np.where(from_above, np.maximum(low, above_all), low)
+        sigma = _ABOVE_KEY * np.maximum(ahead / ready, 1.0)[:, None]
+        sigma[:, 2] = np.where(is_ready, _ABOVE_KEY[2], _IDLE[2])
+        flies, lands = some.flies_to[which], is_ready & self._keyboard.is_black[some.key[which]]
+        sigma[flies & lands] *= _BEFORE_LANDING_ON_BLACK
+        sigma[flies & ~lands] *= _IN_FLIGHT
+        self._box(some, which, states, over, (low, high), sigma)
+
+    def _hold(self, some: _Presses) -> None:
+        keyboard, key = self._keyboard, some.key
+        at = self._at(some, keyboard.travel[key])
+        which, states = self._spread(some.first, some.last)
+        depth = at[which, 2] - _DEEP
+        self._box(some, which, states, at, (depth, depth), np.tile(_AT_KEY, (len(which), 1)))
+        lever = at[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
+        force = (_FORCE_MARGIN * keyboard.holding_torque[key] / lever)[which]
+        struck = states < some.first[which] + steps_in(_STRIKING, self._dt)
+        force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
+        self._targets.force[states, some.finger[which]] = force
+
+    def _let_go(self, some: _Presses, over: Array) -> None:
+        """Straight up, or it would drag along the key; in a jump just up."""
+        risen = some.last + steps_in(RISE, self._dt)
+        which, states = self._spread(some.last, np.minimum(risen, some.until))
+        sigma = np.tile(_ABOVE_KEY, (len(which), 1))
+        sigma[some.flies_off[which]] *= _IN_FLIGHT
+        height = over[which, 2] + _LIFTED, np.full(len(which), np.inf)
+        self._box(some, which, states, over, height, sigma)
+
+    def _spread(self, first: Ids, last: Ids) -> tuple[Ids, Ids]:
+        """(N,) which of the presses, and (N,) all states from `first` (P,) up to `last` (P,)."""
+        counts = np.maximum(np.minimum(last, len(self._targets.low)) - first, 0)
+        which = np.repeat(np.arange(len(first)), counts)
+        begins = np.cumsum(counts) - counts
+        return which, np.arange(len(which)) - (begins - first)[which]
+
+    def _box(
+        self,
+        some: _Presses,
+        which: Ids,
+        states: Ids,
+        at: Array,
+        height: tuple[Array, Array],
+        sigma: Array,
+    ) -> None:
+        """Writes boxes (N,) around places `at` (P, 3), of `height` from and to."""
+        targets, there, finger = self._targets, at[which, :2], some.finger[which]
+        low, high = (
+            np.column_stack([there + room, z])
+            for room, z in zip((-_TOLERANCE, _TOLERANCE), height, strict=True)
+        )
+        black = self._keyboard.is_black[some.key[which]]
+        sigma[black, 0] *= _X_ON_BLACK
+        targets.low[states, finger], targets.high[states, finger] = low, high
+        targets.sigma[states, finger] = sigma
+        targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
+
+    def _at(self, some: _Presses, angle: Array) -> Array:
+        """(P, 3) where fingertips touch the keys when those are down by `angle` (P,) [rad]."""
+        keyboard, key = self._keyboard, some.key
+        centre, half = keyboard.centre[key], keyboard.half_size[key]
+        front = keyboard.white.centre_x + keyboard.white.half_size[0]
+        on_white = np.minimum(self._on_white, front - _FROM_FRONT)[some.finger]
+        x = np.where(keyboard.is_black[key], _ON_BLACK, on_white)
+        fall = np.tan(angle) * (x - centre[:, 0] + half[:, 0])
+        height = centre[:, 2] + half[:, 2] - fall + self._radius[some.finger]
+        return np.column_stack([x, centre[:, 1], height])
+
+
+class _Figures(NamedTuple):
+    """Of F fingers, (F,) each [m]."""
+
+    radius: Array
+    """Of their tips."""
+    on_white: Array
+    """Where they press white keys, from the middle of those towards the player."""
+    walls: Array
+    """How near they come to black keys, likewise."""
+    above_all: Array
+    """The height in which they are above all keys."""
+
+
+@lru_cache(maxsize=8)  # short plans ask again and again
+def _figures(scene: Scene) -> _Figures:
+    fingers, black = scene.hand.fingers * len(SIDES), scene.keyboard.black
+    radius = np.array([finger.tip_radius for finger in fingers])
+    # To the micrometre: the sum must not depend on how its parts are written.
+    front = black.centre_x + black.half_size[0]
+    walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
+    on_white = np.array([finger.on_white for finger in fingers])
+    return _Figures(radius, on_white, walls, black.top + _LIFTED + radius)
+
+
+class _Presses(NamedTuple):
+    """P presses, each (P,)."""
+
+    finger: Ids
+    key: Ids
+    first: Ids
+    last: Ids
+    before: Ids
+    """Until when the finger holds another key."""
+    until: Ids
+    """Where it holds the next one."""
+    flies_off: NDArray[np.bool_]
+    flies_to: NDArray[np.bool_]
+    from_above: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, presses: Sequence[Press], num_states: int) -> _Presses:
+        before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
+        earlier: dict[int, int] = {}
+        for i, press in enumerate(presses):
+            if press.finger in earlier:
+                j = earlier[press.finger]
+                before[i], until[j] = presses[j].last, press.first
+            earlier[press.finger] = i
+        finger, key, first, last = np.array(
+            [(press.finger, press.key, press.first, press.last) for press in presses]
+        ).T
+        jumps = np.array(
+            [(press.flies_off, press.flies_to, press.from_above) for press in presses]
+        ).T
+        return cls(finger, key, first, last, before, until, *jumps)

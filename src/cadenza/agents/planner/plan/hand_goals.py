@@ -1,0 +1,111 @@
+"""What one hand has to do of a plan, step by step."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.presses import RISE
+from cadenza.agents.planner.plan.song_plan import SongPlan
+from cadenza.fingers import SIDES, Side
+from cadenza.music.metrics import ONSET_TOLERANCE
+
+Mask = NDArray[np.bool_]
+
+ABOUT_TO_PRESS = 0.1  # [s] before a press
+ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
+_IDLE_ASTRAY = 200.0
+_LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
+
+
+class HandGoals:
+    """What one hand has to do over T steps, of which the first P are planned.
+
+    Attributes:
+        mine: (T, K) keys that this hand should hold down.
+        asked: (T, K) which of its fingers should hold them, 0 for its thumb.
+        planned: (T, K) those of them that the plan holds down, where it goes.
+        wrong: (T, K) keys that it should not.
+        due: (T, K) its keys that are late unless they sound by then.
+        unwelcome: (T, K) keys, its own or wrong ones, that should not begin to sound.
+        fingertips: (P + 1, F, 3) where its F fingertips should be [m].
+        fingers: their numbers.
+        playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
+        weight: (T + 1, F) of their squared distance from there [1 / m^2].
+    """
+
+    def __init__(self, plan: SongPlan, side: Side) -> None:
+        """Args:
+        plan: of the song.
+        side: of the hand.
+        """
+        dt = plan.track.config.control_timestep
+        keys, fingers, nominal = plan.goals.keys, plan.goals.fingers, plan.nominal
+        self.fingers = plan.scene.fingers.of_hand(SIDES.index(side))
+        thumb, count = self.fingers.start, plan.scene.fingers.per_hand
+        self.mine = keys & (fingers >= thumb) & (fingers < self.fingers.stop)
+        self.asked = fingers - np.int8(thumb)
+        others = keys & ~self.mine
+        soon = others.copy()
+        for late in range(1, steps_in(_LEAVING, dt) + 1):
+            soon[late:] |= others[:-late]
+        self.wrong = ~keys & ~soon
+        self.due = self.mine & (last_in_time(keys, dt) >= 0)
+        self.unwelcome = (self.mine | self.wrong) & ~may_begin(keys, dt)
+        row = count * plan.scene.sides.index(side)
+        self.fingertips = nominal.fingertips[:, row : row + count]
+        self.planned = np.zeros_like(self.mine)
+        self.playing = np.zeros((len(keys) + 1, count), bool)
+        about_to_press, rise = steps_in(ABOUT_TO_PRESS, dt), steps_in(RISE, dt)
+        for press in nominal.presses:
+            if press.side == side:
+                self.planned[press.first - 1 : press.last - 1, press.key] = True
+                about = max(press.first - about_to_press, 0)
+                self.playing[about : press.last + rise, press.finger - thumb] = True
+        self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
+
+    def holding(self, sounding: Mask) -> HandGoals:
+        """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
+        part = copy(self)
+        part.planned = self.mine & sounding
+        return part
+
+
+def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
+    """(T, K) where a note of `keys` (T, K) begins in time for the last time; elsewhere -1.
+
+    What stands there is how many control steps of `dt` [s] that is after the note's first one. A
+    note is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two
+    steps before may have been struck again, so that it begins a step late at best.
+    """
+    first, steps = first_steps(keys), _steps_in_time(dt)
+    again, sooner = first & later(keys, 2), max(steps - 1, 0)
+    # Small numbers: of a long song, whole arrays of large ones take most of the time of its part.
+    last = np.where(later(first & ~again, steps), np.int8(steps), np.int8(-1))
+    return np.where(later(again, sooner), np.int8(sooner), last)
+
+
+def may_begin(keys: Mask, dt: float) -> Mask:
+    """(T, K) where notes of `keys` (T, K) may begin: on their first control step, or a little late.
+
+    `dt` is the control step [s].
+    """
+    first = first_steps(keys)
+    return np.any([later(first, steps) for steps in range(_steps_in_time(dt) + 1)], axis=0)
+
+
+def first_steps(keys: Mask) -> Mask:
+    """(T, K) the first step of each note of `keys` (T, K)."""
+    return keys & ~later(keys, 1)
+
+
+def _steps_in_time(dt: float) -> int:
+    return int(ONSET_TOLERANCE / dt + 1e-9)
+
+
+def later(keys: Mask, steps: int) -> Mask:
+    """(T, K) `keys` (T, K), so many steps later."""
+    return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]

@@ -1,0 +1,74 @@
+"""Which finger holds which key down when."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
+from cadenza.hands.jump import JumpTimes
+
+Ids = NDArray[np.intp]
+Key = int | Ids
+
+RISE = 0.05  # [s] in which a finger gets off a key
+
+
+class Press(NamedTuple):
+    """A finger, by its number, holds `key` down in the states `first` up to, not including, `last`.
+
+    State t + 1 follows from step t; state 0 is where the hands start.
+    """
+
+    side: Side
+    finger: int
+    key: int
+    first: int
+    last: int
+    flies_off: bool = False
+    """The hand leaves it in a jump."""
+    flies_to: bool = False
+    """The hand comes to it in a jump, and to no other key."""
+    from_above: bool = False
+    """The finger comes to it from above all keys."""
+    later: int = 0
+    """So many states later than usual the hand lets go of what is before it, to be in time."""
+
+
+def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
+    """The presses that goals ask for, by time.
+
+    Args:
+        keys: (T, K) that should be down after each step.
+        fingers: (T, K) that should press them; keys without a finger are left alone.
+        hands: how fingers are numbered.
+    """
+    asked = np.where(keys, fingers, NO_FINGER)
+    edges = np.diff(asked, axis=0, prepend=NO_FINGER, append=NO_FINGER) != 0
+    keys_of, states = np.nonzero(edges.T)  # of a key one after the other, the last one is an end
+    first, last, key = states[:-1], states[1:], keys_of[:-1]
+    held = np.flatnonzero(first < last)
+    held = held[asked[first[held], key[held]] != NO_FINGER]
+    held = held[np.lexsort((key[held], first[held]))]
+    first, last, key = first[held], last[held], key[held]
+    rows = np.stack([asked[first, key], key, first + 1, last + 1], axis=1).tolist()
+    return [Press(SIDES[hands.hand_of(finger)], finger, *rest) for finger, *rest in rows]
+
+
+def steps_between(
+    key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
+) -> Ids:
+    """How many control steps of `dt` [s] a finger takes from one key to another.
+
+    Args:
+        key: that it lets go, or several (N,).
+        other: that it presses next, or several (N,).
+        is_black: (K,) whether the keys are.
+        times: of the hand.
+        dt: control step [s].
+    """
+    climbs = is_black[other] & ~is_black[key]
+    return np.where(climbs, steps_in(times.climb, dt), steps_in(RISE, dt))

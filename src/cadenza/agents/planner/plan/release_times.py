@@ -1,0 +1,150 @@
+"""Lets go of keys in time to be elsewhere, as far as the hands can be there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.agents.planner.plan.presses import RISE, Press, steps_between
+from cadenza.hands.hand import Hand
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.intp]
+
+_FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
+_LEAST = 0.05  # [s] that a press lasts
+_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
+
+
+def let_go_in_time(
+    presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+) -> list[Press]:
+    """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
+
+    A press keeps `_LEAST`. One that the hand can hold together with all that it strikes is not
+    cut.
+
+    Args:
+        presses: by time, those that begin together by key.
+        places: (K, F) where a forearm is when one of its fingers presses a key at ease, from where
+            it is mounted [m].
+        is_black: (K,) whether the keys are.
+        dt: control step [s].
+        hand: of either side.
+    """
+    if not presses:
+        return []
+    line = _TimeLine(presses, places, is_black, dt, hand)
+    line.let_hand_go()
+    line.let_fingers_go()
+    result = list(presses)
+    for i, last, flies_off, flies_to in line.rows():
+        before = presses[i]
+        result[i] = Press(*before[:4], last, flies_off, flies_to, *before[7:])
+    return result
+
+
+class _TimeLine:
+    """P presses by hand, then by time, then by key.
+
+    Both hands are on one line, on which the left one begins long after the right one is done. So
+    what is found out for each hand by itself is found out for both at once.
+    """
+
+    def __init__(
+        self, presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
+    ) -> None:
+        self._dt, self._is_black = dt, is_black
+        self._reach, self._times = hand.reach, hand.jump_times
+        widest = self._times.seconds(np.ptp(places), 2, 2)
+        self._ahead, self._least = self._steps(widest), steps_in(_LEAST, dt)
+        rows = np.array([(p.finger, p.key, p.first, p.last, p.later) for p in presses])
+        left = rows[:, 0] >= len(hand.fingers)
+        self._of = np.argsort(left, kind="stable")
+        self._number, self._key, first, last, later = rows[self._of].T
+        left = left[self._of]
+        self._since = left * (last.max() + self._ahead + 1)  # where the line of a hand begins
+        self._first, self._last = first + self._since, last + self._since
+        self._place = places[self._key, self._number]
+        self._finger = self._number % len(hand.fingers)
+        self._outwards = places[self._key, 0] * np.where(left, -1, 1)
+        # Chords: what a hand strikes at once, be it a single key.
+        self._strikes = np.append(True, self._first[1:] != self._first[:-1])
+        self._heads = np.flatnonzero(self._strikes)
+        self._chord = np.cumsum(self._strikes) - 1
+        self._sizes = np.diff(self._heads, append=len(rows))
+        self._begins, self._later = self._first[self._heads], later[self._heads]
+
+    def let_hand_go(self) -> None:
+        """Where the hand is to strike what it does not reach from there."""
+        heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
+        until = np.maximum.reduceat(self._last, heads) + self._ahead
+        ends = np.append(heads, len(chord))
+        after = begins.searchsorted(until, "right")
+        press, other = _pairs(ends[chord + 1], ends[after[chord]])
+        if not len(press):
+            return
+        spans = self._reach.spans(
+            self._finger[press],
+            self._finger[other],
+            self._outwards[other] - self._outwards[press],
+        )
+        struck = np.flatnonzero(self._strikes[other])
+        spanned = np.logical_and.reduceat(spans, struck)
+        press, struck = press[struck], chord[other[struck]]
+        here, first, last = chord[press], begins[struck], self._last[press]
+        holding = last > first + self._least  # while the hand plays on
+        means = np.add.reduceat(self._place, heads) / sizes
+        way = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
+        jump = self._steps(self._times.seconds(way, sizes[here], sizes[struck], holding))
+        in_time = np.maximum(
+            first - np.maximum(jump - self._later[struck], 1), begins[here] + self._least
+        )
+        too_late = (jump > 0) & ~spanned & (first <= last + self._ahead)
+        np.minimum.at(self._last, press[too_late], in_time[too_late])
+
+    def _steps(self, seconds: Array) -> Ids:
+        """So many control steps, or as many as it takes."""
+        return np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
+
+    def let_fingers_go(self) -> None:
+        """Where the same finger presses another key next."""
+        order = np.lexsort((self._key, self._first, self._number))
+        press, following = order[:-1], order[1:]
+        moves = self._number[press] == self._number[following]
+        moves &= self._key[press] != self._key[following]
+        press, following = press[moves], following[moves]
+        first, begins = self._first[press], self._first[following]
+        rise, later = steps_in(RISE, self._dt), self._later[self._chord[following]]
+        key, other = self._key[press], self._key[following]
+        steps = steps_between(key, other, self._is_black, self._times, self._dt)
+        spare = begins - first - steps_in(_HEARD, self._dt)
+        risen = begins - np.maximum(np.minimum(spare, steps - later), rise)
+        in_time = np.maximum(risen, first + self._least)
+        self._last[press] = np.minimum(self._last[press], in_time)
+
+    def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
+        """Of each press: which it is, the end of it, and whether the hand flies off it, and to it.
+
+        A hand flies between presses at most `_FLIGHT` apart and beyond reach; to single keys only.
+        """
+        first, last, place = self._first, self._last, self._place
+        soon = last + steps_in(_FLIGHT, self._dt)
+        press, other = _pairs(*(first.searchsorted(time, "right") for time in (last, soon)))
+        far = np.abs(place[other] - place[press]) > self._times.within_reach
+        left, reached = (np.zeros(len(first), bool) for _ in range(2))
+        left[press[far]], reached[other[far]] = True, True
+        reached &= self._sizes[self._chord] == 1
+        columns = self._of, last - self._since, left, reached
+        return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _pairs(first: Ids, last: Ids) -> tuple[Ids, Ids]:
+    """All i and j with first[i] <= j < last[i], (N,) each, by i."""
+    counts = last - first
+    i = np.repeat(np.arange(len(counts)), counts)
+    return i, np.arange(len(i)) + (first - np.cumsum(counts) + counts)[i]

@@ -1,0 +1,152 @@
+"""Controls that make the servos follow postures: feed-forward of their lag, and feedback."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from cadenza.agents.planner.plan.fingertip_targets import by_hand
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import Servos, servos_of
+from cadenza.sim.protocol import State
+
+Array = NDArray[np.float64]
+
+_MOST_KEPT = 2000  # steps of plans whose tables are kept, 2 kB each for two hands
+
+
+class Tracking(NamedTuple):
+    """Controls over T steps that make the servos follow a reference; see `track`."""
+
+    ctrl: Array
+    """(T, A)"""
+    gain: Array
+    """(T, A, 2) what a deviation of position and speed takes from the control."""
+    expected: Array
+    """(T + 1, A, 2) position and speed of each servo."""
+
+    def of(self, servos: slice) -> Tracking:
+        """That of some of the servos, as views."""
+        return Tracking._make(values[:, servos] for values in self)
+
+    def by_hand(self, hands: int) -> Tracking:
+        """That of H hands with A servos each, (T, H, A, ...), as views."""
+        return Tracking._make(by_hand(values, hands) for values in self)
+
+    def feedback(self, step: int, here: Array) -> Array:
+        """(..., A) what positions and speeds `here` (..., A, 2) take from a step's controls."""
+        return (self.gain[step] * (here - self.expected[step])).sum(axis=-1)
+
+
+class Follower:
+    """Follows what was tracked, from the states that a scene's hands are really in."""
+
+    def __init__(self, scene: Scene, tracking: Tracking) -> None:
+        """Args:
+        scene: with the hands.
+        tracking: of all their servos.
+        """
+        self._tracking, self._servos = tracking, servos_of(scene)
+
+    def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
+        """(..., A, 2) position and speed of each servo, of joints (..., J)."""
+        to_posture = self._servos.of_joints
+        return np.stack([hand_qpos @ to_posture, hand_qvel @ to_posture], axis=-1)
+
+    def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
+        """(N, A) controls before `steps` (N,); where the hands are as expected, those tracked."""
+        ctrl, gain, expected = (values[steps] for values in self._tracking)
+        here = self.posture(state.hand_qpos, state.hand_qvel)
+        feedback = (gain * (here - expected)).sum(axis=2)
+        return self.clip(ctrl - feedback)
+
+    def clip(self, ctrl: Array) -> Array:
+        """Controls (..., A) within their range."""
+        return self._servos.clip(ctrl)
+
+
+# How much less a control's distance from what leads along the reference weighs than the servo's.
+_CONTROL_WEIGHT = 0.02
+
+
+def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: float) -> Tracking:
+    """Follows `reference` (T + 1, A), of which the first row is where the servos are.
+
+    Each servo by itself is a mass on a damped spring whose other end is the control, held for
+    `dt` [s]. The controls minimise the squared distance from the reference plus a little of their
+    own from those that lead along it (`Servos.lead`), within their ranges: a linear-quadratic
+    tracker (e.g. Anderson & Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 4),
+    solved for all servos at once by the Riccati recursion.
+
+    Args:
+        servos: what has to follow.
+        reference: positions after each step.
+        start: (A, 2) their position and speed.
+        offset: (T, A) what forces from outside add to each control.
+        dt: time between steps [s].
+    """
+    step, push = discretised(servos, dt)
+    steps, count = len(reference) - 1, len(servos.low)
+    feedback = _kept_feedback if steps <= _MOST_KEPT else _feedback
+    gain, curvature, closed = feedback(servos, dt, steps)
+    before, now, after = servos.lead(dt)
+    earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
+    leading = before * earlier + now * reference[:-1] + after * reference[1:]
+    leading = servos.clip(leading)
+    towards = np.zeros((steps, count))
+    slope = np.zeros((count, 2))
+    for t in range(steps - 1, -1, -1):
+        slope[:, 0] -= reference[t + 1]
+        pull = _CONTROL_WEIGHT * leading[t]
+        towards[t] = (pull - np.vecdot(push, slope)) / curvature[t]
+        slope = np.einsum("aji,aj->ai", closed[t], slope) + gain[t] * pull[:, None]
+    expected = np.zeros((steps + 1, count, 2))
+    expected[0] = start
+    ctrl = np.zeros((steps, count))
+    for t in range(steps):
+        wanted = towards[t] - np.vecdot(gain[t], expected[t])
+        ctrl[t] = servos.clip(wanted)
+        expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
+    return Tracking(servos.clip(ctrl + offset), gain, expected)
+
+
+def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
+    """What of the tracker does not depend on the reference: (T, A, 2), (T, A) and (T, A, 2, 2).
+
+    Those are the gains, the curvature of what a control costs, and what a step makes of position
+    and speed with feedback.
+    """
+    step, push = discretised(servos, dt)
+    count = len(servos.low)
+    gain, curvature = np.zeros((steps, count, 2)), np.zeros((steps, count))
+    closed = np.zeros((steps, count, 2, 2))
+    value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
+    for t in range(steps - 1, -1, -1):
+        value[:, 0, 0] += 1.0
+        pushed = np.einsum("aij,aj->ai", value, push)
+        curvature[t] = _CONTROL_WEIGHT + np.vecdot(push, pushed)
+        gain[t] = np.einsum("ai,aij->aj", pushed, step) / curvature[t][:, None]
+        closed[t] = step - push[:, :, None] * gain[t][:, None, :]
+        value = np.einsum("aji,ajk->aik", step, value @ closed[t])
+        value = (value + value.transpose(0, 2, 1)) / 2
+    for values in (gain, curvature, closed):
+        values.flags.writeable = False
+    return gain, curvature, closed
+
+
+_kept_feedback = lru_cache(maxsize=8)(_feedback)  # it takes most of the time of short plans
+
+
+@lru_cache(maxsize=8)
+def discretised(servos: Servos, dt: float) -> tuple[Array, Array]:
+    """(A, 2, 2) and (A, 2): what a step of `dt` [s] makes of position and speed, and of control."""
+    k, d, m = servos.stiffness, servos.damping, servos.inertia
+    motion = np.zeros((len(k), 3, 3))
+    motion[:, 0, 1] = 1.0
+    motion[:, 1] = np.stack([-k / m, -d / m, k / m], axis=1)
+    exact = expm(motion * dt)
+    return exact[:, :2, :2], exact[:, :2, 2]

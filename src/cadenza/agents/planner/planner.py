@@ -1,0 +1,137 @@
+"""Plays any score by planning alone: fingering, inverse kinematics of the song, refinement."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
+from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
+from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
+from cadenza.agents.planner.search.hand_in_scene import HandInScene
+from cadenza.configs import check_ranges
+from cadenza.sim.threads import Threads
+from cadenza.tasks.view import View
+
+
+class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
+    """Plans a song a window ahead of where it plays, and refines the plan as it goes.
+
+    With an effort, it plans and practises the whole song before it begins to play.
+
+    Its progress is that of "fingers" and "postures", and with an effort that of what `Practice`
+    says it is doing.
+    """
+
+    def __init__(self, config: PlannerConfig | None = None) -> None:
+        """Raises:
+        CadenzaError: an option makes no sense.
+        """
+        super().__init__()
+        self.config = config or PlannerConfig()
+        _check(self.config)
+
+    def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
+        """Raises:
+        CadenzaError: there are no hands in the scene.
+        """
+        if self.config.effort:
+            practice = self._practised(view, rng)
+            return PractisedPlanner(
+                view,
+                practice.best().practised,
+                self.config,
+                rng,
+                self.threads,
+                self.progress,
+                practice.plan,
+            )
+        return SongPlanner(view, rng, self.config, self.threads, self.progress)
+
+    def _practised(self, view: View, rng: np.random.Generator) -> Practice:
+        config, effort = replace(self.config, effort=0.0), self.config.effort
+        practice = Practice(view, rng, config, self.threads, self.progress)
+
+        def goes_on() -> bool:
+            self.progress(*practice.how_far(effort))
+            return True
+
+        practice.run(effort, goes_on)
+        goes_on()
+        return practice
+
+
+class SongPlanner:
+    """Plans and plays one song.
+
+    Attributes:
+        plan: before refinement, as far as it goes; all of it when the song is over.
+    """
+
+    plan: SongPlan
+
+    def __init__(
+        self,
+        view: View,
+        rng: np.random.Generator,
+        config: PlannerConfig,
+        num_threads: int,
+        progress: Progress,
+    ) -> None:
+        """Args:
+            view: of the first step, of one environment.
+            rng: what is random.
+            config: how to plan.
+            num_threads: that share the search.
+            progress: is told of "fingers" and "postures".
+
+        Raises:
+            CadenzaError: there are no hands in the scene.
+        """
+        task, (track,) = view.task, view.tracks
+        if config.fingering == "found":
+            track = track.with_found_fingers()
+        self._plans = song_plans(track, view.state.hand_qpos[0], progress)
+        self.plan = next(self._plans)
+        self._sides = task.scene.sides
+        self._pedal = self.plan.goals.sustain.astype(np.float64)
+        self._threads = Threads(num_threads)
+        self._hands = []
+        for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
+            hand = HandInScene(self.plan, side, config, hand_rng, self._threads)
+            self._hands.append(hand)
+
+    def act(self, view: View) -> Array:
+        state, step = view.state, int(view.steps[0])
+        self._plan_ahead(step)
+        action = np.zeros(view.task.action_size)
+        action[-1] = self._pedal[step]
+
+        def act(i: int) -> None:
+            action[self._hands[i].servos] = self._hands[i].act(state)
+
+        self._threads.for_each(range(len(self._hands)), act)
+        return action
+
+    def _plan_ahead(self, step: int) -> None:
+        """Plans another window before what a hand looks at from here ends."""
+        seen = step + max(hand.refinement.steps_seen for hand in self._hands)
+        while not self.plan.complete and self.plan.nominal.num_steps < seen:
+            self.plan = next(self._plans)
+            for hand in self._hands:
+                hand.follow(self.plan, step)
+
+
+def _check(config: PlannerConfig) -> None:
+    check_ranges(
+        config,
+        {
+            "num_candidates": (4, 10_000),
+            "iterations": (1, 10_000),
+            "horizon": (0, 60),
+            "effort": (0, MOST_EFFORT),
+        },
+    )

@@ -1,0 +1,101 @@
+"""How a take may be played otherwise for a moment."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.control_steps import steps_in
+from cadenza.scene.scene import Scene
+from cadenza.scene.servos import servos_of
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.intp]
+
+_LENGTHS = (0.1, 0.8)  # [s]
+_SHIFTS = 0.15  # [s] by which servos may be early or late
+_SIZES = (-0.7, 0.5)  # noise of a tenth to the power of these times a servo's own
+_SHARES = (0.2, 1.2)  # of the way to another posture
+_ALL, _ONE_FINGER, _SPARSE = 0.25, 0.35, 0.3  # how often all servos or those of one finger change,
+# and the share of the servos that change otherwise
+
+
+class Variations:
+    """Draws offsets of positions that the servos of a hand are to follow."""
+
+    def __init__(self, scene: Scene, planned: Array, dt: float) -> None:
+        """Args:
+        scene: with this hand only.
+        planned: (T + 1, A) positions that the plan expects.
+        dt: control step [s].
+        """
+        servos = servos_of(scene)
+        self._sigma, self._finger, self._lift = servos.noise, servos.finger, servos.lift
+        self._planned = planned
+        self._lengths = [steps_in(seconds, dt) for seconds in _LENGTHS]
+        self._shift = steps_in(_SHIFTS, dt)
+
+    def length(self, rng: np.random.Generator) -> int:
+        """Of the next change, in steps."""
+        return int(rng.integers(self._lengths[0], self._lengths[1] + 1))
+
+    def draw(
+        self, path: Array, first: int, last: int, count: int, rng: np.random.Generator
+    ) -> Array:
+        """(N, L, A) for `count` candidates over the L steps from `first` to `last`.
+
+        Half are noise that changes evenly from the first step to the last, or stays the same. The
+        others are early or late, go some of the way to the plan, stay where they are, or lift
+        themselves and come down again.
+
+        Args:
+            path: (T, A) positions before each step.
+            first, last: which steps.
+            count: N.
+            rng: what is random.
+        """
+        kinds = (
+            self._noise,
+            self._shifted,
+            self._noise,
+            self._drawn_back,
+            self._even,
+            self._lifted,
+        )
+        after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
+        drawn = [kinds[i % len(kinds)](path, after, rng) * self.servos(rng) for i in range(count)]
+        return np.stack(drawn)
+
+    def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        ends = rng.standard_normal((2, len(self._sigma))) * self._sigma
+        late = np.linspace(0.0, 1.0, len(after))[:, None]
+        return 10 ** rng.uniform(*_SIZES) * ((1 - late) * ends[0] + late * ends[1])
+
+    def _even(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        noise = rng.standard_normal(len(self._sigma)) * self._sigma
+        return 10 ** rng.uniform(*_SIZES) * np.tile(noise, (len(after), 1))
+
+    def _lifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        lifted = np.arange(len(after)) < rng.integers(1, len(after) + 1)
+        return rng.uniform(*_SHARES) * lifted[:, None] * self._lift
+
+    def _shifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        first, last = rng.uniform(-self._shift, self._shift, 2)
+        when = np.clip(after + np.linspace(first, last, len(after)), 0, len(path) - 1)
+        before, part = when.astype(np.intp), (when % 1.0)[:, None]
+        later = np.minimum(before + 1, len(path) - 1)
+        return (1 - part) * path[before] + part * path[later] - path[after]
+
+    def _drawn_back(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+        towards = self._planned[after] if rng.random() < 0.5 else path[after[0] - 1]
+        return rng.uniform(*_SHARES) * (towards - path[after])
+
+    def servos(self, rng: np.random.Generator) -> Mask:
+        """(A,) those that change."""
+        kind = rng.random()
+        if kind < _ALL:
+            return np.ones(len(self._sigma), bool)
+        if kind < _ALL + _ONE_FINGER:  # or those of the whole hand
+            return self._finger == rng.integers(-1, self._finger.max() + 1)
+        return rng.random(len(self._sigma)) < _SPARSE
