@@ -8,7 +8,7 @@ import pytest
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import plan_song
-from cadenza.agents.planner.search.combination import combined
+from cadenza.agents.planner.search.candidates import combined
 from cadenza.agents.planner.search.horizon_cost import HorizonCost, Rollout
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score

@@ -21,11 +21,11 @@ from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist
 from cadenza.agents.generalist.receding_plan import InSight
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
-from cadenza.agents.planner import hand_rehearsal
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search import hand_rehearsal
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.iterative_learning_control import changes
 from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs

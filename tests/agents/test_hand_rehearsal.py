@@ -10,9 +10,9 @@ import pytest
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking
+from cadenza.agents.planner.search.fingertip_correction import mending
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.horizon_cost import HorizonCost, Rollout
-from cadenza.agents.planner.search.mending import mending
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cadenza.agents.planner.practice.patchwork import better_windows, patched
+from cadenza.agents.planner.practice.plan_variants import better_windows, patched
 from cadenza.agents.planner.practice.trajectory import Trajectory
 
 STEPS, KEYS, WINDOW = 23, 5, 4

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 import cadenza
 from cadenza.agents.agent import silent
-from cadenza.agents.planner import practice as practice_of_hands
-from cadenza.agents.planner import takes
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.practice import practice as practice_of_hands
+from cadenza.agents.planner.practice import trajectory
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlanner
@@ -371,7 +371,7 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
     while left._sweep is None or not left._sweep.first:
         left.run(2.0, on_and_off(1))
     made: list[int] = []
-    play = takes.Stage.play
+    play = trajectory.Stage.play
 
     def playing(*args: Any) -> Any:
         played, moments = play(*args)
@@ -379,7 +379,7 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
         return played, moments
 
     again = practice(score=LONG)
-    monkeypatch.setattr(takes.Stage, "play", playing)
+    monkeypatch.setattr(trajectory.Stage, "play", playing)
     again.restore(as_read(left), "here")
     assert made == list(again._moments)
     assert min(made) == left._sweep.first

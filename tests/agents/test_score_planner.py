@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 import cadenza
-from cadenza.agents.planner import inverse_kinematics, nominal, refinement
 from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.plan import inverse_kinematics, nominal_trajectory
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.inverse_kinematics import (
@@ -36,6 +36,7 @@ from cadenza.agents.planner.plan.release_times import let_go_in_time
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Tracking, track
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search import hand_search
 from cadenza.agents.planner.search.horizon_cost import HorizonCost
 from cadenza.agents.planner.search.sampling import UPDATES, Around
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
@@ -152,9 +153,9 @@ def test_episodes_of_several_songs_end_when_their_songs_do() -> None:
 def test_a_hand_alone_moves_as_it_does_beside_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulations that it plans with are never put right while nothing is disturbed."""
     placed = []
-    place = refinement.PlanningSimulation.place
+    place = hand_search.PlanningSimulation.place
     monkeypatch.setattr(
-        refinement.PlanningSimulation,
+        hand_search.PlanningSimulation,
         "place",
         lambda self, *state: placed.append(1) or place(self, *state),
     )
@@ -211,7 +212,7 @@ def octaves(hands: str, white: int, black: int, length: float) -> Score:
     )
 
 
-def searching(score: Score, hands: str) -> refinement.HandSearch:
+def searching(score: Score, hands: str) -> hand_search.HandSearch:
     task = PianoTask([score], BUFFER, SceneConfig(hands=hands))  # type: ignore[arg-type]
     agent = Planner(PlannerConfig(fingering="score"))
     task.reset([np.random.default_rng(0)], [0])
@@ -333,20 +334,20 @@ def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
 
 def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     simulated = []
-    run = refinement.HandRollouts.run
+    run = hand_search.HandRollouts.run
 
-    def counted(trials: refinement.HandRollouts, *args: Any) -> Iterator[object]:
+    def counted(trials: hand_search.HandRollouts, *args: Any) -> Iterator[object]:
         for state in run(trials, *args):
             simulated.append(1)
             yield state
 
-    monkeypatch.setattr(refinement.HandRollouts, "run", counted)
+    monkeypatch.setattr(hand_search.HandRollouts, "run", counted)
     leaps = melody(*[40, 90] * 10, length=0.1)
     config = PlannerConfig(num_candidates=8, iterations=5)
     steps = perform(leaps, config, hands="right").metrics["steps"]
     full_search = 5 * 8 * 7  # for 0.35 s each
     share = sum(simulated) / steps / full_search
-    assert 0.5 < share / refinement._SUSTAINED < 1.05
+    assert 0.5 < share / hand_search._SUSTAINED < 1.05
 
 
 def test_planning_tells_how_far_it_has_come() -> None:
@@ -385,9 +386,9 @@ def test_planning_can_be_interrupted() -> None:
 
 @pytest.fixture
 def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nominal, "_FIRST", 1.0)
-    monkeypatch.setattr(nominal, "_MOST", 1.5)
-    monkeypatch.setattr(nominal, "_OVERLAP", 1.5)
+    monkeypatch.setattr(nominal_trajectory, "_FIRST", 1.0)
+    monkeypatch.setattr(nominal_trajectory, "_MOST", 1.5)
+    monkeypatch.setattr(nominal_trajectory, "_OVERLAP", 1.5)
 
 
 def whole_plan(score: Score, later: int | np.ndarray = 0, haste: float = 1.0) -> SongPlan:
@@ -427,7 +428,7 @@ def test_windows_begin_with_what_was_found_for_the_same_steps(
         improved.append(found - guess)
         return found
 
-    monkeypatch.setattr(nominal, "solve_postures", spied)
+    monkeypatch.setattr(nominal_trajectory, "solve_postures", spied)
     whole_plan(melody(*[64, 79, 67, 84, 72, 71] * 3, length=0.3))
     assert len(begins) > 2
     assert not begins[0].any()
@@ -464,8 +465,8 @@ def first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
         shapes = (steps, servos), (steps, servos, 2), (steps + 1, servos, 2)
         return Tracking(*map(np.zeros, shapes))
 
-    monkeypatch.setattr(nominal, "solve_postures", lambda *given: given[4])
-    monkeypatch.setattr(nominal, "track", still)
+    monkeypatch.setattr(nominal_trajectory, "solve_postures", lambda *given: given[4])
+    monkeypatch.setattr(nominal_trajectory, "track", still)
 
 
 @pytest.mark.usefixtures("first_guess")

@@ -8,7 +8,7 @@ from cadenza.agents.agent import Array, Progress
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Follower, Tracking
-from cadenza.agents.planner.search.hand_in_scene import HandInScene
+from cadenza.agents.planner.search.hands_in_scene import HandInScene
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.sim.threads import Threads

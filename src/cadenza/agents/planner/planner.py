@@ -11,7 +11,7 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
 from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
-from cadenza.agents.planner.search.hand_in_scene import HandInScene
+from cadenza.agents.planner.search.hands_in_scene import HandInScene
 from cadenza.configs import check_ranges
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View

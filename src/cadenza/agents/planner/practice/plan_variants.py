@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
-from cadenza.agents.planner.practice.patchwork import better_windows, patched
 from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import find_fingering
@@ -192,3 +191,50 @@ def fingers_in(track: GoalTrack) -> NDArray[np.int64]:
     """(N,) who plays each note, as hands number their fingers."""
     number = track.scene.fingers.number
     return np.array([number(note.finger) for note in track.score.notes], np.int64)
+
+
+Array = NDArray[np.float64]
+
+
+def patched(
+    take: Trajectory,
+    other: Trajectory,
+    where: Mask,
+    parts: Sequence[HandGoals],
+    servos: Sequence[slice],
+) -> Trajectory:
+    """A take with some steps of each hand from another take.
+
+    Its costs are those of the first: costs are of all hands at once.
+
+    Args:
+        take: T steps.
+        other: of the same song.
+        where: (T, H) the steps of each hand that come from there.
+        parts: of the H hands in the other take.
+        servos: which of all are each hand's.
+    """
+    result = take.part(0, len(take.loss))
+    for hand, (part, own) in enumerate(zip(parts, servos, strict=True)):
+        rows = where[:, hand]
+        result.ctrl[rows, own] = other.ctrl[rows, own]
+        result.expected[rows, own] = other.expected[rows, own]
+        result.loss[rows, hand] = other.loss[rows, hand]
+        keys = part.mine & rows[:, None]
+        result.sounding[keys] = other.sounding[keys]
+    return result
+
+
+def better_windows(loss: Array, other: Array, unlike: Mask, window: int) -> Mask:
+    """(T, H) the windows of each hand in which another take loses less.
+
+    Args:
+        loss: (T, H) of a take.
+        other: (T, H) loss of the other one.
+        unlike: (T, H) where hands play with other fingers; windows with such a step stay.
+        window: in steps.
+    """
+    begins = np.arange(0, len(loss), window)
+    mine, others = (np.add.reduceat(each, begins) for each in (loss, other))
+    better = (others < mine) & ~np.logical_or.reduceat(unlike, begins)
+    return np.repeat(better, window, axis=0)[: len(loss)]

@@ -9,6 +9,7 @@ Sampling is only done where it still fails.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,10 @@ from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.search.combination import combined
-from cadenza.agents.planner.search.detours import Detours
+from cadenza.agents.planner.search.candidates import Detours, combined
 from cadenza.agents.planner.search.fingertip_correction import Correction
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
 from cadenza.agents.planner.search.horizon_cost import Rollout, look_ahead
-from cadenza.agents.planner.search.memory import SearchState, generator_of, words_of
 from cadenza.agents.planner.search.network_candidate import Proposal
 from cadenza.agents.planner.search.rollouts import Rollouts
 from cadenza.agents.planner.search.sampling import UPDATES, Around, cheapest
@@ -367,3 +366,32 @@ class HandSearch:
         inside = rows[: len(self._tracking.ctrl) - self._step]  # after those, nothing matters
         ahead = look_ahead(self._part, inside, self._keyboard, self._trials, self._twin)
         self._tries.begin(ahead)
+
+
+class SearchState(NamedTuple):
+    """What decides how a hand goes on, beside where it is."""
+
+    correction: Array
+    """(H, A) to the plan, of the steps that are looked ahead."""
+    savings: Array
+    """() control steps that it may simulate."""
+    rng: NDArray[np.uint64]
+    """(6,) where its generator of random numbers is."""
+
+
+def words_of(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """(6,) the state of a default generator, in words of 64 bits."""
+    state: Any = rng.bit_generator.state
+    numbers = [state["state"]["state"], state["state"]["inc"]]
+    halves = [half for number in numbers for half in divmod(number, 2**64)]
+    return np.array([*halves, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def generator_of(words: NDArray[np.uint64]) -> np.random.Generator:
+    """The generator whose state that is."""
+    state, more, inc, less, has, left = words.tolist()
+    rng = np.random.default_rng(0)
+    numbers = {"state": state * 2**64 + more, "inc": inc * 2**64 + less}
+    known: Any = rng.bit_generator.state
+    rng.bit_generator.state = known | {"state": numbers, "has_uint32": has, "uinteger": left}
+    return rng

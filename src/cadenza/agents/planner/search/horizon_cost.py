@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.planner.plan.hand_goals import ASTRAY, HandGoals
-from cadenza.agents.planner.search.fingertip_correction import FURTHEST
-from cadenza.agents.planner.search.mending import mending
+from cadenza.agents.planner.search.fingertip_correction import FURTHEST, mending
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
