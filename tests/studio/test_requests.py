@@ -121,7 +121,7 @@ def test_practice_is_of_what_a_song_holds_now() -> None:
 
 def test_performances_are_found_again_and_removed(songs: Shelf) -> None:
     id = "0123456789abcdef"
-    kept = Kept("Ode", asdict(PlayRequest("OdeToJoy")), 0.9, 8.0, 1.0)
+    kept = Kept("Ode", PlayRequest("OdeToJoy"), 0.9, 0.8, 8.0, 1.0)
     (songs.folder / id).mkdir()
     write_json(songs.folder / id / "studio.json", asdict(kept))
     (songs.folder / id / "report.html").write_text("report")
@@ -191,7 +191,7 @@ def kept(songs: Shelf, id: str, song: str, seed: int, transpose: int = 0) -> Pat
     with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
         perform(setup).save(folder, page=False)
     about = Kept(
-        song, asdict(PlayRequest(song, "sight", seed=seed, transpose=transpose)), 0.9, 8.0, 1.0
+        song, PlayRequest(song, "sight", seed=seed, transpose=transpose), 0.9, 0.8, 8.0, 1.0
     )
     write_json(folder / "studio.json", asdict(about))
     return folder

@@ -5,9 +5,14 @@ from __future__ import annotations
 import asyncio
 import errno
 import io
+import os
+import shutil
+import signal
 import socket
+import struct
 import subprocess
 import sys
+import time
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
@@ -32,6 +37,7 @@ from starlette.websockets import WebSocketDisconnect
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
 from cadenza.studio import jobs, server
 from cadenza.studio.live import as_json
@@ -129,15 +135,63 @@ def test_a_tone_is_made_for_who_asks(client: TestClient) -> None:
     assert np.abs(samples).max() == 32767
     assert np.frombuffer(answer.content[:4], "<f4") > 0
     assert "immutable" in answer.headers["cache-control"]
-    for wrong in "60/4", "128/0", "60/99999":
-        assert client.get(f"/TOKEN/tones/{wrong}").status_code == 400
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *("60/4", "128/0", "60/99999", "9" * 5000 + "/1", "1/" + "9" * 5000, "-1/1", "1.5/1"),
+        *("1e3/1", "NaN/1", "inf/1", "%D9%A3/1", "%C2%B2/1", "%00/1", "%20/1", "+1/1", "1_0/1"),
+    ],
+)
+def test_a_tone_that_there_is_not_is_refused(client: TestClient, wrong: str) -> None:
+    answer = client.get(f"/TOKEN/tones/{wrong}")
+    assert answer.status_code == 400
+    assert answer.json() == {"error": "there is no such tone"}
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "-1", "1e400", "NaN", "[" * 5000, "1.5", "true"])
+@pytest.mark.parametrize("name", ["seed", "transpose", "tempo", "tracks", "steps", "song"])
+def test_numbers_that_are_none_are_refused_in_a_line(
+    client: TestClient, name: str, value: str
+) -> None:
+    for where in "jobs", "trainings":
+        wanted = {"song": '"OdeToJoy"', **({"steps": "1"} if where == "trainings" else {})}
+        wanted[name] = f"[{value}]" if name == "tracks" else value
+        if (name, value) in (("tempo", "1.5"), ("transpose", "-1")):
+            continue  # may be asked for
+        body = ",".join(f'"{key}":{said}' for key, said in wanted.items())
+        answer = client.post(f"/TOKEN/api/{where}", content=f"{{{body}}}", headers=SAME)
+        assert answer.status_code == 400
+        assert "\n" not in answer.json()["error"]
+
+
+@pytest.mark.parametrize("length", ["9" * 5000, "-1", "1e3", "+1", "\u00b2"])
+def test_a_length_that_is_none_is_refused(client: TestClient, length: str) -> None:
+    headers = {**SAME, "content-length": length.encode("latin-1")}
+    answer = client.post("/TOKEN/api/songs?name=a.mid", content=b"MThd", headers=headers)
+    assert answer.status_code == 400
+    assert "larger than" in answer.json()["error"]
+
+
+@pytest.mark.parametrize("name", ["a.mp3", "a.WAV", "a.mp4", "a.pdf", "a.mscz", "a.png", "a.webm"])
+def test_a_file_of_another_format_gets_the_answer_of_the_command_line(
+    client: TestClient, tmp_path: Path, name: str
+) -> None:
+    content = b"\0" * (5 << 20)  # more than a file of music may have
+    answer = client.post(f"/TOKEN/api/songs?name={name}", content=content, headers=SAME)
+    (tmp_path / name).touch()
+    with pytest.raises(CadenzaError) as refused:
+        read_score(tmp_path / name)
+    assert answer.status_code == 400
+    assert answer.json()["error"] == str(refused.value).replace(f"{tmp_path}/", "")
 
 
 def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
-    id, wanted = "0123456789abcdef", asdict(PlayRequest("OdeToJoy"))
+    id, wanted = "0123456789abcdef", PlayRequest("OdeToJoy")
     folder, rows = tmp_path / "studio" / id, bytes(range(256)) * 4000  # more than is sent at once
     folder.mkdir()
-    write_json(folder / "studio.json", asdict(Kept("Ode", wanted, 0.9, 8.0, 1.0)))
+    write_json(folder / "studio.json", asdict(Kept("Ode", wanted, 0.9, 0.8, 8.0, 1.0)))
     (folder / TOLD).write_bytes(b'{"steps": 3}')
     (folder / ROWS).write_bytes(rows)
     (kept,) = client.get("/TOKEN/api/performances").json()
@@ -161,10 +215,10 @@ def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
 def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -> None:
     secret = tmp_path / "secret"
     secret.write_text("secret")
-    studio, wanted = tmp_path / "studio", asdict(PlayRequest("OdeToJoy"))
+    studio, wanted = tmp_path / "studio", PlayRequest("OdeToJoy")
     own, linked = studio / "0123456789abcdef", studio / "fedcba9876543210"
     own.mkdir()
-    write_json(own / "studio.json", asdict(Kept("Ode", wanted, 0.9, 8.0, 1.0)))
+    write_json(own / "studio.json", asdict(Kept("Ode", wanted, 0.9, 0.8, 8.0, 1.0)))
     for name in "report.html", TOLD, ROWS:
         (own / name).symlink_to(secret)
     linked.symlink_to(own)
@@ -176,6 +230,98 @@ def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -
             assert told.receive_json() == {"state": "gone"}
     (listed,) = client.get("/TOKEN/api/performances").json()
     assert (listed["files"], listed["told"]) == ([], False)
+
+
+WEIRD = {  # contents of a JSON file
+    "empty": b"",
+    "not text": b"\xff\xfe\xff",
+    "deep": b"[" * 100_000,
+    "number": b"9" * 5000,
+    "another": b'{"id": "fedcba9876543210", "title": "x", "ending": ".mid", "seconds": 1, '
+    b'"notes": 1}',
+    "elsewhere": b'{"id": "0123456789abcdef", "title": "x", "ending": "/../../../etc/passwd", '
+    b'"seconds": 1, "notes": 1}',
+    "no tracks": b'{"id": "0123456789abcdef", "title": "x", "ending": ".mid", "seconds": 1, '
+    b'"notes": 1, "tracks": [{"name": 5}]}',
+    "no request": b'{"title": "x", "request": {}, "f1": 1, "note_onset_f1": 1, "seconds": 1, '
+    b'"finished": 1}',
+}
+
+
+def weird(path: Path, kind: str) -> None:
+    """Puts something there that is not what it should be, an hour ago and more."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if kind == "dangling":
+        path.symlink_to("/nowhere")
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.write_bytes(WEIRD[kind])
+    os.utime(path, (0, 0), follow_symlinks=False)
+
+
+@pytest.mark.parametrize("kind", ["dangling", "loop", "folder", "pipe", *WEIRD])
+def test_whatever_lies_in_the_folders_the_lists_are_there(
+    client: TestClient, tmp_path: Path, kind: str
+) -> None:
+    id, studio = "0123456789abcdef", tmp_path / "studio"
+    for path in (
+        *(studio / "uploads" / f"{name}.json" for name in (id, "x", ".cadenza-1")),
+        *(
+            studio / "uploads" / name
+            for name in (f"{id}.mid", "fedcba9876543210.mid", ".cadenza-2")
+        ),
+        *(studio / name for name in (f".{id}", "1" * 16, f"{'2' * 16}/studio.json", ".cadenza-3")),
+        *(tmp_path / "runs" / name for name in ("one", "two/run.json", "three/metrics.jsonl")),
+        *(tmp_path / "runs" / name for name in ("new\nline/run.json", "not text \udcff/run.json")),
+    ):
+        weird(path, kind)
+    (tmp_path / "runs" / "three" / "run.json").write_text("{}")
+    for _ in range(2):
+        for name in "songs", "performances", "background":
+            answer = client.get(f"/TOKEN/api/{name}")
+            assert answer.status_code == 200, answer.text
+        assert not any(song["uploaded"] for song in client.get("/TOKEN/api/songs").json()["songs"])
+        for method, path in (("DELETE", "songs"), ("DELETE", "performances")):
+            gone = client.request(method, f"/TOKEN/api/{path}/{id}", headers=SAME)
+            assert "\n" not in gone.json()["error"] if gone.content else True
+        wanted = client.post("/TOKEN/api/jobs", json={"song": id}, headers=SAME)
+        assert wanted.json()["error"].startswith("there is no such song")
+        Studio(studio, tmp_path / "runs")  # starts again
+
+
+def test_lists_survive_what_vanishes_while_they_are_made(
+    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio, glob = tmp_path / "studio", Path.glob
+    for folder in studio / "0123456789abcdef", tmp_path / "runs" / "one":
+        folder.mkdir(parents=True)
+        for name in "studio.json", "run.json":
+            (folder / name).write_text("{}")
+    (studio / "uploads" / "0123456789abcdef.json").write_text("{}")
+
+    def then_gone(path: Path, pattern: str) -> list[Path]:
+        found = list(glob(path, pattern))
+        shutil.rmtree(path, ignore_errors=True)
+        return found
+
+    monkeypatch.setattr(Path, "glob", then_gone)
+    for name in "songs", "performances", "background":
+        assert client.get(f"/TOKEN/api/{name}").status_code == 200
+        (studio / "uploads").mkdir(parents=True, exist_ok=True)
+
+
+def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(
+    client: TestClient, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone.html"
+    monkeypatch.setattr("cadenza.studio.shelf.Shelf.file", lambda *_: gone)
+    answer = client.get("/TOKEN/performances/0123456789abcdef/report.html")
+    assert (answer.status_code, answer.json()) == (404, {"error": "there is no such file"})
 
 
 def address_of(folder: Path, known: Path | None = None) -> str:
@@ -210,8 +356,68 @@ def test_links_stay_valid(tmp_path: Path) -> None:
 )
 def test_a_damaged_address_is_replaced(content: str, tmp_path: Path) -> None:
     (known := tmp_path / "address.json").write_text(content)
+    known.chmod(0o600)
     assert address_of(tmp_path, known) == address_of(tmp_path, known)
     assert known.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
+def test_an_address_that_others_may_have_written_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = tmp_path / "studio" / "address.json"
+    address_of(tmp_path / "studio", known)
+    assert known.parent.stat().st_mode & 0o077 == 0
+    for path, mode, usual in (known, 0o644, 0o600), (known.parent, 0o777, 0o700):
+        path.chmod(mode)
+        with pytest.raises(CadenzaError, match=f"^{path}: other users of this machine may"):
+            serve(Studio(tmp_path / "studio"), known=known)
+        path.chmod(usual)
+    known.rename(other := tmp_path / "other.json")
+    known.symlink_to(other)
+    with pytest.raises(CadenzaError, match=f"^{known}: other users"):
+        serve(Studio(tmp_path / "studio"), known=known)
+    known.unlink()
+    address_of(tmp_path / "studio", known)
+    own = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: own + 1)
+    with pytest.raises(CadenzaError, match="other users"):
+        serve(Studio(tmp_path / "studio"), known=known)
+
+
+BROWSER = """#!{python}
+import os, sys, urllib.parse
+page = urllib.parse.urlsplit(sys.argv[-1])
+about = os.stat(page.path), os.stat(os.path.dirname(page.path))
+with open({told!r} + ".new", "w") as told:
+    modes = [oct(each.st_mode & 0o777) for each in about]
+    told.write("\\n".join([" ".join(sys.argv), page.path, *modes]))
+    told.write("\\n" + open(page.path).read())
+os.rename({told!r} + ".new", {told!r})
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signals) -> None:
+    """A browser is opened by a file that only the user can read, and that is there for a while."""
+    told, browser = tmp_path / "told", tmp_path / "browser"
+    browser.write_text(BROWSER.format(python=sys.executable, told=str(told)))
+    browser.chmod(0o700)
+    command = [sys.executable, "-m", "cadenza", "studio", "--folder", str(tmp_path / "studio")]
+    command += ["--runs", str(tmp_path / "runs")]
+    environment = os.environ | {"DISPLAY": ":0", "BROWSER": f"{browser} %s"}
+    with subprocess.Popen(command, stdout=PIPE, text=True, env=environment) as server:
+        assert server.stdout is not None
+        address = server.stdout.readline().split()[-1]
+        while not told.exists():
+            time.sleep(0.05)
+        urlopen(address).close()  # it serves
+        server.send_signal(end)
+    arguments, page, mode, within, *content = told.read_text().splitlines()
+    assert urlsplit(address).path.strip("/") not in arguments
+    assert (mode, within) == ("0o600", "0o700")
+    assert f"url={address}" in "".join(content)
+    assert not Path(page).parent.exists()
 
 
 def test_strangers_do_not_keep_the_page_out() -> None:
@@ -236,6 +442,83 @@ def test_strangers_do_not_keep_the_page_out() -> None:
                 stranger.close()
         finally:
             server.kill()
+
+
+SERVING = """
+from contextlib import suppress
+from cadenza.studio.stream import Stream
+from cadenza.studio.watchable import Watchable, serve
+
+class Waiting(Watchable):
+    async def stream(self, id):
+        return Stream("Waiting", {}) if id == "x" else None
+
+with suppress(KeyboardInterrupt):
+    serve(Waiting(), ready=lambda address: print(address, flush=True))
+"""
+
+
+def frame(opcode: int, content: bytes, length: int | None = None, begin: int = 0x80) -> bytes:
+    """Of a WebSocket: masked by zeros, with 64 bits for its length."""
+    size = len(content) if length is None else length
+    return struct.pack("!BBQI", begin | opcode, 0xFF, size, 0) + content
+
+
+FRAMES = {
+    "text that is none": frame(1, b"\xff\xff"),
+    "text in parts": frame(1, b"\xe2", begin=0) + frame(0, b"\x28\xa1"),
+    "text": frame(1, b"hello") * 1000,
+    "deep": frame(1, b"[" * 4000),
+    "bytes": frame(2, b"\xff\xff"),
+    "long": frame(1, b"a" * 100_000),
+    "longer than can be": frame(1, b"", 1 << 62),
+    "of negative length": frame(2, b"", (1 << 64) - 1),
+    "without end": frame(1, b"a" * 1000, begin=0) + frame(0, b"a" * 1000, begin=0) * 500,
+    "unknown": frame(3, b"x") + frame(15, b"x"),
+    "with reserved bits": frame(1, b"x", begin=0xF0),
+    "no beginning": frame(0, b"x"),
+    "two beginnings": frame(1, b"x", begin=0) * 2,
+    "pings": frame(9, b"x") * 100 + frame(10, b"x"),
+    "long ping": frame(9, b"x" * 200),
+    "half a close": frame(8, b"x"),
+    "closed why": frame(8, struct.pack("!H", 99) + b"\xff\xff"),
+    "unmasked": b"\x81\x01x",
+    "noise": bytes(range(256)) * 20,
+}
+
+
+def test_whatever_a_page_says_the_terminal_stays_empty_and_others_watch() -> None:
+    command = [sys.executable, "-c", SERVING]
+    with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as server:
+        assert server.stdout is not None
+        assert server.stderr is not None
+        url = urlsplit(server.stdout.readline().strip())
+        hello = (
+            f"GET {url.path}watch/x HTTP/1.1\r\nhost: {url.netloc}\r\n"
+            f"origin: http://{url.netloc}\r\nupgrade: websocket\r\nconnection: upgrade\r\n"
+            "sec-websocket-version: 13\r\nsec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        ).encode()
+
+        def watching() -> socket.socket:
+            page = socket.create_connection(("127.0.0.1", url.port or 0), timeout=20)
+            page.sendall(hello)
+            heard = b""
+            while b"queued" not in heard:
+                heard += (part := page.recv(4096))
+                assert part, heard
+            return page
+
+        with watching() as other:
+            for content in FRAMES.values():
+                with watching() as page, suppress(ConnectionError, TimeoutError):
+                    page.sendall(content)
+                    page.settimeout(0.1)
+                    while page.recv(4096):
+                        pass
+            other.sendall(frame(9, b"there?"))
+            assert b"there?" in other.recv(4096)
+        server.send_signal(signal.SIGINT)
+        assert server.stderr.read() == ""
 
 
 def test_a_dropped_file_is_listed_once_read(client: TestClient, tmp_path: Path) -> None:

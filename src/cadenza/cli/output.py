@@ -16,12 +16,12 @@ def check_name(path: Path, suffix: str, what: str) -> None:
         raise CadenzaError(f"{path}: is a folder; choose another name")
 
 
-def check_writable(folder: Path, option: str = "--output") -> None:
-    """Before anything is played for it; `option` chooses another."""
+def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:
+    """Before anything is played for it; `option` chooses another, and a new one has this mode."""
     import tempfile
 
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode, parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise CadenzaError(

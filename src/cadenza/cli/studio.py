@@ -43,15 +43,17 @@ class StudioCommand:
 def run(command: StudioCommand) -> None:
     port = whole_number(command.port, "--port", 0, 65535)
     jobs = whole_number(command.jobs, "--jobs", 1, 64)
-    check_writable(command.folder, "--folder")
+    check_writable(command.folder, "--folder", 0o700)  # it holds the address
     need_server()
+    from cadenza.studio.address import announce
     from cadenza.studio.server import Studio
-    from cadenza.studio.watchable import announce, serve
+    from cadenza.studio.watchable import serve
 
     studio = Studio(command.folder, command.runs, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
-        ready = partial(announce, browser=command.browser)
-        serve(studio, command.host, port, ready, studio.shelf.folder / "address.json")
+        folder = studio.shelf.folder
+        ready = partial(announce, browser=command.browser, folder=folder)
+        serve(studio, command.host, port, ready, folder / "address.json")
 
 
 def need_server() -> None:

@@ -19,7 +19,7 @@ def run_of(folder: Path, number: int) -> Run:
     """What is compared of a performance."""
     metrics = read_json(folder / "metrics.json", dict[str, Any])
     settings = read_json(folder / "settings.json", dict[str, Any])
-    wanted = read_json(folder / "studio.json", Kept).request["agent"]
+    wanted = read_json(folder / "studio.json", Kept).request.agent
     episode = load_episode(folder / "episode.npz")
     planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
     known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}

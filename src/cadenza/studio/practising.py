@@ -1,9 +1,9 @@
 """Practises one song, as a process of its own: `python -m cadenza.studio.practising`.
 
 It is told what on stdin, as the process that plays is, and tells on stdout how far it has got:
-`state` practising, done or failed, `f1` at first sight and of the best after every attempt at all
-of the song, and what `share` of all practice has been made. Whenever the song is played better, its
-folder has the plan for it.
+`state` practising, done or failed, `f1` and `note_onset_f1` at first sight and of the best after
+every attempt at all of the song, and what `share` of all practice has been made. Whenever the song
+is played better, its folder has the plan for it.
 """
 
 from __future__ import annotations
@@ -108,8 +108,9 @@ class _Session:
 
     def _tell(self, state: str) -> None:
         practice = self._practising.practice
-        f1 = [f1 for _, f1, _ in practice.history]
-        self._send(as_json(state=state, f1=f1, share=practice.share_made(ENOUGH)))
+        f1, onsets = ([row[i] for row in practice.history] for i in (1, 2))
+        share = practice.share_made(ENOUGH)
+        self._send(as_json(state=state, f1=f1, note_onset_f1=onsets, share=share))
 
 
 if __name__ == "__main__":

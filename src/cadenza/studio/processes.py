@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from asyncio import IncompleteReadError, StreamReader, create_subprocess_exec, wait_for
-from asyncio.subprocess import PIPE, Process
+from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -102,7 +102,8 @@ async def write_comparison(folders: Sequence[Path], page: Path) -> None:
     Raises:
         CadenzaError: they cannot be compared.
     """
-    process = await started("cadenza.studio.comparing", *map(os.fspath, (*folders, page)))
+    paths = map(os.fspath, (*folders, page))
+    process = await started("cadenza.studio.comparing", *paths, stderr=DEVNULL)
     try:
         failed = await process.wait()
     finally:

@@ -16,6 +16,7 @@ from cadenza.files import checked
 if TYPE_CHECKING:
     from cadenza.music.score import Score
 
+_MOST_TRACKS = 1 << 16  # in a file, as the header of MIDI can count
 TOLD, ROWS = "live.json", "live.rows"
 """Files of a performance, with what was told while it was played."""
 PRACTISED, SIGHT = "practised", "sight"
@@ -92,8 +93,8 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
         "seed": (0, MOST_COUNT),
     }
     check_ranges(request, ranges)
-    if len(request.tracks) > 64:
-        raise CadenzaError("tracks: choose 64 or fewer")
+    if len(request.tracks) > 64 or not all(0 < track <= _MOST_TRACKS for track in request.tracks):
+        raise CadenzaError("tracks: choose 64 or fewer, by their numbers in the file")
     return request
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -13,13 +14,15 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route
+from starlette.types import Message, Receive, Scope, Send
 
 from cadenza.agents.registry import AGENTS as REGISTERED
 from cadenza.agents.registry import PLANNER
 from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.files import parsed_json
+from cadenza.files import checked, parsed_json
 from cadenza.hands.named import HANDS
+from cadenza.music.formats.reading import check_format
 from cadenza.studio.jobs import Jobs
 from cadenza.studio.limits import MOST_BYTES
 from cadenza.studio.processes import read_upload, write_comparison
@@ -27,9 +30,10 @@ from cadenza.studio.request import AGENTS, PLANNERS, PlayRequest, read_request
 from cadenza.studio.shelf import FILES, Shelf, Upload
 from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
-from cadenza.studio.watchable import Watchable, plainly
+from cadenza.studio.watchable import Watchable, plainly, refusal
 
 _LEARNT = "A policy that has learnt on this machine."
+_LONGEST_NAME = 255  # of a file, as most file systems have it
 _MOST_JSON = 1 << 14  # bytes of a request
 _RECEIVING_AT_ONCE, _READING_AT_ONCE = 4, 2  # files
 _PATIENCE = 60.0  # [s] for all of a request to come
@@ -37,6 +41,24 @@ _PATIENCE = 60.0  # [s] for all of a request to come
 # that compares looks into pages within it, which a sandbox would keep it from.
 _ALONE = {"content-security-policy": "sandbox allow-scripts allow-downloads; connect-src 'none'"}
 _COMPARING = {"content-security-policy": "connect-src 'none'; form-action 'none'; base-uri 'none'"}
+
+
+class Sent(FileResponse):
+    """A file that may be deleted before it has been sent."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        begun = False
+
+        async def noting(message: Message) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await super().__call__(scope, receive, noting)
+        except (OSError, RuntimeError):  # how Starlette says that it is not there
+            if not begun:
+                await refusal("there is no such file", 404)(scope, receive, send)
 
 
 class Studio(Watchable):
@@ -119,7 +141,8 @@ class Studio(Watchable):
 
     async def upload(self, request: Request) -> Response:
         """Takes a file; its name, percent-encoded, is the parameter `name`."""
-        name = request.query_params.get("name", "")
+        name = request.query_params.get("name", "")[-_LONGEST_NAME:]
+        check_format(Path(name))  # whatever its size
         content = await _body(request, MOST_BYTES, "the file", self._receiving)
         path, id, title, ending = await run_in_threadpool(self.shelf.put, content, name)
         del content  # others may be read before it
@@ -130,8 +153,8 @@ class Studio(Watchable):
             if not self.shelf.is_listed(id):  # else it has been read before, and is the same
                 path.unlink(missing_ok=True)
             raise
-        upload = Upload(id, title, ending, **holds)
-        await run_in_threadpool(self.shelf.add, upload)
+        about = {"id": id, "title": title, "ending": ending, **holds}
+        await run_in_threadpool(self.shelf.add, checked(about, Upload, "the file"))
         return JSONResponse({"id": id, "title": title, **holds}, 201)
 
     async def forget(self, request: Request) -> Response:
@@ -204,7 +227,7 @@ class Studio(Watchable):
         name = request.path_params["name"]
         path = await run_in_threadpool(self.shelf.file, request.path_params["id"], name)
         headers = _ALONE if name == "report.html" else None
-        return FileResponse(path, media_type=FILES[name], headers=headers)
+        return Sent(path, media_type=FILES[name], headers=headers)
 
     async def compare(self, request: Request) -> Response:
         """Two performances of a song on one page, which is made when it is first asked for."""
@@ -213,7 +236,7 @@ class Studio(Watchable):
         if not page.exists():
             async with self._reading:
                 await write_comparison(folders, page)
-        return FileResponse(page, media_type="text/html; charset=utf-8", headers=_COMPARING)
+        return Sent(page, media_type="text/html; charset=utf-8", headers=_COMPARING)
 
 
 async def _body(
@@ -233,7 +256,7 @@ async def _body(
     """
     too_large = CadenzaError(f"{what} is larger than {most / 2**20:.3g} MiB")
     length = request.headers.get("content-length", "0")
-    if not length.isascii() or not length.isdigit() or int(length) > most:
+    if not re.fullmatch("[0-9]{1,15}", length) or int(length) > most:  # Python reads no longer ones
         raise too_large
     content, receiving = bytearray(), [] if receiving is None else receiving
     try:

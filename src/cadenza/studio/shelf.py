@@ -25,7 +25,9 @@ from cadenza.music.formats.reading import MUSIC
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
-from cadenza.studio.request import ROWS, TOLD
+from cadenza.music.tracks import Track
+from cadenza.studio.ages import ages
+from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.stream import Stored, Stream
 
 _ID = re.compile(r"[0-9a-f]{16}")
@@ -52,7 +54,7 @@ class Upload:
     ending: str
     seconds: float
     notes: int
-    tracks: list[dict[str, Any]] = field(default_factory=list)
+    tracks: list[Track] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
 
@@ -61,13 +63,14 @@ class Kept:
     """A performance, as the list shows it."""
 
     title: str
-    request: dict[str, Any]
+    request: PlayRequest
     f1: float
+    note_onset_f1: float
     seconds: float
     finished: float
     """[s] since 1970."""
     remarks: list[str] = field(default_factory=list)
-    """On what of the song is not played; earlier versions kept none."""
+    """On what of the song is not played."""
 
 
 class Shelf:
@@ -77,19 +80,22 @@ class Shelf:
         """Raises: OSError: the folder cannot be made."""
         self.folder = folder.absolute()
         self.uploads = self.folder / "uploads"
-        self.uploads.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(0o700, parents=True, exist_ok=True)
+        self.uploads.mkdir(exist_ok=True)
         self._tidy()
 
     def _tidy(self) -> None:
         """Removes what a process that was killed has left."""
         old = time.time() - _LEFT_OVER
-        for path in self.folder.glob(".*"):
-            if _ID.fullmatch(path.name[1:]) and path.stat().st_mtime < old:
+        for path, changed in ages(self.folder.glob(".*")).items():
+            ours = _ID.fullmatch(path.name[1:]) or _is_begun(path)
+            if changed < old and ours and path.is_dir():  # else rmtree waits for a pipe
                 shutil.rmtree(path, ignore_errors=True)
-        for path in self.uploads.iterdir():
+        for path, changed in ages(self.uploads.glob("*")).items():
             unread = _ID.fullmatch(path.stem) and not self.is_listed(path.stem)
-            if (unread or path.name.startswith(TEMPORARY)) and path.stat().st_mtime < old:
-                path.unlink(missing_ok=True)
+            if changed < old and (unread or _is_begun(path)):
+                with suppress(OSError):  # a folder of that name is somebody else's
+                    path.unlink()
 
     # Songs
 
@@ -115,20 +121,24 @@ class Shelf:
         for other in _imported():
             if other.name == song:
                 return other.title or song, song, False
-        if _ID.fullmatch(song) and (about := self.uploads / f"{song}.json").is_file():
-            upload = read_json(about, Upload)
+        with suppress(CadenzaError):
+            upload = self._upload(self.uploads / f"{song}.json")
             return upload.title, str(self.uploads / f"{song}{upload.ending}"), True
         raise CadenzaError("there is no such song; choose one from the list, or drop a file")
 
     def _uploads(self) -> list[Upload]:
-        newest = sorted(self.uploads.glob("*.json"), key=lambda p: p.stat().st_mtime, reverse=True)
         found = []
-        for path in newest:
-            try:
-                found.append(read_json(path, Upload))
-            except CadenzaError:  # somebody else's
-                continue
+        for path in ages(self.uploads.glob("*.json")):
+            with suppress(CadenzaError):  # somebody else's
+                found.append(self._upload(path))
         return found
+
+    def _upload(self, path: Path) -> Upload:
+        """Raises: CadenzaError: no upload of ours lies there."""
+        upload = read_json(path, Upload) if _ID.fullmatch(path.stem) else None
+        if upload is None or upload.id != path.stem or upload.ending not in MUSIC:
+            raise CadenzaError("there is no such upload")
+        return upload
 
     def put(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
         """Writes an upload; it is listed once `add` says what it holds.
@@ -163,23 +173,21 @@ class Shelf:
         if not _ID.fullmatch(id) or not self.is_listed(id):
             raise CadenzaError("there is no such upload")
         for path in self.uploads.glob(f"{id}.*"):
-            path.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)  # another page may delete it as well
 
     # Performances
 
     def performances(self) -> list[dict[str, Any]]:
         """All that are whole, the newest first."""
         found = []
-        for path in self.folder.iterdir():
+        for path in self.folder.glob("*"):
             if not _ID.fullmatch(path.name) or path.is_symlink():
                 continue
-            try:
+            with suppress(CadenzaError, OSError):
                 kept = read_json(path / _ABOUT, Kept)
-            except CadenzaError:
-                continue
-            files = [name for name in FILES if _is_own(path / name)]
-            about = {"id": path.name, "files": files, "told": _was_told(path)}
-            found.append(asdict(kept) | about)
+                files = [name for name in FILES if _is_own(path / name)]
+                about = {"id": path.name, "files": files, "told": _was_told(path)}
+                found.append(asdict(kept) | about)
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
@@ -202,15 +210,17 @@ class Shelf:
         folder = self._performance(id)
         kept = read_json(folder / _ABOUT, Kept)
         status: dict[str, Any] = {"state": "kept", "performance": id}
-        status |= {"metrics": {"f1": kept.f1}, "remarks": kept.remarks}
+        scores = {"f1": kept.f1, "note_onset_f1": kept.note_onset_f1}
+        status |= {"metrics": scores, "remarks": kept.remarks}
         if not _was_told(folder):
             raise CadenzaError("of this performance there is only the report")
         about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)
-        return Stream(kept.title, kept.request, status, about, rows)
+        return Stream(kept.title, asdict(kept.request), status, about, rows)
 
     def remove(self, id: str) -> None:
         """Raises: CadenzaError: there is no such performance."""
-        shutil.rmtree(self._performance(id))
+        with suppress(FileNotFoundError):  # another page deletes it as well
+            shutil.rmtree(self._performance(id))
         for page in (self.folder / _COMPARED).glob(f"*{id}*.html"):
             page.unlink(missing_ok=True)
 
@@ -222,7 +232,7 @@ class Shelf:
         """
         folders = [self._performance(id) for id in ids]
         requests = [read_json(folder / _ABOUT, Kept).request for folder in folders]
-        first, *others = ([request.get(what) for what in _MUSIC] for request in requests)
+        first, *others = ([getattr(request, what) for what in _MUSIC] for request in requests)
         if any(other != first for other in others):
             raise CadenzaError("compare performances of one song: the same tracks, tempo and pitch")
         return folders, self.folder / _COMPARED / f"{'-'.join(ids)}.html"
@@ -237,6 +247,11 @@ class Shelf:
 def _is_own(path: Path) -> bool:
     """Whether it is a file that lies here, not a link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
+
+
+def _is_begun(path: Path) -> bool:
+    """Whether it is what somebody has not finished."""
+    return path.name.startswith(TEMPORARY)
 
 
 def _was_told(folder: Path) -> bool:

@@ -14,6 +14,7 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name
 from cadenza.learning.run_folder import RunFolder, read_rows
+from cadenza.studio.ages import ages
 from cadenza.studio.processes import bound, hold, kill
 from cadenza.studio.request import PlayRequest
 
@@ -25,7 +26,8 @@ _PATIENCE = 20.0  # [s] for a checkpoint, before a run that was asked to stop is
 POLICY = "policy/"  # what the agent begins with that is the best policy of a run
 
 
-_NOTHING_YET: dict[str, Any] = {"step": 0, "steps": None, "f1": None, "points": []}
+_NOTHING_YET: dict[str, Any] = dict.fromkeys(("steps", "f1", "note_onset_f1"))
+_NOTHING_YET |= {"step": 0, "points": []}
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Trainings:
         """
         figures: dict[str, dict[str, Any]] = {}
         for path in self._paths():
-            with suppress(CadenzaError):  # of another version, or damaged
+            with suppress(CadenzaError, OSError):  # of another version, damaged, or just deleted
                 figures[path.name] = self._figures(path)
         new = dict.fromkeys((*self._learning, *self._errors), _NOTHING_YET)
         return [
@@ -137,8 +139,9 @@ class Trainings:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _paths(self) -> list[Path]:
-        found = [path.parent for path in self.folder.glob("*/run.json")]
-        return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
+        """Those whose names the page can show, and ask for, the newest first."""
+        found = (path.parent for path in ages(self.folder.glob("*/run.json")))
+        return [path for path in found if path.name.isprintable()]
 
     def _path(self, name: str) -> Path:
         for path in self._paths():
@@ -149,17 +152,18 @@ class Trainings:
     def _figures(self, run: Path) -> dict[str, Any]:
         """What is known of a run; read again when there is more."""
         metrics = run / "metrics.jsonl"
-        size = metrics.stat().st_size if metrics.exists() else 0
+        size = metrics.stat().st_size if metrics.is_file() else 0
         if self._known.get(run, (-1, {}))[0] != size:
             config, _ = RunFolder(run).description()
             rows = read_rows(run) if size else []
-            points = [
-                (row["eval_step"], f1) for row in rows if (f1 := row.get("eval/f1")) is not None
-            ]
+            tried = [r for r in rows if None not in (r.get("eval_step"), r.get("eval/f1"))]
+            best: dict[str, Any] = max(tried, key=lambda row: row["eval/f1"], default={})
+            points = [(row["eval_step"], row["eval/f1"]) for row in tried]
             figures = {
                 "step": max((row["step"] for row in rows), default=0),
                 "steps": config.num_steps,
-                "f1": max((f1 for _, f1 in points), default=None),
+                "f1": best.get("eval/f1"),
+                "note_onset_f1": best.get("eval/note_onset_f1"),
                 "points": points[:: len(points) // _MOST_POINTS + 1],
             }
             self._known[run] = size, figures

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import re
 import secrets
 import signal
 import socket
+import sys
 import threading
-import webbrowser
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import astuple
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -25,9 +24,11 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cadenza.errors import CadenzaError
-from cadenza.files import read_json, write_json
 from cadenza.report.asset import asset
+from cadenza.studio.address import Address, announce, keep
+from cadenza.studio.address import known as known_address
 from cadenza.studio.guard import Guard
+from cadenza.studio.sockets import Telling
 from cadenza.studio.stream import Stream
 from cadenza.studio.synthesizer import Synthesizer
 
@@ -40,7 +41,6 @@ _OWN = (
     *("kept.js", "background.js", "studio.js"),
 )
 _MOST_WATCHERS = 16  # at once
-_TOKEN = re.compile(r"[\w-]{16,}")  # a shorter one could be guessed
 _FOR_LONG = {"cache-control": "private, max-age=31536000, immutable"}
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -62,7 +62,7 @@ class Watchable:
         return [
             Route("/", self.page),
             Route("/{name:str}.{ending:str}", self.script),
-            Route("/tones/{pitch:int}/{band:int}", plainly(self.tone)),
+            Route("/tones/{pitch}/{band}", plainly(self.tone)),
             WebSocketRoute("/watch/{id}", self.watch),
         ]
 
@@ -93,7 +93,8 @@ class Watchable:
 
     async def tone(self, request: Request) -> Response:
         """How a key sounds, see `cadenza.studio.tones`."""
-        made = await self._synthesizer.tone(**request.path_params)
+        pitch, band = (_number(request.path_params[name]) for name in ("pitch", "band"))
+        made = await self._synthesizer.tone(pitch, band)
         return Response(made, media_type="application/octet-stream", headers=_FOR_LONG)
 
     async def watch(self, socket: WebSocket) -> None:
@@ -148,6 +149,11 @@ def refusal(message: str, status: int) -> Response:
     return JSONResponse({"error": message}, status)
 
 
+def _number(text: str) -> int:
+    """One of three digits at most; -1 for what is none, however long it is."""
+    return int(text) if re.fullmatch("[0-9]{1,3}", text) else -1
+
+
 def _own(name: str) -> str:
     return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
 
@@ -168,40 +174,6 @@ _PARTS: dict[str, tuple[str, Callable[[], str]]] = {
     "studio.js": ("text/javascript", _scripts),
     "three.js": ("text/javascript", lambda: asset("three.min.js")),
 }
-
-
-def announce(address: str, browser: bool = True) -> None:
-    """Says what to open, and opens it where there is a screen."""
-    print(f"Open {address}", flush=True)
-    if browser and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        webbrowser.open(address)
-
-
-@dataclass(frozen=True)
-class _Address:
-    """What stays of the page's address from one time to the next."""
-
-    token: str
-    port: int
-
-    def __post_init__(self) -> None:
-        """Raises: ValueError: there is no such port, or the token is none that we make."""
-        if self.port not in range(1 << 16) or not _TOKEN.fullmatch(self.token):
-            raise ValueError("no address of a page")
-
-
-def _known(path: Path | None) -> _Address | None:
-    """What was used before, if there is a file that says so."""
-    with suppress(CadenzaError):
-        return None if path is None else read_json(path, _Address)
-    return None
-
-
-def _keep(path: Path, address: _Address) -> None:
-    """For nobody else to read."""
-    path.touch(0o600)
-    path.chmod(0o600)  # which the file that takes its place keeps
-    write_json(path, asdict(address))
 
 
 def _listening(host: str, ports: Sequence[int]) -> socket.socket:
@@ -238,14 +210,15 @@ def serve(
         known: a file that keeps token and port for the next time, so that links stay valid.
 
     Raises:
-        CadenzaError: somebody else listens there, or there is no such address.
+        CadenzaError: somebody else listens there, there is no such address, or others may have
+            written the file.
     """
-    kept = _known(known)
-    token, before = astuple(kept or _Address(secrets.token_urlsafe(16), 0))
+    kept = None if known is None else known_address(known)
+    token, before = astuple(kept or Address(secrets.token_urlsafe(16), 0))
     with _listening(host, [port] if port else [before, 0]) as listening:
         port = listening.getsockname()[1]
         if known is not None and kept is None:
-            _keep(known, _Address(token, port))
+            keep(known, Address(token, port))
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
         app = what.app(token, host)
@@ -258,25 +231,36 @@ def serve(
             proxy_headers=False,
             date_header=False,
             http=app.strangers.protocol(),
+            ws=Telling,
             timeout_keep_alive=5,
             timeout_graceful_shutdown=2,
             ws_max_size=1 << 12,
             ws_per_message_deflate=False,  # it goes no further than this machine, mostly
         )
         server = uvicorn.Server(config)
-        with _closing_terminal_ends(server):
+        with _ending_in_order(server):
             server.run(sockets=[listening])
 
 
 @contextmanager
-def _closing_terminal_ends(server: uvicorn.Server) -> Iterator[None]:
-    """That is as Ctrl-C: else the processes that work for the server would be left behind."""
-    hangup = getattr(signal, "SIGHUP", None)  # which only Unix has
-    if hangup is None or threading.current_thread() is not threading.main_thread():
+def _ending_in_order(server: uvicorn.Server) -> Iterator[None]:
+    """Has a terminal that closes be as Ctrl-C, and what is temporary go however the server is told.
+
+    Else the processes that work for the server would be left behind, and a file with its address.
+    """
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(hangup, lambda *_: server.handle_exit(signal.SIGTERM, None))
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, _exit)}  # to which Uvicorn comes back
+    if hasattr(signal, "SIGHUP"):  # which only Unix has
+        closed = signal.signal(signal.SIGHUP, lambda *_: server.handle_exit(signal.SIGTERM, None))
+        before[signal.SIGHUP] = closed
     try:
         yield
     finally:
-        signal.signal(hangup, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _exit(number: int, _: object) -> None:
+    sys.exit(128 + number)  # as of a process that a signal ends

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from select import POLLIN, poll
 from typing import IO, Any
@@ -205,8 +205,9 @@ def keep(performance: Performance, live: Live, order: Order, send: Send) -> None
     folder = performance_folder(root, order.id)
     about: dict[str, Any] = {
         "title": order.title,
-        "request": order.request.__dict__,
+        "request": asdict(order.request),
         "f1": performance.metrics["f1"],
+        "note_onset_f1": performance.metrics["note_onset_f1"],
         "seconds": performance.seconds,
         "remarks": performance.remarks,
         "finished": time.time(),

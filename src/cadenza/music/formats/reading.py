@@ -26,8 +26,10 @@ NOT_READ = {  # what to do about formats that some may hold for music
     **dict.fromkeys((".abc",), "convert it with abc2midi"),
     **dict.fromkeys((".ly",), "have LilyPond write MIDI: add \\midi {} to its \\score block"),
     **dict.fromkeys((".krn",), "convert it with hum2mid, or with Verovio"),
-    **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".m4a", ".aac", ".opus", ".mp4"), _SOUND),
+    **dict.fromkeys((".mp3", ".wav", ".flac", ".ogg", ".oga", ".m4a", ".aac", ".opus"), _SOUND),
+    **dict.fromkeys((".wma", ".aif", ".aiff", ".mp4", ".mov", ".webm", ".mkv", ".avi"), _SOUND),
     **dict.fromkeys((".pdf", ".png", ".jpg", ".jpeg", ".tif", ".tiff"), _SHEET),
+    **dict.fromkeys((".gif", ".bmp", ".webp", ".heic", ".svg"), _SHEET),
 }
 
 
@@ -35,6 +37,13 @@ def name_without_ending(song: str) -> str:
     """The last part of a path or a name, without the ending of a file of music."""
     path = Path(song)
     return path.stem if path.suffix.lower() in MUSIC else path.name
+
+
+def check_format(path: Path) -> None:
+    """Raises: CadenzaError: by its ending, the file is of a format that is not read."""
+    suffix = path.suffix.lower()
+    if suffix in NOT_READ:
+        raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
 
 
 def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
@@ -56,9 +65,8 @@ def read_score(path: Path, tracks: Collection[int] = ()) -> Score:
     from cadenza.music.formats.midi import read_midi
     from cadenza.music.formats.musicxml import read_musicxml
 
+    check_format(path)
     suffix = path.suffix.lower()
-    if suffix in NOT_READ:
-        raise CadenzaError(f"{path}: {suffix} files cannot be read; {NOT_READ[suffix]}")
     beginning = _beginning(path)
     is_midi = beginning.startswith(_BEGINS_MIDI) or (
         suffix not in _MUSICXML and not beginning.startswith(_BEGINS_MUSICXML)
