@@ -635,6 +635,61 @@ def test_a_song_plays_on_where_no_spare_player_can_start(
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
+def test_a_song_that_nobody_watches_waits_for_one_that_is_watched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With players that say what they are told."""
+    echo = (
+        "import sys\nfor line in sys.stdin:\n"
+        "    stage = line.strip().encode()[:5]\n"
+        '    said = b\'{"state": "preparing", "stage": "%s"}\' % stage.replace(b\'"\', b\'\')\n'
+        "    sys.stdout.buffer.write(b'J' + len(said).to_bytes(4, 'little') + said)\n"
+        "    sys.stdout.flush()"
+    )
+
+    async def player(*_: str) -> Any:
+        command = [sys.executable, "-S", "-c", echo]
+        return await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE)
+
+    async def until(condition: Any) -> None:
+        while not condition():
+            await asyncio.sleep(0.01)
+
+    async def run() -> None:
+        queue = jobs.Jobs(tmp_path, Trainings(tmp_path))
+
+        def submitted() -> jobs.Job:
+            return queue.submit(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", False, "planner")
+
+        def is_held(job: jobs.Job) -> bool:
+            return job.status["state"] == "queued" and job.is_busy
+
+        first = submitted()
+        with queue.watching(first):
+            second = submitted()
+            await asyncio.sleep(0.2)
+            assert (first.status["state"], second.status["state"]) == ("preparing", "queued")
+        with queue.watching(second):
+            await until(lambda: second.status["state"] == "preparing")
+            await until(lambda: (first.held or {}).get("stage") == "wait")
+            assert is_held(first)
+            with queue.watching(first):  # somebody looks again, and waits for the second
+                await asyncio.sleep(0.2)
+                assert first.status == {"state": "queued", "before": 1}
+        third = submitted()
+        with queue.watching(third):
+            await until(lambda: third.process is not None)
+            assert is_held(second)
+            queue.cancel(second.id)
+            queue.cancel(third.id)
+            await until(lambda: first.status.get("stage") == "go on")
+        await queue.close()
+
+    monkeypatch.setattr(jobs, "started", player)
+    monkeypatch.setattr(jobs, "_ABSENT", 0.05)
+    asyncio.run(asyncio.wait_for(run(), 60))
+
+
 def test_a_player_whose_song_is_cancelled_plays_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from subprocess import PIPE, Popen
+from threading import Timer
 from typing import IO
 
 import pytest
 
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.studio.messages import HEADER, JSON, READY, ROWS
+from cadenza.studio.messages import GO_ON, HEADER, JSON, READY, ROWS, WAIT
 from cadenza.studio.request import Order, PlayRequest
 
 pytestmark = pytest.mark.slow
@@ -64,6 +66,29 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
         while told[-1][0] != READY:
             told.append(hear())
         assert not any(b"failed" in content for kind, content in told if kind == JSON)
+
+
+def test_a_song_waits_and_goes_on(tmp_path: Path) -> None:
+    """With the same rows as one that never waited."""
+    told: list[list[bytes]] = []
+    for waits in True, False:
+        with working() as (say, hear):
+            say(ode_to_joy(tmp_path))
+            rows: list[bytes] = []
+            while len(rows) < 40:
+                kind, content = hear()
+                rows += [content] * (kind == ROWS)
+                if waits and kind == ROWS and len(rows) == 10:
+                    say(WAIT.strip())
+                    began = time.monotonic()
+                    Timer(2.0, lambda: say(GO_ON.strip())).start()
+            if waits:
+                assert time.monotonic() - began > 2.0
+            say(b"")
+            while hear()[0] != READY:
+                pass
+        told.append(rows)
+    assert told[0] == told[1]
 
 
 def test_what_is_not_played_is_told(tmp_path: Path) -> None:

@@ -7,22 +7,26 @@ import secrets
 import shutil
 from asyncio.subprocess import Process
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
-from cadenza.studio.messages import READY
+from cadenza.studio.messages import GO_ON, READY, WAIT
 from cadenza.studio.practice import PracticeRoom
-from cadenza.studio.processes import kill, messages, put_down, started, tell
+from cadenza.studio.processes import kill, messages, say, started, tell
 from cadenza.studio.request import PRACTISED, Order, PlayRequest, performance_folder
 from cadenza.studio.stream import Stream
 from cadenza.studio.trainings import Trainings
 
 MOST_WAITING = 8
 _WRITING = ("played", "writing")
+_PLAYING = ("preparing", "playing")
 _MOST_WRITING = 2  # that write their files while others play
+_MOST_HELD = 2  # that wait in the middle of a song, with the memory that they take
+_ABSENT = 3.0  # [s] after which nobody who has left is expected back; a page loads again sooner
 _ENDED_KNOWN = 8  # of which one can be told what became of them
 _TO_PUT_DOWN = 2.0  # [s] that a process has to put down what is cancelled
 
@@ -35,12 +39,18 @@ class Job(Stream):
         order: what is played.
         is_busy: whether a process works on it; `process` once that has started.
         end: of the process, where it does not put the song down in time.
+        held: what its status would be, where it is held while others play who are watched.
+        watchers: pages that watch it.
+        alone_since: when the last of them left, or it was asked for [s], on the clock of the loop.
     """
 
     order: Order = field(kw_only=True)
     is_busy: bool = False
     process: Process | None = None
     end: asyncio.TimerHandle | None = None
+    held: dict[str, Any] | None = None
+    watchers: int = 0
+    alone_since: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     @classmethod
     def of(cls, order: Order) -> Job:
@@ -53,6 +63,24 @@ class Job(Stream):
         return self.order.id
 
     @property
+    def is_left(self) -> bool:
+        """Whether nobody watches it any more."""
+        absent = asyncio.get_running_loop().time() - self.alone_since
+        return not self.watchers and absent >= _ABSENT
+
+    def hear(self, kind: bytes, content: bytes) -> None:
+        """See `Stream`; a process that is held may have something to tell from before."""
+        if self.held is None:
+            super().hear(kind, content)
+            return
+        shown, self.status = self.status, self.held
+        super().hear(kind, content)
+        if self.status["state"] in _PLAYING:
+            self.status, self.held = shown, self.status
+        else:  # the music was at its end
+            self.held = None
+
+    @property
     def summary(self) -> dict[str, Any]:
         """As it is answered to whoever asks for it."""
         return {"id": self.id, "title": self.title, "status": self.status}
@@ -60,6 +88,8 @@ class Job(Stream):
 
 class Jobs:
     """The queue. `at_once` play at the same time; while any does, nobody practises or learns.
+
+    Who is watched goes first: a song that nobody watches any more is held for one that is.
 
     Attributes:
         jobs: those that wait or play, and the last that came to nothing.
@@ -96,8 +126,25 @@ class Jobs:
         job = Job.of(order)
         self.jobs[job.id] = job
         self._waiting.append(job)
-        self._pump()
+        self._pump_soon()
         return job
+
+    @contextmanager
+    def watching(self, job: Job) -> Iterator[None]:
+        """While a page watches it."""
+        job.watchers += 1
+        self._pump()
+        try:
+            yield
+        finally:
+            job.watchers -= 1
+            job.alone_since = asyncio.get_running_loop().time()
+            self._pump_soon()
+
+    def _pump_soon(self) -> None:
+        """Now, and when pages that have just left are not expected back."""
+        self._pump()
+        asyncio.get_running_loop().call_later(_ABSENT, self._pump)
 
     def cancel(self, id: str) -> None:
         """Ends a job at once; what it wrote goes. One that is over stays what it is."""
@@ -105,11 +152,11 @@ class Jobs:
         if job is None or job.is_over:
             return
         patience = 0.0 if job.status["state"] in _WRITING else _TO_PUT_DOWN
-        job.status = {"state": "cancelled"}
+        job.status, job.held = {"state": "cancelled"}, None
         if job in self._waiting:
             self._waiting.remove(job)
         if job.process is not None:
-            put_down(job.process)
+            say(job.process, b"\n")
             job.end = asyncio.get_running_loop().call_later(patience, kill, job.process)
         job.wake()
         self._pump()
@@ -131,21 +178,48 @@ class Jobs:
 
     def _pump(self) -> None:
         """Starts what can be started."""
-        while self._waiting and self._has_room():
-            self._start(self._waiting.popleft())
-        busy = sum(job.is_busy for job in self.jobs.values())
-        for before, job in enumerate(self._waiting, start=busy):
+        while (job := self._next()) is not None:
+            self._play(job)
+        busy = sum(job.is_busy and job.held is None for job in self.jobs.values())
+        for before, job in enumerate(self._in_line, start=busy):
             job.status = {"state": "queued", "before": before}
             job.wake()
         self._forget()
         self.practice.pause(busy > 0)
         self.trainings.pause(busy > 0)
 
-    def _has_room(self) -> bool:
-        states = [job.status["state"] for job in self.jobs.values() if job.is_busy]
-        writing = sum(state in _WRITING for state in states)
-        playing = len(states) - writing
-        return not self._closed and playing < self._at_once and writing <= _MOST_WRITING
+    @property
+    def _in_line(self) -> list[Job]:
+        """Those that wait to begin or to go on, who is watched first."""
+        held = (job for job in self.jobs.values() if job.held is not None)
+        return sorted((*held, *self._waiting), key=lambda job: job.is_left)
+
+    def _next(self) -> Job | None:
+        """Who can play now, where need be instead of one that nobody watches, which is held."""
+        if self._closed or not (line := self._in_line):
+            return None
+        busy = [job for job in self.jobs.values() if job.is_busy and job.held is None]
+        playing = [job for job in busy if job.status["state"] not in _WRITING]
+        if len(playing) < self._at_once and len(busy) - len(playing) <= _MOST_WRITING:
+            return line[0]
+        left = next((job for job in playing if job.is_left and job.process is not None), None)
+        held = sum(job.held is not None for job in line)
+        if left is None or line[0].is_left or held >= _MOST_HELD:
+            return None
+        assert left.process is not None
+        say(left.process, WAIT)
+        left.held = left.status
+        return line[0]
+
+    def _play(self, job: Job) -> None:
+        """Has it begin, or go on."""
+        if job.held is None:
+            self._waiting.remove(job)
+            self._start(job)
+        elif job.process is not None:
+            job.status, job.held = job.held, None
+            say(job.process, GO_ON)
+            job.wake()
 
     def _start(self, job: Job) -> None:
         job.status, job.is_busy = {"state": "preparing"}, True
@@ -176,7 +250,7 @@ class Jobs:
                 job.end.cancel()
             if process is not None:
                 await self._leave(process, is_free)
-            job.process, job.is_busy = None, False
+            job.process, job.is_busy, job.held = None, False, None
             if not job.is_over:
                 job.status = {"state": "failed", "error": "the player ended unexpectedly"}
             if job.status["state"] != "kept":  # it may be whole, if it was cancelled just then
@@ -190,6 +264,7 @@ class Jobs:
         """Until the process ends or has put the song down: whether it has."""
         assert process.stdout is not None
         await tell(process, job.order)
+        self._pump()  # it may be held from now on
         async for kind, content in messages(process.stdout):
             if kind == READY:
                 return True

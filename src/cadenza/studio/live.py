@@ -65,6 +65,7 @@ class Live:
             scene=drawing(scene),
             goal=packed(goals.keys.astype(np.uint8)),
             pedal=packed(goals.sustain.astype(np.uint8)),
+            notes=sorted((n.pitch - self._lowest, n.start) for n in track.on_the_clock.notes),
             sound=INSTRUMENT,
         )
         self.about = message.content

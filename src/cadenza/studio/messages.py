@@ -7,6 +7,9 @@ server that the process has put its song down and waits for another.
 Rows: each (J,) float32 joints of the hands [m, rad]; (K,) uint8 how far keys are down, 255 all the
 way; (K,) uint8 what sounds: 0 nothing, 1 what sounded before, else a key struck now, and its MIDI
 velocity; uint8 whether the pedal is down; zeros up to a multiple of four bytes.
+
+It is told an order (see `cadenza.studio.request.Order`) as a line of JSON, and while it plays that,
+to `WAIT` and to `GO_ON`; any other line has it put the song down.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import struct
 from typing import IO, NamedTuple
 
 JSON, ROWS, READY = b"J", b"R", b"W"
+WAIT, GO_ON = b"wait\n", b"go on\n"
 HEADER = struct.Struct("<cI")
 MOST_BYTES = 1 << 26  # of a message
 

@@ -58,10 +58,10 @@ async def tell(process: Process, order: Order) -> None:
         await process.stdin.drain()
 
 
-def put_down(process: Process) -> None:
-    """Has it leave an order that it was given."""
+def say(process: Process, line: bytes) -> None:
+    """Tells a process that plays to wait, to go on, or to put down what it was given."""
     assert process.stdin is not None
-    process.stdin.write(b"\n")
+    process.stdin.write(line)
 
 
 async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AbstractContextManager, asynccontextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import checked, parsed_json
 from cadenza.hands.named import HANDS
 from cadenza.music.formats.reading import check_format
-from cadenza.studio.jobs import Jobs
+from cadenza.studio.jobs import Job, Jobs
 from cadenza.studio.limits import MOST_BYTES
 from cadenza.studio.processes import read_upload, write_comparison
 from cadenza.studio.request import AGENTS, PLANNERS, PlayRequest, read_request
@@ -96,6 +96,10 @@ class Studio(Watchable):
             return await run_in_threadpool(self.shelf.stream, id)
         except (CadenzaError, OSError):
             return None
+
+    def watching(self, stream: Stream) -> AbstractContextManager[None]:
+        """See `Watchable`; who is watched plays first."""
+        return self.jobs.watching(stream) if isinstance(stream, Job) else nullcontext()
 
     def routes(self) -> list[BaseRoute]:
         """See `Watchable`."""

@@ -10,7 +10,13 @@ import socket
 import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import (
+    AbstractContextManager,
+    asynccontextmanager,
+    contextmanager,
+    nullcontext,
+    suppress,
+)
 from dataclasses import astuple
 from functools import cache
 from importlib import resources
@@ -56,6 +62,10 @@ class Watchable:
     async def stream(self, id: str) -> Stream | None:
         """A performance by its id, if there is one."""
         raise NotImplementedError
+
+    def watching(self, stream: Stream) -> AbstractContextManager[None]:
+        """While a page watches it."""
+        return nullcontext()
 
     def routes(self) -> list[BaseRoute]:
         """What is answered."""
@@ -116,11 +126,12 @@ class Watchable:
     async def _tell(self, socket: WebSocket) -> None:
         if self._watchers > _MOST_WATCHERS:
             error = f"{_MOST_WATCHERS} pages watch already; close one of them"
-            await socket.send_json({"state": "failed", "error": error})
+            await socket.send_json({"state": "full", "error": error})
         elif (stream := await self.stream(socket.path_params["id"])) is None:
             await socket.send_json({"state": "gone"})
         else:
-            await stream.tell(socket.send_text, socket.send_bytes)
+            with self.watching(stream):
+                await stream.tell(socket.send_text, socket.send_bytes)
 
 
 async def _until_gone(socket: WebSocket) -> None:

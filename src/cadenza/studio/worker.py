@@ -2,8 +2,8 @@
 
 It loads all that is needed and warms up, then waits for an order (see
 `cadenza.studio.request.Order`) as a line of JSON on stdin, and tells on stdout what happens, as
-`cadenza.studio.messages` has it. Another line while it plays has it put the song down and wait for
-the next order; a song that is played to its end is its last.
+`cadenza.studio.messages` has it. While it plays, it can be told to wait and go on, or to put the
+song down and wait for the next order; a song that is played to its end is its last.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import signal
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from select import POLLIN, poll
@@ -33,7 +33,7 @@ from cadenza.performing.setup import PRACTISED as PLAN
 from cadenza.performing.setup import Selection, Setup, select, set_up
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Live, Send, as_json
-from cadenza.studio.messages import READY, Message
+from cadenza.studio.messages import GO_ON, READY, WAIT, Message
 from cadenza.studio.reading import check_size, without_path
 from cadenza.studio.request import (
     PRACTISED,
@@ -67,9 +67,10 @@ def main() -> None:
                 break
             except PutDown:
                 put_down += 1
-                if put_down == _MOST_PUT_DOWN or not orders.readline():
+                if put_down == _MOST_PUT_DOWN:
                     break
-                Message(READY, b"").write(out)
+                with suppress(BrokenPipeError):  # the server has gone, and so do its orders
+                    Message(READY, b"").write(out)
 
 
 class PutDown(BaseException):
@@ -80,7 +81,7 @@ def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     """Plays what is asked for, and keeps it.
 
     Raises:
-        PutDown: it has not been played yet, and there is more to read of `orders`, or its end.
+        PutDown: it has not been played yet, and `orders` say so, or are at their end.
     """
 
     def send(message: Message) -> None:
@@ -94,7 +95,7 @@ def perform_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
     more.register(orders, POLLIN)
 
     def check() -> None:
-        if more.poll(0):
+        if more.poll(0) and not (orders.readline() == WAIT and orders.readline() == GO_ON):
             raise PutDown
 
     keeping = False

@@ -22,8 +22,23 @@ function calm() {
   cadenza.error = null;
   $("error").hidden = true;
 }
+/** What cannot be done, and what to do about it: nothing that is wrong with the page. */
+class Refusal extends Error {}
 window.addEventListener("error", (event) => complain("This page met an error: " + event.message));
-window.addEventListener("unhandledrejection", (event) => complain(event.reason?.message ?? String(event.reason)));
+window.addEventListener("unhandledrejection", (event) => {
+  complain(event.reason?.message ?? String(event.reason));
+  if (event.reason instanceof Refusal) event.preventDefault(); // the console is for what is wrong
+});
+// What was said of the last thing that the visitor did is over with the next.
+for (const name of ["click", "change", "drop"]) {
+  document.addEventListener(name, ({ target }) => {
+    if (name !== "click" || target.closest("button, a, input, select, label, summary")) calm();
+  }, true);
+}
+window.addEventListener("hashchange", calm);
+
+/** F1, and beside it that of note onsets where it is known. */
+const inFigures = (f1, onsets) => `F1 ${f1.toFixed(3)}${Number.isFinite(onsets) ? ` · note onsets ${onsets.toFixed(3)}` : ""}`;
 
 const SILENT = "The studio does not answer. Start it again; this page then goes on.";
 
@@ -33,10 +48,11 @@ async function ask(path, method = "GET", body = undefined) {
   try {
     answer = await fetch(path, { method, body });
   } catch {
-    throw new Error(SILENT);
+    throw new Refusal(SILENT);
   }
+  if (cadenza.error === SILENT) calm();
   if (answer.status === 204) return null;
   const said = await answer.json().catch(() => ({ error: `The studio answered ${answer.status}.` }));
-  if (!answer.ok) throw new Error(said.error);
+  if (!answer.ok) throw new Refusal(said.error);
   return said;
 }

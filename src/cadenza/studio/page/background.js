@@ -1,7 +1,5 @@
 // What goes on in the background: practice, policies that learn, and songs that other pages asked for.
 
-const f1 = (value) => `F1 ${value.toFixed(3)}`;
-
 /** Shows it, and again soon where something goes on. */
 async function listBackground() {
   if (only) return;
@@ -13,7 +11,6 @@ async function listBackground() {
     listBackground.again = setTimeout(listBackground, 2000); // the server may come back
     throw error;
   }
-  if (cadenza.error === SILENT) calm();
   const { practice, trainings, jobs } = found;
   const others = jobs.filter(({ id }) => !shown.some((each) => each.id === id)), works = trainings.map(training);
   if (practice.title) works.unshift(practised(practice));
@@ -32,7 +29,6 @@ function work(title, about, points, acts) {
   const item = make("li"), nav = make("nav");
   for (const [name, run] of acts) {
     nav.append(act(name, `${name}: ${title}`, async () => {
-      calm();
       await run();
       await listBackground();
     }));
@@ -61,17 +57,18 @@ function planned({ id, title, status: { state } }) {
   const doing = { queued: "waits for its turn", preparing: "getting ready", playing: "being planned" }[state] ?? "being kept";
   return work(`Playing ${title}`, doing, [], [["Watch", () => watch([id])], ["Cancel", () => ask(`api/jobs/${id}`, "DELETE")]]);
 }
-function practised({ title, request: wanted, status: { state, f1: values = [], share = 0, error } }) {
+function practised({ title, request: wanted, status: { state, f1: values = [], note_onset_f1: onsets = [], share = 0, error } }) {
   const active = ["preparing", "practising"].includes(state);
   const far = { preparing: "getting ready", practising: `${Math.floor(100 * share)} %`, done: "done" }[state] ?? error ?? state;
-  const gained = values.length ? ` · ${[...new Set([values[0], Math.max(...values)].map((value) => value.toFixed(3)))].join(" → ")}` : "";
+  const best = values.indexOf(Math.max(...values)), takes = [...new Set([0, best])].filter((i) => i in values);
+  const gained = takes.map((i) => inFigures(values[i], onsets[i])).join(" → ");
   const acts = [["Play", () => { set(wanted); return begin(); }]];
   if (active) acts.push(["Stop", () => ask("api/practice", "DELETE")]);
-  return work(`Practising ${title}`, `${far}${gained && ` · F1${gained.slice(2)}`}`, values.map((value, i) => [i, value]), acts);
+  return work(`Practising ${title}`, [far, gained].filter(Boolean).join(" · "), values.map((value, i) => [i, value]), acts);
 }
-function training({ name, state, step, steps, f1: best, points, error }) {
+function training({ name, state, step, steps, f1: best, note_onset_f1: onsets, points, error }) {
   const url = `api/trainings/${encodeURIComponent(name)}`;
-  const about = [state, steps && `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${f1(best)}`, error];
+  const about = [state, steps && `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${inFigures(best, onsets)}`, error];
   const acts = state === "learning" ? [["Stop", () => ask(`${url}/stop`, "POST")]] : state === "stopped" ? [["Resume", () => ask(`${url}/resume`, "POST")]] : [];
   if (best !== null) acts.push(["Choose", () => {
     $("agent").value = `policy/${name}`;
@@ -81,7 +78,6 @@ function training({ name, state, step, steps, f1: best, points, error }) {
   return work(`Learning ${name}`, about.filter(Boolean).join(" · "), points, acts);
 }
 async function train() {
-  calm();
   await ask("api/trainings", "POST", JSON.stringify({ ...request(), agent: "planner", steps: Number($("steps").value) }));
   await listBackground();
 }

@@ -9,9 +9,9 @@ async function listKept() {
 function keptOne(each) {
   const item = make("li"), links = make("nav"), { id, title, told } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-  const about = `F1 ${each.f1.toFixed(3)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
+  const about = `${inFigures(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
   if (told) {
-    links.append(act("Watch", `Watch ${title}`, () => { instrument.wake(); calm(); watch([id]); }));
+    links.append(act("Watch", `Watch ${title}`, () => { instrument.wake(); watch([id]); }));
     links.append(act("Compare", `Compare ${title} with what is shown`, () => compare(each)));
   }
   for (const [file, name] of Object.entries(KEPT)) {
@@ -34,7 +34,6 @@ async function remove({ id, title }) {
 /** Puts a performance beside the one that is shown. */
 function compare({ id, title, request: { song, tempo } }) {
   const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo;
-  calm();
   if (!alike) return complain(`First watch another performance of ${title} at the same tempo, then press Compare here.`);
   if (other.id === id) return complain("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();

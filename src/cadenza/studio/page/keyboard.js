@@ -2,9 +2,18 @@
 
 const PAUSE = 2000, MOST_EVENTS = 60_000; // [ms] without a key down; of a phrase
 
+async function askForKeyboards() {
+  if (!navigator.requestMIDIAccess) throw new Refusal("This browser lets no page that comes from another machine hear MIDI keyboards. Open the studio on the machine on which it runs.");
+  try {
+    return await navigator.requestMIDIAccess();
+  } catch {
+    throw new Refusal("The browser does not let this page hear MIDI keyboards. Allow it MIDI devices in the settings of this site, beside the address, then try again.");
+  }
+}
+
 /** `told` hears how many notes there are so far, and `phrase` is given the file [Uint8Array]. */
 async function listenToKeyboards(told, phrase) {
-  const access = await navigator.requestMIDIAccess(), held = new Set();
+  const access = await askForKeyboards(), held = new Set();
   let events = [], notes = 0, pause = null;
   function end() {
     if (notes) phrase(midiFile(events));

@@ -2,6 +2,7 @@
 
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
 const MOST_SHOWN = 200; // songs at once
+const MOST_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so
 const GONE = "This song is not here any more. Choose another, or drop its file again.";
 let players = {}; // by id: what it is called, and what it does
 let songs = [], chosen = null, only = null; // the one performance that can be watched
@@ -73,12 +74,12 @@ function choose(id) {
   showChosen();
 }
 function request() {
-  if (!chosen) throw new Error(GONE);
+  if (!chosen) throw new Refusal(GONE);
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
-  if (wrong) throw new Error(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
+  if (wrong) throw new Refusal(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
   const boxes = [...$("tracks").querySelectorAll("input")], on = boxes.filter((box) => box.checked);
-  if (boxes.length && !on.length) throw new Error("Choose at least one of the tracks.");
+  if (boxes.length && !on.length) throw new Refusal("Choose at least one of the tracks.");
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
   return wanted;
 }
@@ -109,22 +110,22 @@ function fromHash() {
 }
 
 async function upload(file) {
-  calm();
-  say(`Reading ${file.name}`, null, null, Boolean(shown.length));
+  sayInstead(`Reading ${file.name}`);
   try {
-    const { id } = await ask(`api/songs?name=${encodeURIComponent(file.name)}`, "POST", file);
+    const content = await file.slice(0, MOST_SENT).arrayBuffer().catch(() => {
+      throw new Refusal(`${file.name} cannot be read. Drop a file, no folder.`);
+    });
+    const { id } = await ask(`api/songs?name=${encodeURIComponent(file.name.toWellFormed())}`, "POST", content);
     await listSongs();
     choose(id);
     $("songs").scrollTop = 0;
-  } catch (error) {
-    say("Drop another file, or choose a piece.", null, null, Boolean(shown.length));
-    throw error;
+  } finally {
+    sayInstead("");
   }
   await begin();
 }
 /** Has what is chosen played, instead of what is being planned for this page or is about to be. */
 async function begin() {
-  calm();
   instrument.wake();
   const wanted = JSON.stringify(request()), turn = ++turns;
   for (const each of shown) if (!each.over && !each.complete) await ask(`api/jobs/${each.id}`, "DELETE");

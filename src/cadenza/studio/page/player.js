@@ -47,12 +47,21 @@ const available = () => Math.min(...lives().map((live) => live.available));
 const whole = () => heard.live.steps * heard.live.dt;
 const isComplete = () => shown.every(({ complete }) => complete);
 
-function say(text, done = null, total = null, small = false) {
+let said = [$("doing").textContent], instead = "";
+function say(...what) {
+  said = what;
+  const [text, done = null, total = null, small = false] = instead ? [instead, null, null, shown.length > 0] : what;
   if ($("doing").textContent !== text) $("doing").textContent = text;
   $("notice").hidden = !text;
   $("notice").classList.toggle("small", small);
   $("done").hidden = total === null;
   if (total !== null) Object.assign($("done"), { max: total || 1, value: done });
+}
+
+/** Says something else until that is "": while a file is read, or a keyboard is listened to. */
+function sayInstead(text) {
+  instead = text;
+  say(...said);
 }
 
 /** Shows performances, by their ids, from a time on [s]. */
@@ -65,8 +74,26 @@ function watch(ids, at = 0) {
   [heard, position, resumeAt, running, paused, asked] = [shown[0], 0, at, false, false, wall()];
   Object.assign(cadenza, { state: "queued", time: 0, live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
   $("cancel").disabled = false;
+  showNothing();
   showLink();
+  bringIntoView();
 }
+/** Nothing of what was shown before may stand under what is to come. */
+function showNothing() {
+  roll = null;
+  document.title = $("title").textContent = $("title").title = "Cadenza studio";
+  $("facts").replaceChildren();
+  $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = true;
+  for (const id of ["clock", "length"]) $(id).textContent = minutes(0);
+  Object.assign($("scrub"), { max: 1, value: 0 });
+  for (const part of ["planned", "heard"]) $("scrub").style.setProperty(`--${part}`, "0%");
+  $("scrub").removeAttribute("aria-valuetext");
+  showFigures([null, null, null, null]);
+  $("play").disabled = true;
+  showPlaying(false);
+  say("");
+}
+const bringIntoView = () => $("picture").scrollIntoView({ block: "nearest" });
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
 /** Takes in what is new of a performance. */
@@ -155,14 +182,15 @@ function createPicture() {
   }));
   looks.show(stage);
   stage.move(now());
+  if (shown.length > 1) bringIntoView(); // it is higher now
 }
 /** Who plays it, with what score, and whether it is the one that is heard. */
 function caption(performance) {
   const bar = make("div", "", { className: "caption" }), name = howPlayed(performance.request);
-  performance.shownF1 = make("b", "");
+  performance.shownScores = make("b", "");
   performance.listen = act("Listen", `Listen to ${name}`, () => hearOnly(performance));
   const close = act("×", `Close ${name}`, () => keepOnly(shown.find((each) => each !== performance)));
-  bar.append(make("span", name, { title: name }), performance.shownF1, performance.listen);
+  bar.append(make("span", name, { title: name }), performance.shownScores, performance.listen);
   const kept = shown.every(({ status: { state } }) => state === "kept"), isLast = performance === shown.at(-1);
   if (kept && isLast) bar.append(make("a", "Details", { href: `comparisons/${shown.map(({ id }) => id).join("/")}`, target: "_blank", rel: "noopener" }));
   bar.append(close);
@@ -226,11 +254,13 @@ function goOn(end) {
     go();
   } else if (isComplete()) finish();
   else if (shown.some(({ over }) => over)) say(ENDS[shown.find(({ over }) => over).status.state] ?? "", null, null, true);
+  else if (heard.status.state === "queued") sayWhatIsPrepared(heard);
   else say(cadenza.waits ? "Planning has fallen behind; a moment" : "Planning ahead", Math.max(ahead, 0), wanted, true);
 }
 function finish() {
   cadenza.finished = true;
-  say(`Played with F1 ${(heard.status.metrics?.f1 ?? heard.live.scores[0]).toFixed(3)}`, null, null, true);
+  const [f1, , , onsets] = heard.live.scores, { metrics = { f1, note_onset_f1: onsets } } = heard.status;
+  say(`Played with ${inFigures(metrics.f1, metrics.note_onset_f1)}`, null, null, true);
 }
 
 /** To a time that has been planned [s]. */
@@ -309,13 +339,16 @@ function showTime(time) {
   $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(whole())}`);
 }
 function showScores() {
-  const inWords = (value) => (value === null ? "–" : value.toFixed(3));
-  ["f1", "precision", "recall"].forEach((name, i) => {
-    const value = heard.live.scores[i];
-    $(name).textContent = inWords(value);
-    $(name).parentElement.querySelector("i").style.width = `${100 * (value ?? 0)}%`;
+  showFigures(heard.live.scores);
+  for (const { live: { scores: [f1, , , onsets] }, shownScores } of shown) {
+    if (shownScores && f1 !== null) shownScores.textContent = inFigures(f1, onsets);
+  }
+}
+function showFigures(scores) {
+  ["f1", "precision", "recall", "onsets"].forEach((name, i) => {
+    $(name).textContent = scores[i]?.toFixed(3) ?? "–";
+    $(name).parentElement.querySelector("i").style.width = `${100 * (scores[i] ?? 0)}%`;
   });
-  for (const { live, shownF1 } of shown) if (shownF1) shownF1.textContent = `F1 ${inWords(live.scores[0])}`;
 }
 
 /** For when the page is loaded again. */

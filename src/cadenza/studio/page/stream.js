@@ -9,7 +9,7 @@ const PATIENCE = 5000; // [ms] between two attempts to reach the server, at most
  * `live` once it is known what is to be played. `changed(performance, what)` hears of each.
  */
 function createPerformance(id, changed) {
-  let socket = null, tries = 0, closed = false;
+  let socket = null, tries = 0, closed = false, trouble = null; // what was said of not being told
   const performance = {
     id, title: "", request: null, status: { state: "queued" }, live: null,
     came: [], // lately, when how many rows were there: [s], count
@@ -36,6 +36,8 @@ function createPerformance(id, changed) {
     }
     const said = JSON.parse(data);
     let what = "live";
+    if (said.state === "full") return complain(trouble = said.error);
+    if (cadenza.error === trouble) calm();
     if (said.state) [performance.status, what] = [said, "status"];
     else if (said.request) [what] = ["request", Object.assign(performance, said)];
     else if (performance.live) return performance.live.restart(); // told again
@@ -70,9 +72,11 @@ async function createLive(about) {
   const bytes = new Uint8Array(steps * size), numbers = new Float32Array(bytes.buffer), posture = Float32Array.from(start);
   const angles = new Uint8Array(steps * keys), states = new Uint8Array(steps * keys), pedal = new Uint8Array(steps);
   const depths = 4 * width, sounding = depths + keys, pedalAt = sounding + keys;
+  const onsets = createOnsets(about.notes);
   let filled = 0, came = 0, shown = 0, sums = [0, 0, 0];
   const clear = () => {
     [shown, sums] = [0, [0, 0, 0]];
+    onsets.clear();
     goal.forEach((wants, i) => { states[i] = wants ? COMING : 0; });
     goalPedal.forEach((wants, i) => { pedal[i] = wants ? COMING : 0; });
   };
@@ -120,6 +124,7 @@ async function createLive(about) {
           hits += goal[at] && heard ? 1 : 0;
           played += heard ? 1 : 0;
           want += goal[at];
+          if (heard && !(shown && sounds(shown - 1, key))) onsets.strike(key, shown * dt);
           states[at] = verdict(goal[at], heard);
         }
         pedal[shown] = verdict(goalPedal[shown], pedalDown(shown));
@@ -127,7 +132,34 @@ async function createLive(about) {
       }
       return shown > first;
     },
-    /** F1, precision and recall of the steps shown, as `cadenza.music.metrics` has them. */
-    get scores() { return sums.map((sum) => (shown ? sum / shown : null)); },
+    /** F1, precision and recall of the steps shown, and F1 of note onsets, as `cadenza.music.metrics` has them. */
+    get scores() { return shown ? [...sums.map((sum) => sum / shown), onsets.f1(shown * dt)] : [null, null, null, null]; },
+  };
+}
+
+const NEAR = 500; // [0.1 ms] that a note may begin too early or too late
+/** Finds notes [key, beginning in s], in this order, among those that are struck one after the other. */
+function createOnsets(notes) {
+  const starts = new Map(), all = notes.map(([, start]) => start).sort((a, b) => a - b);
+  for (const [key, start] of notes) {
+    if (!starts.has(key)) starts.set(key, []);
+    starts.get(key).push(start);
+  }
+  let next = new Map(), struck = 0, found = 0, begun = 0; // `next` of a key, among its notes
+  return {
+    clear() { [next, struck, found, begun] = [new Map(), 0, 0, 0]; },
+    strike(key, at) {
+      const wanted = starts.get(key) ?? [], off = (i) => Math.round(1e4 * (wanted[i] - at));
+      let i = next.get(key) ?? 0;
+      while (i < wanted.length && off(i) < -NEAR) i++;
+      if (i < wanted.length && off(i) <= NEAR) [found, i] = [found + 1, i + 1];
+      next.set(key, i);
+      struck++;
+    },
+    /** Of the notes that begin before a time [s]; what is struck a little early may not be among them. */
+    f1(time) {
+      while (begun < all.length && all[begun] < time - 1e-9) begun++;
+      return struck + begun ? Math.min((2 * found) / (struck + begun), 1) : 1;
+    },
   };
 }

@@ -5,15 +5,14 @@ $("agent").addEventListener("change", showAgent);
 $("start").addEventListener("click", begin);
 $("train").addEventListener("click", train);
 let stopListening = null;
-$("keyboard").hidden = !navigator.requestMIDIAccess;
+$("keyboard").hidden = !navigator.requestMIDIAccess && isSecureContext; // it knows none
 $("keyboard").addEventListener("click", async () => {
-  calm();
-  const told = (notes) => say(`Listening: ${notes} ${notes === 1 ? "note" : "notes"}`, null, null, Boolean(shown.length));
+  const told = (notes) => sayInstead(`Listening: ${notes} ${notes === 1 ? "note" : "notes"}`);
   const phrase = (bytes) => upload(new File([bytes], `Played at ${new Date().toLocaleTimeString()}.mid`));
   if (stopListening) stopListening();
   stopListening = stopListening ? null : await listenToKeyboards(told, phrase);
   press($("keyboard"), Boolean(stopListening));
-  if (stopListening && !shown.length) say("Play something. When you pause, the hands play it after you.");
+  sayInstead(stopListening && !shown.length ? "Play something. When you pause, the hands play it after you." : "");
 });
 $("file").addEventListener("change", () => {
   const [file] = $("file").files;
@@ -24,9 +23,9 @@ $("cancel").addEventListener("click", () => ask(`api/jobs/${heard.id}`, "DELETE"
 $("play").addEventListener("click", toggle);
 $("link").addEventListener("click", async () => {
   const link = `${location.origin}${location.pathname}#${asHash(request())}`;
-  if (navigator.clipboard) await navigator.clipboard.writeText(link);
-  else history.replaceState(null, "", link); // of another machine, browsers let no page copy
-  $("link").textContent = navigator.clipboard ? "Copied" : "Now above";
+  const copied = await navigator.clipboard?.writeText(link).then(() => true, () => false);
+  if (!copied) history.replaceState(null, "", link); // of another machine, browsers let no page copy
+  $("link").textContent = copied ? "Copied" : "Now above";
   setTimeout(() => { $("link").textContent = "Copy link"; }, 1500);
 });
 const mute = loudness((muted) => { instrument.muted = muted; }, (volume) => { instrument.volume = volume; });
@@ -59,8 +58,8 @@ document.addEventListener("keydown", (event) => {
 
 /** What the address asks for: performances, or a song and how it is to be played. */
 function open() {
-  const asked = fromHash(), ids = only ? [only] : asked.job?.split(",");
-  if (ids) {
+  const asked = fromHash(), ids = only ? [only] : (asked.job ?? "").split(",").filter(Boolean).slice(0, 2);
+  if (ids.length) {
     const [id, time] = remembered();
     watch(ids, id === ids[0] ? time : 0);
   } else if (asked.song) {
