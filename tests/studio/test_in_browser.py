@@ -18,7 +18,9 @@ import numpy as np
 import pytest
 
 from cadenza.episode import load_episode
+from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Note, Score
 from headless import Browser, needs_chromium
 
@@ -100,6 +102,14 @@ def press(browser: Browser, within: str, name: str) -> None:
     browser.evaluate(f"{buttons}.find((button) => button.textContent === '{name}').click()")
 
 
+SCORES = "f1", "precision", "recall", "onsets"
+
+
+def uncaught(browser: Browser) -> list[str]:
+    """What the console has but for answers of the server, of which browsers tell it themselves."""
+    return [each for each in browser.problems() if '"source": "network"' not in each]
+
+
 def text(browser: Browser, id: str) -> str:
     return browser.evaluate(f"document.getElementById('{id}').innerText")
 
@@ -113,7 +123,7 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     assert text(browser, "title") == "../My <b>song"
     wait(browser, "cadenza.time > 1.2")
     wait(browser, "cadenza.finished")
-    f1, precision, recall = browser.evaluate("cadenza.live.scores")
+    f1, precision, recall, onsets = browser.evaluate("cadenza.live.scores")
     # Sounds are struck when their keys are; a machine that is busy may be late now and then.
     late = sorted(abs(at - due) for due, _, at in browser.evaluate("cadenza.strikes"))
     assert late
@@ -121,9 +131,13 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
     wait(browser, "cadenza.state === 'kept' && document.getElementById('kept').children.length")
     (kept,) = (path for path in folder.iterdir() if (path / "studio.json").exists())
     metrics = json.loads((kept / "metrics.json").read_text())
-    for name, shown in ("f1", f1), ("precision", precision), ("recall", recall):
+    scores = {"f1": f1, "precision": precision, "recall": recall, "note_onset_f1": onsets}
+    for name, shown in scores.items():
         assert shown == pytest.approx(metrics[name], abs=1e-9)
     assert metrics["f1"] > 0.5
+    figures = f"F1 {f1:.3f} · note onsets {onsets:.3f}"
+    assert figures in text(browser, "kept")
+    assert text(browser, "doing") == f"Played with {figures}"
     assert "My <b>song" in text(browser, "kept")
     assert browser.problems() == []
     # The report opens, and cannot reach the studio.
@@ -382,7 +396,113 @@ def test_a_broken_file_gives_one_line(browser: Browser, address: str) -> None:
     wait(browser, "cadenza.error !== null")
     assert text(browser, "error")
     assert "\n" not in text(browser, "error")
-    assert text(browser, "doing") == "Drop another file, or choose a piece."
+    assert text(browser, "doing").startswith("Drop a MIDI or MusicXML file here")
+    assert uncaught(browser) == []
+
+
+@pytest.mark.parametrize("name", ["a.mp3", "a.pdf", "a.mp4", "folder"])
+def test_each_file_that_is_refused_is_told_why_in_a_line(
+    browser: Browser, address: str, tmp_path: Path, name: str
+) -> None:
+    visit(browser, address)
+    (path := tmp_path / name).touch()
+    with pytest.raises(CadenzaError) as refused:
+        read_score(path)
+    if name == "folder":
+        browser.evaluate(
+            "File.prototype.slice = () => new Response(new ReadableStream("
+            "{ start(to) { to.error(new DOMException('gone', 'NotFoundError')); } }))"
+        )
+        why = "Folder cannot be read. Drop a file, no folder."
+    else:
+        why = str(refused.value).replace(f"{tmp_path}/a", "A")
+    drop(browser, b"\0" * (6 << 20 if name == "a.mp4" else 100), name)
+    wait(browser, "cadenza.error !== null")
+    assert text(browser, "error") == why
+    assert uncaught(browser) == []
+    press(browser, ".looks", "Top")  # whatever the visitor does next
+    assert browser.evaluate("document.getElementById('error').hidden")
+
+
+@pytest.mark.parametrize(
+    ("fake", "why"),
+    [
+        (
+            "requestMIDIAccess = async () => { throw new DOMException('no', 'NotAllowedError'); }",
+            "Allow it MIDI devices",
+        ),
+        ("requestMIDIAccess = undefined", "from another machine"),
+    ],
+)
+def test_where_a_keyboard_may_not_be_heard_the_page_says_so(
+    browser: Browser, address: str, fake: str, why: str
+) -> None:
+    source = (
+        f"navigator.{fake}; Object.defineProperty(window, 'isSecureContext', {{ value: false }})"
+    )
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=source)
+    visit(browser, address)
+    browser.call("Page.removeScriptToEvaluateOnNewDocument", **added)
+    assert browser.evaluate("!document.getElementById('keyboard').hidden")
+    browser.evaluate("document.getElementById('keyboard').click()")
+    wait(browser, "cadenza.error !== null")
+    assert why in text(browser, "error")
+    assert browser.problems() == []
+
+
+def test_nothing_of_the_song_before_stands_under_the_next(browser: Browser, address: str) -> None:
+    visit(browser, address)
+    press(browser, "#kept", "Watch")
+    wait(browser, "cadenza.time > 1.2 && document.getElementById('f1').textContent !== '–'")
+    browser.evaluate("window.WebSocket = class { close() {} }")  # of the next, nothing is told
+    press(browser, "#kept", "Watch")
+    browser.settle()
+    shown = {name: text(browser, name) for name in (*SCORES, "clock", "length", "facts", "title")}
+    assert shown == dict.fromkeys(SCORES, "–") | {
+        **{"clock": "0:00.0", "length": "0:00.0"},
+        **{"facts": "", "title": "Cadenza studio"},
+    }
+    assert browser.evaluate("document.getElementById('scrub').value") == "0"
+    assert browser.evaluate("document.getElementById('roll-card').hidden")
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+def test_what_is_chosen_far_below_plays_in_view(
+    browser: Browser, address: str, size: tuple[int, int]
+) -> None:
+    screen = {"deviceScaleFactor": 1, "mobile": size[0] < 500}
+    browser.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], **screen)
+    visit(browser, address)
+    place = "document.getElementById('picture').getBoundingClientRect().toJSON()"
+
+    def is_in_view() -> bool:
+        browser.settle()
+        box = browser.evaluate(place)
+        return bool(box["top"] >= -1 and box["bottom"] <= size[1] + 1)
+
+    ids = browser.evaluate("(async () => (await (await fetch('api/performances')).json()))()")
+    for act in "#kept button", "[data-song=OdeToJoy]", "#start":
+        browser.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+        browser.settle()
+        browser.evaluate(f"document.querySelector('{act}').click()")
+        wait(browser, "cadenza.live")
+        assert is_in_view(), act
+    browser.evaluate("document.getElementById('cancel').click()")
+    wait(browser, "['cancelled', 'played', 'writing', 'kept'].includes(cadenza.state)")
+    browser.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    browser.evaluate(f"location.hash = '#job={ids[0]['id']},{ids[0]['id']}'")
+    wait(browser, "document.querySelectorAll('.caption').length === 2")
+    assert is_in_view()
+    browser.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    drop(browser, b"MThd", "broken.mid")
+    wait(browser, "cadenza.error !== null")
+    box = browser.evaluate("document.getElementById('error').getBoundingClientRect().toJSON()")
+    assert box["top"] >= 0
+    assert box["bottom"] <= size[1]
+    browser.call(
+        "Emulation.setDeviceMetricsOverride",
+        **{"width": 1000, "height": 1700, "deviceScaleFactor": 1, "mobile": False},
+    )
 
 
 def test_what_is_played_on_a_keyboard_is_played_after(browser: Browser, address: str) -> None:
@@ -447,7 +567,7 @@ def test_what_was_left_out_of_a_file_is_said(browser: Browser, address: str) -> 
 def test_what_a_closed_page_asked_for_can_be_cancelled(
     browser: Browser, address: str, tmp_path: Path
 ) -> None:
-    """Else all others would wait for it, and nobody could end it."""
+    """Others need not wait for it, but it would go on for long."""
     visit(browser, address)
     drop(browser, song(tmp_path / "long.mid", 2000), "long.mid")
     wait(browser, "cadenza.live")
@@ -455,9 +575,9 @@ def test_what_a_closed_page_asked_for_can_be_cancelled(
     visit(browser, address)
     wait(browser, "document.getElementById('works').innerText.includes('Playing long')")
     browser.evaluate("document.querySelector('[data-song=OdeToJoy]').click()")
-    wait(browser, "document.getElementById('doing').innerText.includes('1 before it')")
-    press(browser, "#works", "Cancel")
     wait(browser, "cadenza.live && document.title.startsWith('Ode')")
+    wait(browser, "document.getElementById('works').innerText.includes('waits for its turn')")
+    press(browser, "#works", "Cancel")
     wait(browser, "!document.getElementById('works').innerText.includes('Playing')")
     browser.evaluate("document.getElementById('cancel').click()")
     wait(browser, "cadenza.state === 'cancelled'")

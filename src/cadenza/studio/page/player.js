@@ -93,7 +93,9 @@ function showNothing() {
   showPlaying(false);
   say("");
 }
-const bringIntoView = () => $("picture").scrollIntoView({ block: "nearest" });
+function bringIntoView() { // the picture, and what is above it where there is room for both
+  for (const part of [document.querySelector("header"), $("picture")]) part.scrollIntoView({ block: "nearest" });
+}
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
 /** Takes in what is new of a performance. */
