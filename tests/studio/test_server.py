@@ -207,9 +207,11 @@ def test_what_is_kept_is_told_again(client: TestClient, tmp_path: Path) -> None:
         assert heard == rows
         with pytest.raises(WebSocketDisconnect):
             told.receive_bytes()
-    (folder / ROWS).unlink()  # as in a folder of an earlier version
-    with client.websocket_connect(f"ws://127.0.0.1:8000/TOKEN/watch/{id}", headers=SAME) as told:
-        assert told.receive_json() == {"state": "gone"}
+    for spoil in (lambda: (folder / TOLD).write_bytes(b"\xff{"), (folder / ROWS).unlink):
+        spoil()
+        url = f"ws://127.0.0.1:8000/TOKEN/watch/{id}"
+        with client.websocket_connect(url, headers=SAME) as told:
+            assert told.receive_json() == {"state": "gone"}
 
 
 def test_no_link_leads_out_of_what_is_kept(client: TestClient, tmp_path: Path) -> None:

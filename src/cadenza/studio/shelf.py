@@ -20,7 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.errors import CadenzaError
-from cadenza.files import TEMPORARY, read_json, write_atomically, write_json
+from cadenza.files import (
+    TEMPORARY,
+    content_of,
+    parsed_json,
+    read_json,
+    write_atomically,
+    write_json,
+)
 from cadenza.music.formats.reading import MUSIC
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
@@ -214,7 +221,8 @@ class Shelf:
         status |= {"metrics": scores, "remarks": kept.remarks}
         if not _was_told(folder):
             raise CadenzaError("of this performance there is only the report")
-        about, rows = (folder / TOLD).read_bytes(), Stored(folder / ROWS)
+        about, rows = content_of(folder / TOLD), Stored(folder / ROWS)
+        parsed_json(about, dict[str, Any], folder / TOLD)  # else the page could not read it
         return Stream(kept.title, asdict(kept.request), status, about, rows)
 
     def remove(self, id: str) -> None:
