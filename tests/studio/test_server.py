@@ -411,7 +411,8 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
     with subprocess.Popen(command, stdout=PIPE, text=True, env=environment) as server:
         assert server.stdout is not None
         address = server.stdout.readline().split()[-1]
-        while not told.exists():
+        late = time.monotonic() + 20
+        while not told.exists() and time.monotonic() < late:
             time.sleep(0.05)
         urlopen(address).close()  # it serves
         server.send_signal(end)
