@@ -121,7 +121,7 @@ def played(
     setting: Setting, score: Score, trouble: Trouble, seed: int, agent: Agent | None = None
 ) -> tuple[dict[str, Any], Array]:
     """How a performance went, and the actions (T, A)."""
-    task = troubled_task(score, setting.task, trouble, seed, setting.scene)
+    task = troubled_task(score, setting.task, trouble, setting.scene)
     timed = Timed(agent or setting.agent())
     with threadpool_limits(1):
         result = play_episode(task, timed, seed)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 AGENTS: dict[str, Callable[[], Agent]] = {
@@ -33,6 +34,9 @@ AGENTS: dict[str, Callable[[], Agent]] = {
     "nominal": lambda: Planner(PlannerConfig(method="none")),
     "tracked": TrackedPresses,
 }
+OF_THE_MODEL = (
+    "mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain", "key_spring",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,17 +65,13 @@ def troubled_task(
     score: Score,
     config: TaskConfig,
     trouble: Trouble,
-    seed: int,
     scene: SceneConfig | None = None,
 ) -> PianoTask:
     """The task with hands, controls and model that are amiss."""
-    amiss = replace(
-        config,
-        random_hand_position=trouble.start,
-        control_noise=trouble.noise,
-        model_error=trouble.model,
-        model_seed=seed,
-    )
+    factors = (1.0 - trouble.model, 1.0 + trouble.model)
+    model: Any = dict.fromkeys(OF_THE_MODEL, factors)
+    randomization = DomainRandomization(**model, control_noise=trouble.noise)
+    amiss = replace(config, random_hand_position=trouble.start, randomization=randomization)
     return PianoTask([score], amiss, scene)
 
 
@@ -79,7 +79,7 @@ def f1_in_trouble(
     score: Score, config: TaskConfig, trouble: Trouble, agent: Agent, seed: int
 ) -> tuple[float, Array]:
     """F1, and the actions (T, A) that the agent chose."""
-    performance = play_episode(troubled_task(score, config, trouble, seed), agent, seed)
+    performance = play_episode(troubled_task(score, config, trouble), agent, seed)
     return performance.metrics["f1"], performance.episode.arrays["action"]
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cadenza.performing.setup import load_song
     from cadenza.performing.training import train
     from cadenza.scene.config import SceneConfig
-    from cadenza.tasks.config import TaskConfig
+    from cadenza.tasks.config import DomainRandomization, TaskConfig
     from cadenza.tasks.env import PianoEnv, PianoVectorEnv
     from cadenza.tasks.reward import Outcome
     from cadenza.tasks.view import TaskSpec, View
@@ -39,6 +39,7 @@ __all__ = [
     "Arrangement",
     "CadenzaError",
     "CadenzaWarning",
+    "DomainRandomization",
     "Episode",
     "Finger",
     "Library",
@@ -86,7 +87,7 @@ _MODULES = {
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),
     "performing.training": ("train",),
-    "tasks.config": ("TaskConfig",),
+    "tasks.config": ("DomainRandomization", "TaskConfig"),
     "tasks.env": ("PianoEnv", "PianoVectorEnv"),
     "tasks.reward": ("Outcome",),
     "tasks.view": ("TaskSpec", "View"),

@@ -39,9 +39,27 @@ def as_config(value: Any, kind: type[T]) -> T:
         return kind()
     if not isinstance(value, kind):
         raise CadenzaError(f"{value!r:.100}: give a {kind.__name__}")
+    return _plain(value, kind)
+
+
+def _plain(value: T, kind: type[T], prefix: str = "") -> T:
     hints = get_type_hints(kind)
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]
-    return kind(**{name: _as(getattr(value, name), hints[name], name) for name in names})
+    values = {name: _as(getattr(value, name), hints[name], prefix + name) for name in names}
+    return kind(**values)
+
+
+def _nested(value: Any, kind: type[T], name: str) -> T:
+    """A `kind` within another dataclass, from such a one or from a dictionary of its fields."""
+    if isinstance(value, Mapping):
+        known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
+        if unknown := [key for key in value if key not in known]:
+            raise CadenzaError(f"{name} has no {unknown[0]!r:.100}: choose from {', '.join(known)}")
+        value = kind(**value)
+    if not isinstance(value, kind):
+        given = " ".join(repr(value).split())
+        raise CadenzaError(f"{name} {given:.100}: give a {kind.__name__} or a dictionary")
+    return _plain(value, kind, f"{name}.")
 
 
 def added(*, before: Any) -> Mapping[str, Any]:
@@ -130,6 +148,8 @@ def _check_range(value: float, name: str, least: float, most: float) -> None:
 
 
 def _as(value: Any, hint: Any, name: str) -> Any:
+    if is_dataclass(hint):
+        return _nested(value, hint, name)  # type: ignore[arg-type]
     try:
         return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint)
     except (msgspec.ValidationError, OverflowError) as error:
@@ -143,6 +163,8 @@ def _what(hint: Any) -> str:
     match get_origin(hint):
         case origin if origin is Literal:
             return f"choose from {', '.join([first, *others])}"
+        case origin if origin is tuple and ... not in others:
+            return f"give {len(others) + 1} of them; for each, {_what(first)}"
         case origin if origin is tuple:
             return f"give a list; for each of it, {_what(first)}"
         case origin if origin in (Union, UnionType):

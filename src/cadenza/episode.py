@@ -128,6 +128,9 @@ class Episode:
     - `touch` (T, F) normal forces on the fingertips [N], where there are sensors
     - `body_xpos` (T, B, 3) [m] and `body_xquat` (T, B, 4), w x y z, of the hands' bodies, float32
     - `reward_total` and ``reward_<term>`` (T,)
+    - ``randomization_<name>`` (...) what was drawn for the episode, if anything was, see
+      `cadenza.tasks.randomization.Randomization`; `DomainRandomization` with this
+      `randomization_seed` as its seed draws the same
     """
     scene: Mapping[str, Any]
     """What is needed to draw it, see `cadenza.scene.drawing`."""

@@ -31,7 +31,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 from numbered import finger
@@ -365,7 +365,8 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize("drawn", [True, False])
 def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> None:
-    task = TaskConfig(random_stretch=0.1 if drawn else 0.0, control_noise=0.1)
+    noise = DomainRandomization(control_noise=0.1)
+    task = TaskConfig(random_stretch=0.1 if drawn else 0.0, randomization=noise)
     assert options_of(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
 
 

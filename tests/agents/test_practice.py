@@ -39,7 +39,7 @@ from cadenza.performing import performance
 from cadenza.performing.practising import Practising
 from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
 
@@ -539,7 +539,8 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     searches: list[HandsInScene] = []
     follow_as_ever = HandsInScene.follow
     folder = folder_of(tmp_path, "--effort", "0.1")
-    noisy = TaskConfig(initial_buffer_time=0.4, control_noise=0.1)
+    noise = DomainRandomization(control_noise=0.1)
+    noisy = TaskConfig(initial_buffer_time=0.4, randomization=noise)
     monkeypatch.setattr(HandsInScene, "follow", follow)
     cadenza.play(folder)
     assert not searches
@@ -588,8 +589,8 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(
 
 def test_practice_without_noise_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        folder_of(tmp_path, "--control-noise", "0.05")
-    assert "hands practise without" in capsys.readouterr().err
+        folder_of(tmp_path, "--randomization.control-noise", "0.05")
+    assert "hands practise with the nominal model" in capsys.readouterr().err
 
 
 def test_practice_that_was_killed_has_its_plan_after_the_first_take(

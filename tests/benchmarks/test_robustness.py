@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from benchmarks.robustness import TROUBLES, Trouble, f1_in_trouble, rows, troubled_task
+from benchmarks.robustness import (
+    OF_THE_MODEL,
+    TROUBLES,
+    Trouble,
+    f1_in_trouble,
+    rows,
+    troubled_task,
+)
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.playback import Playback
 from cadenza.music.score import Note, Score
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.piano_task import PianoTask
 from numbered import finger
 
 TUNE = Score(
@@ -18,11 +24,21 @@ TUNE = Score(
 )
 
 
-def test_the_planner_is_not_told_of_the_model() -> None:
-    task = troubled_task(TUNE, TaskConfig(), Trouble("", model=0.1), 0)
-    nominal = PianoTask([TUNE])
-    assert task.scene.config == nominal.scene.config
-    assert (task.scene.model.body_mass != nominal.scene.model.body_mass).any()
+def test_the_model_is_off_by_as_much_and_differs_by_seed() -> None:
+    task = troubled_task(TUNE, TaskConfig(), Trouble("", model=0.1))
+    masses = []
+    for seed in (0, 1):
+        task.reset([np.random.default_rng(seed)], [0])
+        assert task.drawn.keys() == {*OF_THE_MODEL, "seed"}
+        masses.append(task.drawn["mass"].copy())
+    assert 0.9 <= masses[0].min() < 0.92 < 1.08 < masses[0].max() <= 1.1
+    assert (masses[0] != masses[1]).all()
+
+
+def test_noise_alone_leaves_the_model() -> None:
+    task = troubled_task(TUNE, TaskConfig(), Trouble("", noise=0.05))
+    task.reset([np.random.default_rng(0)], [0])
+    assert task.drawn.keys() == {"seed"}
 
 
 def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None:
@@ -30,7 +46,7 @@ def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None
     plan = f1_in_trouble(TUNE, TaskConfig(), TROUBLES[0], ZeroAgent(), 0)[1]
     starts = []
     for seed in (0, 1):
-        task = troubled_task(TUNE, TaskConfig(), trouble, seed)
+        task = troubled_task(TUNE, TaskConfig(), trouble)
         task.reset([np.random.default_rng(seed)], [0])
         starts.append(task.state.hand_qpos[0].copy())
     assert np.abs(starts[0] - starts[1]).max() > 1e-3

@@ -29,6 +29,7 @@ from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import build_scene
+from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.piano_task import PianoTask
 from demonstrations.made import SCORE, collected, demonstrator, jobs
 
@@ -37,6 +38,18 @@ def test_what_was_played_is_played_again_bit_for_bit(made: Path) -> None:
     scene = build_scene()
     for episode in kept(made):
         assert differences(episode, scene) == {}
+
+
+def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path: Path) -> None:
+    randomization = DomainRandomization(
+        mass=(0.8, 1.2), latency=(0.0, 0.02), control_noise=0.02, key_noise=0.1
+    )
+    collected(tmp_path / "a", Variation(), 2, randomization=randomization)
+    for episode in kept(tmp_path / "a"):
+        assert differences(episode, build_scene()) == {}
+        other = replace(episode.about.task.randomization, seed=1)
+        about = replace(episode.about, task=replace(episode.about.task, randomization=other))
+        assert "hand_qpos" in differences(replace(episode, about=about), build_scene())
 
 
 def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:

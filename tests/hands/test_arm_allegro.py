@@ -16,7 +16,6 @@ from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
 from cadenza.agents.planner.plan.rest_poses import RestPoses
 from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
-from cadenza.errors import CadenzaError
 from cadenza.files import read_json
 from cadenza.fingers import Side
 from cadenza.hands.arm_allegro.figures import SPEED, TORQUE
@@ -30,7 +29,6 @@ from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.scene.servos import servos_of
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.piano_task import PianoTask
 
 ARM = [f"armJ{number}" for number in range(1, 8)]
 # iiwa7_allegro.urdf of differentiable-robot-model 0.2.3: limits [rad] and masses [kg].
@@ -221,9 +219,3 @@ def test_the_page_says_that_it_is_combined(tmp_path: Path) -> None:
     whole = load_episode(tmp_path / "episode.npz")
     sounding = [part["key_activation"] for part in parts]
     np.testing.assert_array_equal(whole["key_activation"], sounding[0] | sounding[1])
-
-
-def test_a_model_that_is_off_is_not_for_hands_apart() -> None:
-    config, scene = TaskConfig(model_error=0.1), SceneConfig(hands="apart")
-    with pytest.raises(CadenzaError, match="hands that play apart have none"):
-        PianoTask([DUET], config, scene)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
 from cadenza.fingering.search import find_fingering
@@ -17,7 +16,6 @@ from cadenza.music.goals import score_to_goals
 from cadenza.music.score import NUM_KEYS, Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
-from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import players_of
 from cadenza.tasks.piano_task import PianoTask, Transition
@@ -420,49 +418,6 @@ def test_random_hand_position(scenes: dict[str, Scene]) -> None:
     assert_array_equal(again.task.state.hand_qpos, player.task.state.hand_qpos)
     again.reset()
     assert_array_equal(again.task.state.hand_qpos, player.task.state.hand_qpos)  # nothing adds up
-
-
-def test_noise_is_on_the_controls_of_the_servos_alone(scenes: dict[str, Scene]) -> None:
-    """Of that size, another one in every step and environment, and the same for the same seed."""
-    arrived: list[NDArray[np.float64]] = []
-
-    class Listening(MujocoSimulation):
-        def step(self, ctrl, env_ids=None) -> None:  # type: ignore[no-untyped-def]
-            arrived.append(ctrl.copy())
-            super().step(ctrl, env_ids)
-
-    def rows(seeds: tuple[int, ...]) -> NDArray[np.float64]:
-        arrived.clear()
-        config = TaskConfig(control_noise=0.05)
-        score = Score((Note(0.0, 1.0, 60),), (), "A note")
-        task = PianoTask([score], config, scenes["both"], len(seeds), make_simulation=Listening)
-        task.reset([np.random.default_rng(seed) for seed in seeds], range(len(seeds)))
-        half = (task.action_high - task.action_low)[:-1] / 2
-        middle = (task.action_low + task.action_high) / 2
-        for _ in range(10):
-            task.step(np.tile(middle, (len(seeds), 1)))
-        return (np.array(arrived) - middle[:-1]) / half
-
-    noise = rows((0, 1, 2, 3))
-    assert_allclose(noise.std(), 0.05, rtol=0.05)
-    assert len(np.unique(noise)) == noise.size
-    assert_array_equal(rows((2,))[:, 0], noise[:, 2])
-
-
-def test_what_is_simulated_is_off_by_the_error_of_the_model(scenes: dict[str, Scene]) -> None:
-    nominal = scenes["both"].model.body_mass
-    moving = nominal > 0
-
-    def factors(**options: Any) -> NDArray[np.float64]:
-        task = Player(scenes["both"], model_error=0.1, **options).task
-        assert task.scene.config == scenes["both"].config  # all that planners know
-        return task.scene.model.body_mass[moving] / nominal[moving]
-
-    drawn = factors()
-    assert 0.9 <= drawn.min() < 0.92
-    assert 1.08 < drawn.max() <= 1.1
-    assert_array_equal(factors(), drawn)
-    assert (factors(model_seed=1) != drawn).all()
 
 
 def songs_drawn(scene: Scene, count: int, *scores: Score, **options: Any) -> list[Score]:

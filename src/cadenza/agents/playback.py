@@ -50,7 +50,7 @@ _CHANGE_NOTHING = {  # options that move no key and no hand
     "forearm_term",
     "touch",
 }
-_DISTURB = {"control_noise", "model_error", "model_seed"}  # what plans are tried against
+_DISTURB = {"randomization"}  # what plans are tried against
 _TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
 _ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
 _ABOUT = {

@@ -129,9 +129,9 @@ class _Record:
         self._unstable = False
         self._rows: dict[str, NDArray[Any]] = {}
         self._done, self._most = 0, int(task.sheets.num_steps[env])
-        self._start = {"hand_qpos0": task.state.hand_qpos[env]} | {
-            f"{name}0": part for name, part in self._of_the_score(observation).items()
-        }
+        self._start = {"hand_qpos0": task.state.hand_qpos[env]}
+        self._start |= {f"{n}0": part for n, part in self._of_the_score(observation).items()}
+        self._start |= {f"randomization_{name}": v[env].copy() for name, v in task.drawn.items()}
 
     def _of_the_score(self, observation: NDArray[np.float32]) -> dict[str, Any]:
         layout = self._task.observation_layout

@@ -38,7 +38,7 @@ from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.config import ImitationConfig, TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 
 try:
     from tyro import _errors as errors
@@ -74,6 +74,9 @@ COMMON: dict[type, tuple[str, ...]] = {
     ImitationConfig: ("songs", "num_updates", "seed"),
 }
 """The fields that --help shows of configurations whose options have no prefix."""
+
+_GROUPS: dict[type, str] = {DomainRandomization: "randomization"}
+"""Configurations within others whose options have a prefix nevertheless."""
 
 
 def parse(
@@ -199,7 +202,8 @@ def _registry(
             spec: Any = ConstructorRegistry.get_struct_spec(info)
         finally:
             asking = False
-        fields = [_option(field) for field in spec.fields if field.name not in left_out]
+        group = _GROUPS.get(info.type)
+        fields = [_option(field, group) for field in spec.fields if field.name not in left_out]
         if info.type not in commands:
             return replace(spec, fields=tuple(fields))
         leaves = list(_leaves(info.type, fields))
@@ -222,13 +226,14 @@ def _registry(
     return registry
 
 
-def _option(field: StructFieldSpec) -> StructFieldSpec:
-    """With our help."""
+def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:
+    """With our help, and with its group in its name."""
     kind, *marks = _parts(field.type)
     if is_dataclass(kind):
         return field
     behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
-    ours = tyro.conf.arg(metavar=_metavar(kind), help_behavior_hint=behaviour)
+    name = f"{group}.{field.name}" if group else None
+    ours = tyro.conf.arg(name=name, metavar=_metavar(kind), help_behavior_hint=behaviour)
     return replace(
         field,
         type=Annotated[(kind, ours, *marks)],  # type: ignore[arg-type]
@@ -368,6 +373,7 @@ def option_names(kind: Any, prefix: str | None = "", default: Any = None) -> Ite
         if is_dataclass(field):
             bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
             within = None if bare else f"{prefix}{option}."
+            within = f"{_GROUPS[field]}." if field in _GROUPS else within
             yield from option_names(field, within, getattr(default, name, None))
         elif tyro.conf.Positional not in marks:
             yield f"--{prefix or ''}{option}"

@@ -65,7 +65,7 @@ class Collect(Options):
     """Of a Ray cluster, such as auto. By default one is started on this machine."""
     quiet: Quiet = False
 
-    refused = ("control_noise", "wrong_press_termination")
+    refused = ("wrong_press_termination",)
 
 
 def collect(command: Collect, _again: Again[Collect]) -> None:
@@ -116,10 +116,6 @@ def _check(command: Collect) -> None:
     if command.task.wrong_press_termination:
         raise CadenzaError(
             "--wrong-press-termination: demonstrations last as long as their songs; leave it out"
-        )
-    if command.task.control_noise:
-        raise CadenzaError(
-            "--control-noise: is not kept, so no episode could be played again; use --noise"
         )
     # Options of task and scene that do not go together are told once, not by each episode.
     PianoTask([Score((Note(0.0, 0.1, 60),))], command.task, command.scene).close()

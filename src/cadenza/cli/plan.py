@@ -76,13 +76,16 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:
     """The options with which "cadenza play" replays what `command` has planned."""
+    from cadenza.report.page import flat
+
     flags = ["--agent", PLAYBACK, "--plan", str(path)]
     for options, default in (
         (command.task, with_time_to_begin()),
         (command.scene, SceneConfig()),
         (command.arrangement, Arrangement()),
     ):
-        for name, value in asdict(options).items():
-            if value != getattr(default, name):
+        usual = dict(flat(asdict(default)))
+        for name, value in flat(asdict(options)):
+            if value != usual[name]:
                 flags += words_of(name, value)
     return [*flags, *(["--seed", str(command.seed)] if command.seed else [])]

@@ -47,7 +47,7 @@ class PracticeCommand(Performing):
     quiet: Quiet = False
 
     of_ours = (PLANNER,)
-    refused = ("control_noise", "model_error", "model_seed", "wrong_press_termination")
+    refused = ("randomization", "wrong_press_termination")
 
 
 def run(command: PracticeCommand, again: Again[PracticeCommand]) -> None:
@@ -118,8 +118,8 @@ def _check(command: PracticeCommand) -> None:
             "--wrong-press-termination: a song that ends early cannot be played as it was "
             "practised; leave it out"
         )
-    if command.task.control_noise or command.task.model_error:
+    if command.task.randomization.is_on:
         raise CadenzaError(
-            "--control-noise and --model-error: hands practise without; give them to "
+            "--randomization: hands practise with the nominal model; give it to "
             '"cadenza play FOLDER", to hear what becomes of what was practised'
         )

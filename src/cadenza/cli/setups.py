@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, is_dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -26,10 +27,13 @@ def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:
     known = {*option_names(kind)}
     if not names or "--setup" not in known:
         return [*words]
+    from cadenza.report.page import flat
+
     setup = setup_named(names[-1])
     given: dict[str, Any] = {**setup.options}
     if setup.agent is not None:
         given |= {"agent": setup.agent, "agents": (setup.agent,)}
-    options = [words_of(name, value) for name, value in given.items()]
+    plain = {n: asdict(v) if is_dataclass(v) else v for n, v in given.items()}  # type: ignore[arg-type]
+    options = [words_of(name, value) for name, value in flat(plain)]
     chosen = [word for option in options if option[0] in known for word in option]
     return [*chosen, "--setup", names[-1], *words]  # a list of values ends where an option begins

@@ -78,10 +78,10 @@ class Practising:
     def save_plan(self) -> None:
         """Keeps in the folder what is played best so far, for `cadenza play`; it is performed.
 
-        What ended early, because of a wrong key, is no plan; nor is what noise has changed.
+        What ended early, because of a wrong key, is no plan; nor is what was played on a model
+        that differs.
         """
-        task = self._setup.task.config
-        if task.control_noise or task.model_error:
+        if self._setup.task.config.randomization.is_on:
             return
         practised = self.practice.best().practised
         setup = self._setup_with(practised)

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingers import SIDES, Side
-from cadenza.scene.scene import Scene, hand_alone
+from cadenza.scene.randomization import Factors
+from cadenza.scene.scene import HandAlone, Scene, as_ids, hand_alone
 from cadenza.sim.mujoco_simulation import MujocoSimulation
-from cadenza.sim.protocol import State
+from cadenza.sim.protocol import Held, State
 
 Array = NDArray[np.float64]
 
 
 class HandsApart:
-    """N pairs of simulations, of either hand; implements `protocol.Simulation`.
+    """N pairs of simulations, of either hand; implements `protocol.RandomizableSimulation`.
 
-    The hands never meet. A key is where the hand has it that pushes it further down.
+    The hands never meet. A key is where the hand has it that pushes it further down. Both pianos
+    are alike, also where they are randomized.
 
     Attributes:
         state: both hands, and the keys of both pianos combined.
@@ -39,6 +42,7 @@ class HandsApart:
             MujocoSimulation(alone.scene, num_envs, control_timestep, num_threads)
             for alone in self._alone
         ]
+        self._rows = [_rows_in(scene, alone) for alone in self._alone]
         self._combine()
 
     def part(self, side: Side) -> State:
@@ -50,9 +54,17 @@ class HandsApart:
             part.reset(env_ids, hand_qpos[:, alone.joints])
         self._combine()
 
-    def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
+    def randomize(self, env_id: int, factors: Factors) -> None:
+        for rows, part in zip(self._rows, self._parts, strict=True):
+            mine = {name: factor[rows.get(name, ...)] for name, factor in factors.items()}
+            part.randomize(env_id, mine)
+
+    def step(
+        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
+    ) -> None:
         for alone, part in zip(self._alone, self._parts, strict=True):
-            part.step(ctrl[:, alone.servos], env_ids)
+            before = held and held._replace(ctrl=held.ctrl[:, alone.servos])
+            part.step(ctrl[:, alone.servos], env_ids, before)
         self._combine()
 
     def _combine(self) -> None:
@@ -77,3 +89,12 @@ class HandsApart:
         """Stops the threads."""
         for part in self._parts:
             part.close()
+
+
+def _rows_in(scene: Scene, alone: HandAlone) -> dict[str, Any]:
+    """Name of what can be randomized -> what of the whole `scene` concerns one hand's own."""
+    whole, part = scene.model, alone.scene.model
+    bodies = as_ids(whole.body(part.body(b).name).id for b in range(part.nbody))
+    joints = as_ids(whole.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))
+    by_joint = dict.fromkeys(("joint_damping", "joint_friction", "armature"), joints)
+    return {"mass": bodies, "servo_gain": alone.servos, **by_joint}

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
+from cadenza.scene.randomization import Factors, scale
 from cadenza.scene.scene import Scene
 from cadenza.sim.lock import Lock, one_at_a_time
-from cadenza.sim.protocol import State
+from cadenza.sim.protocol import Held, State
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 MOST_ENVS = 10_000
-"""Each takes about a megabyte."""
+"""Each takes about a megabyte, and a third more with a model of its own."""
 _LOG = logging.getLogger(__name__)
 _AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # what MuJoCo does not pickle
 UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -34,7 +35,7 @@ mujoco.set_mju_user_warning(lambda message: _LOG.info("MuJoCo: %s", message))
 
 
 class MujocoSimulation:
-    """N simulations, each with its own `MjData`; implements `protocol.Simulation`.
+    """N simulations, each with its own `MjData`; implements `protocol.RandomizableSimulation`.
 
     Every simulation is stepped by one thread at a time and shares nothing with the others, so the
     results are the same bits for any number of threads. Threads that call its methods wait for each
@@ -69,6 +70,8 @@ class MujocoSimulation:
         self._lock = Lock()
         self._threads = Threads(num_threads)
         self._data = [mujoco.MjData(scene.model) for _ in range(num_envs)]
+        self._models = [scene.model] * num_envs  # the nominal one until it is randomized
+        self._factors: dict[int, Factors] = {}
         self._watch_forearms = watch_forearms and len(scene.sides) == 2
         self._is_forearm = np.zeros((2, scene.model.ngeom), bool)
         for row, geoms in zip(self._is_forearm, scene.forearm_geoms.values(), strict=False):
@@ -92,6 +95,14 @@ class MujocoSimulation:
 
         self._put(put, env_ids)
 
+    @one_at_a_time
+    def randomize(self, env_id: int, factors: Factors) -> None:
+        """See `protocol.RandomizableSimulation`. The model of `scene` stays as it is."""
+        if self._models[env_id] is self.scene.model:
+            self._models[env_id] = copy(self.scene.model)
+        scale(self._models[env_id], self.scene, factors, self._data[env_id])
+        self._factors[env_id] = factors
+
     def _put(
         self, put: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
     ) -> None:
@@ -99,22 +110,25 @@ class MujocoSimulation:
         state = self.state.copy()
         for row, i in enumerate(self._ids(env_ids)):
             put(row, self._data[i])
-            mujoco.mj_step1(self.scene.model, self._data[i])
+            mujoco.mj_step1(self._models[i], self._data[i])
             self._read(i, state, i)
         self.state = state
 
     @one_at_a_time
-    def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> None:
+    def step(
+        self, ctrl: Array, env_ids: Sequence[int] | None = None, held: Held | None = None
+    ) -> None:
         """Applies `ctrl` (N, A) in actuator units for one control step.
 
         Args:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: which simulations to step; all by default.
+            held: what there is first, if controls are late.
         """
         out = self.state.copy()
 
         def advance(i: int) -> None:
-            self._advance(i, ctrl[i])
+            self._advance(i, ctrl[i], held)
             self._read(i, out, i)
 
         self._threads.for_each(self._ids(env_ids), advance)
@@ -123,14 +137,19 @@ class MujocoSimulation:
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if env_ids is None else env_ids
 
-    def _advance(self, i: int, ctrl: Array) -> None:
+    def _advance(self, i: int, ctrl: Array, held: Held | None = None) -> None:
         # Ends on mj_step1, so that what is read afterwards belongs to the new state. This order
         # also reproduces the published recordings, which were made by the same engine.
-        model, data = self.scene.model, self._data[i]
-        data.ctrl = ctrl
+        model, data, done = self._models[i], self._data[i], 1
+        late = 0 if held is None else int(held.substeps[i])
+        data.ctrl = held.ctrl[i] if held and late else ctrl
         mujoco.mj_step2(model, data)
-        if self.num_substeps > 1:
-            mujoco.mj_step(model, data, self.num_substeps - 1)
+        if late:
+            if late > 1:
+                mujoco.mj_step(model, data, late - 1)
+            data.ctrl, done = ctrl, late
+        if self.num_substeps > done:
+            mujoco.mj_step(model, data, self.num_substeps - done)
         mujoco.mj_step1(model, data)
 
     def _read(self, i: int, out: State, row: int | tuple[int, int]) -> None:
@@ -159,9 +178,11 @@ class MujocoSimulation:
 
     @one_at_a_time
     def copy_to(self, data: Sequence[mujoco.MjData], env_id: int) -> None:
-        """Puts all of `data`, of the same model, into the physical state of `env_id`."""
+        """Puts all of `data`, of the nominal model, into the physical state of `env_id`."""
         for each in data:
             mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
+            if self._models[env_id] is not self.scene.model:
+                mujoco.mj_step1(self.scene.model, each)  # what follows from the state follows anew
 
     @one_at_a_time
     def physics_state(self, env_id: int) -> Array:
@@ -178,9 +199,10 @@ class MujocoSimulation:
 
     @one_at_a_time
     def __getstate__(self) -> dict[str, Any]:
-        # Nobody else may step what is copied, once this has returned.
+        # Nobody else may step what is copied, once this has returned. Models are scaled anew.
         awake = [[getattr(data, name) for name in _AWAKE] for data in self._data]
-        return {**self.__dict__, "_data": [copy(data) for data in self._data], "_awake": awake}
+        data = [copy(data) for data in self._data]
+        return {**self.__dict__, "_data": data, "_awake": awake, "_models": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         # Earlier versions did not keep them.
@@ -188,6 +210,10 @@ class MujocoSimulation:
             for name, count in zip(_AWAKE, counts, strict=True):
                 setattr(data, name, count)
         self.__dict__.update(state)
+        self._models = [self.scene.model] * self.num_envs
+        for env_id, factors in self._factors.items():
+            self._models[env_id] = copy(self.scene.model)
+            scale(self._models[env_id], self.scene, factors, mujoco.MjData(self.scene.model))
 
 
 def _divide(control_timestep: float, physics_timestep: float) -> int:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.scene.randomization import Factors
 from cadenza.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -92,6 +93,31 @@ class Simulation(Protocol):
 
     def close(self) -> None:
         """Frees threads and the like. A step may follow."""
+
+
+class Held(NamedTuple):
+    """What is held at the beginning of a control step, until the controls of that step arrive."""
+
+    ctrl: Array
+    """(N, A) in actuator units."""
+    substeps: NDArray[np.intp]
+    """(N,) for how many physics steps, fewer than a control step has."""
+
+
+@runtime_checkable
+class RandomizableSimulation(Simulation, Protocol):
+    """A simulation whose models may differ from each other, and whose controls may be late."""
+
+    def randomize(self, env_id: int, factors: Factors) -> None:
+        """Scales the nominal model of one simulation, which is to be reset next.
+
+        Args:
+            env_id: which.
+            factors: see `cadenza.scene.randomization.shapes`; the same names every time.
+        """
+
+    def step(self, ctrl: Array, env_ids: Sequence[int] | None, held: Held | None = None) -> None:
+        """See `Simulation.step`; `held` is what there is first, if controls are late."""
 
 
 class MakeSimulation(Protocol):

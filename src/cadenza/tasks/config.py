@@ -6,7 +6,7 @@ were kept without it would be carried out again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from cadenza.configs import added
@@ -14,6 +14,56 @@ from cadenza.configs import added
 Fingering = Literal["auto", "transport", "off"]
 KeyPress = Literal["published", "graded"]
 Repeats = Literal["published", "shortened"]
+
+
+Range = tuple[float, float]
+"""The least and the greatest value."""
+
+SAME: Range = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class DomainRandomization:
+    """What differs from one environment to the next, and from one episode to the next.
+
+    A range is two numbers, from the least to the greatest; each reset draws from it uniformly.
+    Factors scale what the nominal model has, each body, joint, servo or key by one of its own.
+    """
+
+    mass: Range = SAME
+    """Range of factors of the mass and inertia of each body, keys included."""
+    friction: Range = SAME
+    """Range of the factor of the friction of contacts, one for all."""
+    joint_damping: Range = SAME
+    """Range of factors of the damping of each joint, keys included."""
+    joint_friction: Range = SAME
+    """Range of factors of the dry friction of each joint, which the fast physics does not have."""
+    armature: Range = SAME
+    """Range of factors of the inertia that each joint's motor adds."""
+    servo_gain: Range = SAME
+    """Range of factors of the gains of each servo, for position and speed alike."""
+    key_spring: Range = SAME
+    """Range of factors of the stiffness of each key's spring."""
+    latency: Range = (0.0, 0.0)
+    """Range of the time that actions take to arrive [s], rounded to physics steps."""
+    joint_noise: float = 0.0
+    """Normal noise on observed joint angles, drawn anew in each step: its standard deviation
+    [rad]."""
+    slide_noise: float = 0.0
+    """The same of joints that slide, as forearms do [m]."""
+    key_noise: float = 0.0
+    """The same of observed key states, as a fraction of the way down; they stay in 0 to 1."""
+    control_noise: float = 0.0
+    """Normal noise on the controls of the servos, drawn anew in each step: its standard deviation,
+    as a fraction of half the control range. Controls stay in their range."""
+    seed: int | None = None
+    """What all of this is drawn with, the same in every episode. Without it, each reset draws one
+    with the random numbers of its environment."""
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything differs from the nominal model."""
+        return replace(self, seed=None) != DomainRandomization()
 
 
 @dataclass(frozen=True)
@@ -60,15 +110,6 @@ class TaskConfig:
     random_hand_position: float = 0.0
     """Randomise the initial position of both hands along the keyboard, up to this far either way
     [m]."""
-    control_noise: float = field(default=0.0, metadata=added(before=0.0))
-    """Normal noise on the controls of the servos, drawn anew in each step: its standard deviation,
-    as a fraction of half the control range."""
-    model_error: float = field(default=0.0, metadata=added(before=0.0))
-    """Scale masses, damping, friction, springs and gains in the simulation, each by a random factor
-    from 1 - e to 1 + e. The planner and ilqg plan without these factors, predictive-sampling with
-    them."""
-    model_seed: int = field(default=0, metadata=added(before=0))
-    """Random seed of these factors."""
     random_stretch: float = 0.0
     """Randomise the tempo per episode: times are scaled by a factor between 1 - r and 1 + r."""
     random_pitch_shift: int = 0
@@ -77,6 +118,8 @@ class TaskConfig:
     """Randomise the transposition per episode, up to this many octaves."""
     randomization_probability: float = 1.0
     """Probability that each randomisation of the score is applied in an episode."""
+    randomization: DomainRandomization = field(default_factory=DomainRandomization)
+    """What of the simulation and its sensors differs by environment and episode."""
 
 
 def with_time_to_begin() -> TaskConfig:

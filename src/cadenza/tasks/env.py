@@ -105,8 +105,9 @@ class PianoVectorEnv(VectorEnv):
     Actions are in [-1, 1], scaled to the actuators' ranges, the pedal last. Observations are
     float32 arrays whose parts `observation_layout` names; with `pixels` a dictionary of them,
     "state", and of pictures, "pixels". `infos` holds the title of the song that each environment
-    plays as "song", the reward terms as "reward/<term>", and in the last step of an episode its
-    scores as "metrics/<name>".
+    plays as "song", the reward terms as "reward/<term>", in the last step of an episode its scores
+    as "metrics/<name>", and where one begins what `DomainRandomization` has drawn for it as
+    "randomization/<name>".
 
     Threads that call the methods of one environment wait for each other.
 
@@ -234,7 +235,7 @@ class PianoVectorEnv(VectorEnv):
         self._seed(seed, mask)
         self._restart(np.flatnonzero(mask), songs)
         self._finished = self._finished & ~mask
-        return self._observe(), self._songs(mask)
+        return self._observe(), self._songs(mask) | self._drawn(mask)
 
     def _assigned(self, song: Any) -> list[int | None]:
         """(N,) indices of songs, None where they are drawn."""
@@ -253,6 +254,11 @@ class PianoVectorEnv(VectorEnv):
     def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
         titles = np.array([score.title for score in self.task.sheets.songs], object)
         return {"song": titles, "_song": known}
+
+    def _drawn(self, fresh: NDArray[np.bool_]) -> dict[str, Any]:
+        """What randomization has drawn where episodes begin."""
+        drawn = {f"randomization/{name}": v.copy() for name, v in self.task.drawn.items()}
+        return drawn | {f"_{name}": fresh for name in drawn}
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
         """Seeds environments of the mask (N,); those without a seed keep what they draw from."""
@@ -309,6 +315,8 @@ class PianoVectorEnv(VectorEnv):
         if moving is not None:
             result = _blanked(result, fresh)
         infos = self._infos(result, ~fresh)
+        if moving is not None:
+            infos |= self._drawn(fresh)
         ended = result.terminated | result.truncated
         any_ended = bool(ended.any())
         if any_ended:
@@ -319,7 +327,7 @@ class PianoVectorEnv(VectorEnv):
             infos |= {"final_info": infos.copy(), "_final_info": ended}
             infos |= {"final_obs": _rows(observation, ended), "_final_obs": ended}
             self._restart(np.flatnonzero(ended))
-            infos |= self._songs(np.ones_like(ended))
+            infos |= self._songs(np.ones_like(ended)) | self._drawn(ended)
             self._finished = np.zeros_like(ended)
             observation = self._observe()
         return observation, result.reward, result.terminated, result.truncated, infos
@@ -473,8 +481,12 @@ def _check_shape(what: str, given: Any, space: spaces.Space) -> None:
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """What `infos` says of the first environment, as plain values."""
-    return {name: values[:1].tolist()[0] for name, values in infos.items() if name[0] != "_"}
+    """What `infos` says of the first environment, as plain values and arrays."""
+    return {
+        name: values[0] if values.ndim > 1 else values[:1].tolist()[0]
+        for name, values in infos.items()
+        if name[0] != "_"
+    }
 
 
 def _row(observation: Observation) -> Observation:

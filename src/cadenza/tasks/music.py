@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.configs import MOST_SEED
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import check_pitches, check_steps, silence
 from cadenza.music.score import NUM_KEYS, Score, check_length
@@ -26,9 +25,6 @@ _MOST = {  # of options that are 0 or more
     "fingering_margin": 1,
     "energy_coefficient": 1000,
     "random_hand_position": 1,
-    "control_noise": 1,
-    "model_error": 0.99,
-    "model_seed": MOST_SEED,
     "random_stretch": 0.99,
     "random_pitch_shift": NUM_KEYS,
     "random_octave_shift": NUM_KEYS // _OCTAVE,

@@ -18,7 +18,6 @@ from cadenza.errors import CadenzaError
 from cadenza.music.metrics import playing_metrics
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.perturbation import perturbed
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
@@ -26,6 +25,7 @@ from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.optimal_transport import keys_by_transport_on_host
+from cadenza.tasks.randomization import Randomization
 from cadenza.tasks.view import TaskSpec, View
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class PianoTask:
 
     Attributes:
         spec: what is the same in all environments and episodes.
-        scene: the scene that is simulated.
+        scene: the nominal scene, which simulations may differ from, see `DomainRandomization`.
         config: the task's configuration.
         simulation: the physics.
         action_low, action_high: (A,) ranges of an action in actuator units, the pedal last.
@@ -114,14 +114,9 @@ class PianoTask:
         self.scene = scene if isinstance(scene, Scene) else build_scene(scene)
         self.num_envs = num_envs = whole_number(num_envs, "num_envs", 1, MOST_ENVS)
         self.draw_from(scores, progress)
-        if self.config.model_error:
-            factors = np.random.default_rng(self.config.model_seed)
-            self.scene = perturbed(self.scene, factors, self.config.model_error)
         self._offset_joints = self._find_offset_joints()
         if make_simulation is None:
             apart = self.scene.config.hands == "apart"
-            if apart and self.config.model_error:
-                raise CadenzaError("model_error: hands that play apart have none; choose both")
             make_simulation = HandsApart if apart else MujocoSimulation
         self.simulation = make_simulation(
             scene=self.scene,
@@ -129,6 +124,13 @@ class PianoTask:
             control_timestep=self.config.control_timestep,
             num_threads=num_threads,
             watch_forearms=self.config.forearm_term,
+        )
+        self._randomization = Randomization(
+            self.config.randomization,
+            self.scene,
+            self.config.control_timestep,
+            num_envs,
+            self.simulation,
         )
         keyboard = self.scene.keyboard
         self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
@@ -149,7 +151,6 @@ class PianoTask:
         self.wanted = np.zeros((num_envs, keyboard.num_keys), bool)
         self._more_terms = _checked_terms(reward_terms or {})
         self._pedal = np.zeros(num_envs)
-        self._rngs: dict[int, np.random.Generator] = {}
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
         self._look()
@@ -215,6 +216,11 @@ class PianoTask:
         """The scores that are drawn from, as they are played."""
         return tuple(track.score for track in self.tracks)
 
+    @property
+    def drawn(self) -> Mapping[str, NDArray[Any]]:
+        """Name -> (N, ...) what was drawn for the episodes, see `Randomization.drawn`."""
+        return self._randomization.drawn
+
     def draw_from(
         self, scores: Sequence[Score], progress: Callable[[int, int], None] | None = None
     ) -> None:
@@ -248,12 +254,12 @@ class PianoTask:
         pitches = self.scene.keyboard.pitches
         for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
             self.sheets.put(env, music.draw(self.tracks, self.config, pitches, rng, song))
-            self._rngs[env] = rng
             if most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         if (missing := int(self.sheets.num_steps.max()) - self._played.shape[1]) > 0:
             self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
         self.wanted[list(env_ids)] = False
+        self._randomization.begin(env_ids, rngs, start)
         self.simulation.reset(env_ids, start)
         self._pedal[list(env_ids)] = 0.0
         self.reward[list(env_ids)] = 0.0
@@ -275,10 +281,10 @@ class PianoTask:
         sheets = self.sheets
         goal, fingers, row = sheets.goal, sheets.fingers, sheets.row
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
-        self.simulation.step(self._as_they_arrive(ctrl[:, :-1], moving), env_ids)
+        arrived = self._randomization.step(ctrl, moving)
         self._look()
         # Up where it is not a number.
-        self._pedal[moving] = np.fmin(np.fmax(ctrl[moving, -1], 0.0), 1.0)
+        self._pedal[moving] = np.fmin(np.fmax(arrived[moving, -1], 0.0), 1.0)
         self.wanted[moving] = goal[moving, :-1]
         within = self._env_ids[moving][(sheets.steps_done < sheets.num_steps)[moving]]
         here = within, row[within]
@@ -299,17 +305,6 @@ class PianoTask:
             truncated=(sheets.steps_done >= sheets.num_steps) > terminated,
             unstable=self.state.unstable,
         )
-
-    def _as_they_arrive(self, ctrl: Array, moving: slice | NDArray[np.intp]) -> Array:
-        """(N, A - 1) the controls of the servos, with noise if there is any."""
-        if not self.config.control_noise:
-            return ctrl
-        low, high = self.action_low[:-1], self.action_high[:-1]
-        sigma = self.config.control_noise * (high - low) / 2
-        noisy = ctrl.copy()
-        for env in self._env_ids[moving].tolist():
-            noisy[env] += sigma * self._rngs[env].standard_normal(len(sigma))
-        return np.clip(noisy, low, high)
 
     def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
         config, state, keys = self.config, self.state, goal[:, :-1]
@@ -383,17 +378,19 @@ class PianoTask:
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
         positions [m, rad]; touch: normal forces on the fingertips that are there, from 0 to 1
-        where the sensors saturate, at `TOUCH_RANGE`.
+        where the sensors saturate, at `TOUCH_RANGE`. Joints and key states have the noise of
+        `DomainRandomization`.
         """
         layout = self.observation_layout
         result = np.empty((self.num_envs, self.observation_size), np.float32)
         result[:, layout["goal"]] = self.sheets.lookahead
         if "fingering" in layout:
             result[:, layout["fingering"]] = self.sheets.fingers_wanted
-        result[:, layout["key_state"]] = self.key_state
+        result[:, layout["key_state"]] = self._randomization.observed_keys(self.key_state)
         result[:, layout["pedal"]] = self._pedal[:, None]
         if "joints" in layout:
-            result[:, layout["joints"]] = self.state.hand_qpos
+            joints = self._randomization.observed_joints(self.state.hand_qpos)
+            result[:, layout["joints"]] = joints
         if "touch" in layout:
             result[:, layout["touch"]] = np.minimum(
                 self.state.touch[:, self.scene.fingers_there] / TOUCH_RANGE, 1.0

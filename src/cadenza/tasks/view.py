@@ -37,8 +37,7 @@ class TaskSpec:
 
     config: TaskConfig
     scene: Scene
-    """The hands and the keys as they are simulated, disturbed by `TaskConfig.model_error`. A scene
-    that is built from its `config` is not."""
+    """The hands and the keys of the nominal model, whatever `TaskConfig.randomization` draws."""
     action_low: Array
     """(A,) the least action in actuator units [m, rad], the pedal last."""
     action_high: Array
@@ -81,9 +80,10 @@ class View:
     playing: Mask
     """(N,) whether it takes the next step; of the others, no action is wanted."""
     state: State
-    """Positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
+    """True positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
     observation: NDArray[np.float32]
-    """(N, D) as the environments give it, see `TaskSpec.observation_layout`."""
+    """(N, D) as the environments give it, with noise if there is any, see
+    `TaskSpec.observation_layout`."""
     fingers: NDArray[np.int8]
     """(N, K) the fingers for the keys of the next step, -1 for none."""
     reward: Array

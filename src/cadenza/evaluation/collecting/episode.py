@@ -156,7 +156,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
         kept=kept,
         metrics=result.metrics,
         drawn=drawn,
-        task=_nothing_drawn(spec.task),
+        task=_nothing_drawn(spec.task, result),
         scene=spec.scene,
         start=tuple(result.episode["hand_qpos0"].tolist()),
         cpu_seconds=time.process_time() - began,
@@ -229,10 +229,16 @@ def _plan(setup: Setup, disturbed: Disturbed) -> SongPlan:
     return plan_song(track, disturbed.start.hand_qpos[0])
 
 
-def _nothing_drawn(task: TaskConfig) -> TaskConfig:
-    """For a score that has been trimmed, stretched and transposed."""
+def _nothing_drawn(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
+    """For a score that has been trimmed, stretched and transposed.
+
+    What `DomainRandomization` drew follows from the seed that this gives.
+    """
+    seed = result.episode.arrays.get("randomization_seed")
+    drawn = replace(task.randomization, seed=None if seed is None else int(seed))
     return replace(
         task,
+        randomization=drawn,
         trim_silence=False,
         stretch=1.0,
         transpose=0,

@@ -1,0 +1,408 @@
+"""Domain randomization: each episode of each environment differs, and can be had again."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+import cadenza
+from cadenza import CadenzaError, DomainRandomization, Note, SceneConfig, Score, TaskConfig
+from cadenza.agents.agent import RandomAgent, ZeroAgent
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
+from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.agents.playback import Playback
+from cadenza.agents.rollout import play_episode
+from cadenza.episode import load_episode
+from cadenza.files import read_json
+from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.servos import servos_of
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.tasks.env import PianoVectorEnv
+from cadenza.tasks.piano_task import PianoTask
+
+TUNE = Score((Note(0.0, 0.2, 60), Note(0.2, 0.4, 64), Note(0.2, 0.6, 43)), title="A tune")
+ID = "cadenza/Piano-v0"
+FACTORS = (
+    "mass", "friction", "joint_damping", "joint_friction", "armature", "servo_gain", "key_spring",
+)  # fmt: skip
+EACH: dict[str, Any] = {
+    **dict.fromkeys(FACTORS, (0.7, 1.4)),
+    "latency": (0.0, 0.12),
+    **dict.fromkeys(("joint_noise", "slide_noise", "key_noise", "control_noise"), 0.02),
+}
+ALL = DomainRandomization(**EACH)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return build_scene()
+
+
+def make(num_envs: int = 1, **options: Any) -> PianoVectorEnv:
+    options = {"randomization": ALL, **options}
+    return gym.make_vec(ID, num_envs, song=TUNE, **options).unwrapped  # type: ignore[return-value]
+
+
+def actions(envs: PianoVectorEnv, steps: int = 20) -> NDArray[np.float32]:
+    """The same in all environments, and a new one each step."""
+    rng = np.random.default_rng(1)
+    return np.repeat(
+        rng.uniform(-0.5, 0.5, (steps, 1, envs.task.action_size)), envs.num_envs, axis=1
+    ).astype(np.float32)
+
+
+def happens(envs: PianoVectorEnv, seed: Any = 0) -> list[NDArray[Any]]:
+    """All that is seen, rewarded and true, over more than an episode; (steps, N, ...) each."""
+    observation, _ = envs.reset(seed=seed)
+    rows = [(observation, np.zeros(envs.num_envs), envs.task.state.hand_qpos)]
+    for action in actions(envs):
+        observation, reward, *_ = envs.step(action)
+        rows.append((observation, reward, envs.task.state.hand_qpos))
+    return [np.array(column) for column in zip(*rows, strict=True)]
+
+
+# Seeds
+
+
+@pytest.mark.parametrize("name", EACH)
+def test_environments_differ_in_each_field(name: str) -> None:
+    seen, _, qpos = happens(make(4, randomization={name: EACH[name]}))
+    parts = (seen, qpos) if "noise" in name and name != "control_noise" else (qpos,)
+    rows = {np.concatenate([part[:, i].ravel() for part in parts]).tobytes() for i in range(4)}
+    assert len(rows) == 4
+
+
+def test_another_seed_draws_others_and_the_same_the_same() -> None:
+    first, again, other = (happens(make(2), seed) for seed in (0, 0, 5))
+    for a, b, c in zip(first, again, other, strict=True):
+        assert_array_equal(a, b)
+        assert (a != c).any()
+
+
+def test_episodes_of_one_environment_differ() -> None:
+    envs = make(1)
+    _, first = envs.reset(seed=0)
+    _, second = envs.reset()
+    assert (first["randomization/mass"] != second["randomization/mass"]).mean() > 0.9
+    assert first["randomization/seed"] != second["randomization/seed"]
+
+
+@pytest.mark.parametrize(
+    "scene", [SceneConfig(), SceneConfig(hands="apart")], ids=["both", "apart"]
+)
+def test_same_bits_for_any_number_of_threads_and_alone(scene: SceneConfig) -> None:
+    one, two = (happens(make(3, num_threads=n, scene=scene)) for n in (1, 2))
+    alone = happens(make(1, scene=scene), seed=[1])
+    for a, b, c in zip(one, two, alone, strict=True):
+        assert_array_equal(a, b)
+        assert_array_equal(a[:, 1:2], c)
+
+
+def test_a_field_draws_the_same_whatever_else_is_on() -> None:
+    infos = [
+        make(1, randomization=options).reset(seed=0)[1]
+        for options in (ALL, {"mass": EACH["mass"]}, {"mass": EACH["mass"], "key_noise": 0.1})
+    ]
+    for info in infos[1:]:
+        assert_array_equal(info["randomization/mass"], infos[0]["randomization/mass"])
+
+
+@pytest.mark.parametrize(
+    "off", [{}, {"seed": 3}, DomainRandomization(), {"mass": (1, 1), "latency": (0, 0)}]
+)
+def test_nothing_on_is_as_if_there_were_nothing(off: Any) -> None:
+    envs = make(2, randomization=off)
+    plain = gym.make_vec(ID, 2, song=TUNE).unwrapped
+    for a, b in zip(happens(envs), happens(plain), strict=True):  # type: ignore[arg-type]
+        assert_array_equal(a, b)
+    assert not envs.task.drawn
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_as_their_originals(duplicate: Callable) -> None:
+    envs = make(2)
+    envs.reset(seed=0)
+    for action in actions(envs, 3):
+        envs.step(action)
+    twin = duplicate(envs)
+    for action in actions(envs):
+        ours, theirs = envs.step(action), twin.step(action)
+        for a, b in zip(ours[:4], theirs[:4], strict=True):
+            assert_array_equal(a, b)
+
+
+# What is told
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None:
+    envs = make(2, autoreset_mode=mode)
+    _, infos = envs.reset(seed=0)
+    names = {f"randomization/{name}" for name in (*FACTORS, "latency", "seed")}
+    assert {name for name in infos if name.startswith("randomization/")} == names
+    assert infos["randomization/mass"].shape == (2, envs.task.scene.model.nbody)
+    assert infos["_randomization/mass"].all()
+    last = int(envs.task.sheets.num_steps[0])
+    for k, action in enumerate(actions(envs, last + 1), 1):
+        if k > last and mode == AutoresetMode.DISABLED:
+            _, later = envs.reset(options={"reset_mask": np.array([True, True])})
+        else:
+            *_, later = envs.step(action)
+        begins = k == (last if mode == AutoresetMode.SAME_STEP else last + 1)
+        assert ("randomization/mass" in later) == begins
+        if begins:
+            assert (later["randomization/seed"] != infos["randomization/seed"]).all()
+            assert (later["randomization/mass"] != infos["randomization/mass"]).any(axis=1).all()
+            assert later["_randomization/mass"].all()
+
+
+def test_a_single_environment_tells_it_as_numbers_and_arrays() -> None:
+    env = gym.make(ID, song=TUNE, randomization={"mass": (0.5, 2.0), "latency": (0.03, 0.03)})
+    _, info = env.reset(seed=3)
+    assert info["randomization/mass"].shape == (env.unwrapped.task.scene.model.nbody,)  # type: ignore[attr-defined]
+    assert info["randomization/latency"] == pytest.approx(0.03)
+    assert isinstance(info["randomization/seed"], int)
+
+
+def test_an_episode_can_be_had_again_by_the_seed_that_its_info_tells() -> None:
+    """One in the middle of many."""
+    envs = make(2, autoreset_mode=AutoresetMode.DISABLED)
+    envs.reset(seed=0)
+    observation, infos = envs.reset()
+    again = make(1, randomization=asdict(ALL) | {"seed": int(infos["randomization/seed"][1])})
+    theirs, _ = again.reset(seed=77)
+    assert_array_equal(observation[1:], theirs)
+    for action in actions(envs, 10):
+        assert_array_equal(envs.step(action)[0][1:], again.step(action[1:])[0])
+
+
+# What it does
+
+
+def test_models_have_what_infos_tell_and_nothing_adds_up() -> None:
+    """The heavier a key, the deeper it sags."""
+    config = TaskConfig(randomization=DomainRandomization(mass=(0.5, 2.0)))
+    task = PianoTask([TUNE], config, SceneConfig(hands="none"), 6)
+    for _ in range(3):
+        task.reset(np.random.default_rng(3).spawn(6), range(6))
+        task.step(np.zeros((6, 89)))
+        bodies = [
+            task.scene.model.geom_bodyid[g] for g in range(*task.scene.key_geoms.indices(999))
+        ]
+        factor, depth = task.drawn["mass"][:, bodies], task.state.key_qpos
+        correlation = [np.corrcoef(factor[:, k], depth[:, k])[0, 1] for k in range(88)]
+        assert min(correlation) > 0.99
+
+
+@pytest.mark.parametrize(("gain", "hands"), [(0.25, "both"), (0.25, "apart")])
+def test_weaker_servos_lag(gain: float, hands: Any) -> None:
+    def reached(factor: float) -> NDArray[np.float64]:
+        config = TaskConfig(randomization=DomainRandomization(servo_gain=(factor, factor)))
+        task = PianoTask([TUNE], config, SceneConfig(hands=hands))
+        task.reset([np.random.default_rng(0)], [0])
+        ctrl = np.clip(np.full((1, task.action_size), 0.2), task.action_low, task.action_high)
+        task.step(ctrl)
+        slides = task.scene.slide_joints
+        return task.state.hand_qpos[0, slides] - task.scene.hand_start[slides]
+
+    weak, nominal = reached(gain), reached(1.0)
+    assert_allclose(weak, gain * nominal, rtol=0.2)
+
+
+def test_planners_have_the_nominal_scene(scene: Scene) -> None:
+    """Predictive sampling simulates, and from a nominal state chooses what it would anyway."""
+    config = PredictiveSamplingConfig(num_candidates=2, horizon=0.1)
+    chosen = []
+    for randomization in (DomainRandomization(), DomainRandomization(mass=(0.5, 2.0))):
+        task = PianoTask([TUNE], TaskConfig(randomization=randomization), scene)
+        task.reset([np.random.default_rng(0)], [0])
+        assert task.view().task.scene is scene
+        agent = PredictiveSampling(config)
+        agent.reset([0], [np.random.default_rng(0)])
+        chosen.append(agent.act(task.view()))
+    assert_array_equal(*chosen)
+
+
+def late(scene: Scene, latency: float, steps: int = 8) -> tuple[PianoTask, NDArray[Any]]:
+    """(steps, J) where an action of the second forearm's way takes the hands."""
+    config = DomainRandomization(latency=(latency, latency))
+    task = PianoTask([TUNE], TaskConfig(randomization=config, random_hand_position=0.05), scene)
+    task.reset([np.random.default_rng(0)], [0])
+    ctrl = np.clip(np.full((1, task.action_size), 0.1), task.action_low, task.action_high)
+    ctrl[0, -1] = 1.0
+    path, pedals = [], []
+    for _ in range(steps):
+        task.step(ctrl)
+        path.append(task.state.hand_qpos[0].copy())
+        pedals.append(task.pedal_down[0])
+    return task, np.array([*map(np.append, path, pedals)])
+
+
+def test_an_action_arrives_after_its_latency(scene: Scene) -> None:
+    """Within a control step as MuJoCo's own steps have it, and steps later for longer ones."""
+    _, at_once = late(scene, 0.0)
+    _, whole = late(scene, 0.1)
+    _, part = late(scene, 0.12)
+    slide = scene.slide_joints[0]
+    start = late(scene, 0.0, 0)[0].state.hand_qpos[0, slide]
+    assert_allclose(whole[:2, slide], start, atol=1e-3)  # rests until then
+    assert_allclose(whole[2:, slide] - start, at_once[:-2, slide] - start, rtol=0.05, atol=1e-4)
+    moved = np.abs(np.stack([at_once, whole, part])[:, :, slide] - start)
+    assert (moved[1, 2:] > moved[2, 2:]).all()
+    assert (moved[2, 3:] > moved[1, 2:-1]).all()
+    assert [rows[:4, -1].tolist() for rows in (at_once, whole, part)] == [
+        [1, 1, 1, 1],
+        [0, 0, 1, 1],
+        [0, 0, 1, 1],  # at the end of the third step, it has arrived
+    ]
+
+
+def test_a_latency_within_a_step_is_that_of_mujoco_stepped_by_hand(scene: Scene) -> None:
+    task, path = late(scene, 0.015, 1)  # 3 of 10 physics steps
+    fresh = late(scene, 0.015, 0)[0]
+    model, data = scene.model, mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = fresh.state.hand_qpos[0]
+    rest = servos_of(scene).clip(fresh.state.hand_qpos[0] @ servos_of(scene).of_joints)
+    then = np.clip(np.full(task.action_size, 0.1), task.action_low, task.action_high)[:-1]
+    for k in range(10):
+        data.ctrl = rest if k < 3 else then
+        mujoco.mj_step(model, data)
+    assert_allclose(path[0, :-1], data.qpos[scene.hand_qpos], atol=1e-9)
+    assert task.drawn["latency"][0] == pytest.approx(0.015)
+
+
+def test_latency_is_rounded_to_physics_steps(scene: Scene) -> None:
+    assert late(scene, 0.012, 0)[0].drawn["latency"][0] == pytest.approx(0.01)
+
+
+def test_observations_have_noise_and_the_state_has_none(scene: Scene) -> None:
+    noise = DomainRandomization(joint_noise=0.03, slide_noise=0.002, key_noise=0.05)
+    task = PianoTask([TUNE], TaskConfig(randomization=noise), scene, 4)
+    task.reset(np.random.default_rng(0).spawn(4), range(4))
+    off, parts = [], task.observation_layout
+    low, high = np.inf, -np.inf
+    for _ in range(25):
+        seen = task.observation()
+        assert_array_equal(seen, task.view().observation)  # looked at twice, it is the same
+        off.append(seen[:, parts["joints"]] - task.view().state.hand_qpos)
+        keys = seen[:, parts["key_state"]]
+        low, high = min(low, keys.min()), max(high, keys.max())
+        assert set(np.unique(seen[:, parts["goal"]])) <= {0, 1}
+        task.step(np.tile(np.clip(0, task.action_low, task.action_high), (4, 1)))
+    slides = np.array(
+        [name.split("forearm")[-1] in ("_tx", "_ty") for name in scene.hand_joint_names]
+    )
+    assert_allclose(np.std(np.array(off)[..., slides]), 0.002, rtol=0.2)
+    assert_allclose(np.std(np.array(off)[..., ~slides]), 0.03, rtol=0.05)
+    assert low == 0.0
+    assert 0.05 < high < 0.5
+
+
+def test_controls_have_noise_in_each_step_and_environment(scene: Scene) -> None:
+    arrived = []
+
+    class Listening(MujocoSimulation):
+        def step(self, ctrl: Any, env_ids: Any = None, held: Any = None) -> None:
+            arrived.append(ctrl.copy())
+            super().step(ctrl, env_ids, held)
+
+    config = TaskConfig(randomization=DomainRandomization(control_noise=0.05))
+    task = PianoTask([TUNE], config, scene, 4, make_simulation=Listening)
+    task.reset(np.random.default_rng(0).spawn(4), range(4))
+    half = (task.action_high - task.action_low)[:-1] / 2
+    middle = (task.action_low + task.action_high) / 2
+    for _ in range(10):
+        task.step(np.tile(middle, (4, 1)))
+    noise = (np.array(arrived) - middle[:-1]) / half
+    assert_allclose(noise.std(), 0.05, rtol=0.05)
+    assert len(np.unique(noise)) == noise.size
+
+
+# Recordings and options
+
+
+def test_a_recorded_episode_plays_again_to_the_bit(tmp_path: Path) -> None:
+    task = TaskConfig(randomization=ALL, random_hand_position=0.02)
+    played = cadenza.play(TUNE, RandomAgent(), 4, task=task)
+    played.save(tmp_path)
+    recorded = load_episode(tmp_path / "episode.npz")
+    settings = read_json(tmp_path / "settings.json", dict[str, Any])
+    read = TaskConfig(**settings["task"])
+    again = play_episode(PianoTask([TUNE], read), Playback(recorded["action"]), settings["seed"])
+    drawn = {n for n in recorded.arrays if n.startswith("randomization_")}
+    assert drawn == {f"randomization_{n}" for n in (*FACTORS, "latency", "seed")}
+    for name in {"hand_qpos", "key_qpos", "reward_total", *drawn}:
+        assert_array_equal(recorded[name], again.episode[name])
+    seed = int(recorded["randomization_seed"])
+    by_seed = TaskConfig(randomization=DomainRandomization(**EACH, seed=seed))
+    start = play_episode(PianoTask([TUNE], by_seed), ZeroAgent(), 99).episode
+    assert_array_equal(start["randomization_mass"], recorded["randomization_mass"])
+
+
+def test_gymnasium_checks_the_env() -> None:
+    check_env(gym.make(ID, song=TUNE, randomization=ALL).unwrapped, skip_render_check=True)
+
+
+def test_a_spec_has_it_as_a_dictionary_or_a_value() -> None:
+    for randomization in (ALL, asdict(ALL)):
+        env = gym.make(ID, song="CMajorScaleOneHand", randomization=randomization)
+        again = gym.make(pickle.loads(pickle.dumps(env.spec)))
+        seen = [each.reset(seed=1)[0] for each in (env, again)]
+        assert_array_equal(*seen)
+    text = env.spec.to_json()  # type: ignore[union-attr]
+    assert_array_equal(
+        gym.make(gym.envs.registration.EnvSpec.from_json(text)).reset(seed=1)[0], seen[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mass": (1.2, 0.8)}, "randomization.mass 1.2 0.8: give the least and the greatest"),
+        ({"mass": (0.0, 1.0)}, "both from 0.01 to 100"),
+        ({"friction": (-0.1, 1.0)}, "randomization.friction -0.1 1.0"),
+        ({"servo_gain": (1.0, float("inf"))}, "randomization.servo_gain 1.0 inf"),
+        ({"key_spring": (float("nan"), 1.0)}, "randomization.key_spring nan 1.0"),
+        ({"latency": (0.0, 2.0)}, "randomization.latency 0.0 2.0"),
+        ({"key_noise": -1.0}, "key_noise -1.0: choose 0 to 1"),
+        ({"joint_noise": float("nan")}, "joint_noise nan"),
+        ({"seed": -1}, "seed -1: choose 0"),
+        ({"mass": 0.1}, "randomization.mass 0.1: give 2 of them; for each, give a number"),
+        ({"mass": (1.0, 1.0, 1.0)}, "randomization.mass .* give 2 of them"),
+        ({"weight": (1.0, 2.0)}, "randomization has no 'weight': choose from mass, friction"),
+        (0.1, "randomization 0.1: give a DomainRandomization or a dictionary"),
+    ],
+)
+def test_says_what_makes_no_sense(options: Any, message: str) -> None:
+    with pytest.raises(CadenzaError, match=message) as error:
+        gym.make(ID, song=TUNE, randomization=options)
+    assert "\n" not in str(error.value)
+
+
+def test_a_simulation_that_cannot_says_so(scene: Scene) -> None:
+    class Other:
+        def __init__(self, scene: Scene, num_envs: int, **_: Any) -> None: ...
+        def reset(self, *_: Any) -> None: ...
+        def step(self, *_: Any) -> None: ...
+
+    for options in ({"mass": (0.9, 1.1)}, {"latency": (0.0, 0.1)}):
+        config = TaskConfig(randomization=DomainRandomization(**options))
+        with pytest.raises(CadenzaError, match=r"randomization\.(mass|latency): a Other"):
+            PianoTask([TUNE], config, scene, make_simulation=Other)  # type: ignore[arg-type]
+
+
+def test_every_field_is_tried_here() -> None:
+    assert {each.name for each in fields(DomainRandomization)} == {*EACH, "seed"}
