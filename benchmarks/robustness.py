@@ -49,7 +49,7 @@ class Trouble:
     noise: float = 0.0
     """Standard deviation of what every control is off by, in units of half its range."""
     model: float = 0.0
-    """Figures of the model are off by up to this share."""
+    """Figures of the model are off by up to this share, others in each episode."""
 
 
 TROUBLES = (

@@ -131,14 +131,16 @@ def whole_number(value: Any, name: str, least: int, most: int) -> int:
     return number
 
 
-def check_ranges(config: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+def check_ranges(
+    config: object, ranges: Mapping[str, tuple[float, float]], prefix: str = ""
+) -> None:
     """That the fields named are from the least to the most.
 
     Raises:
-        CadenzaError: one is not.
+        CadenzaError: one is not; its name is told after `prefix`.
     """
     for name, (least, most) in ranges.items():
-        _check_range(getattr(config, name), name, least, most)
+        _check_range(getattr(config, name), prefix + name, least, most)
 
 
 def _check_range(value: float, name: str, least: float, most: float) -> None:

@@ -18,10 +18,15 @@ from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 # Episodes of different lengths that begin anywhere, and one may end at a wrong key.
+RANDOMIZED = TaskConfig(
+    randomization=DomainRandomization(
+        mass=(0.5, 2.0), latency=(0.0, 0.1), joint_noise=0.1, key_noise=0.1, control_noise=0.1
+    )
+)
 RANDOM = TaskConfig(random_stretch=0.4, random_hand_position=0.1, random_pitch_shift=2)
 ENDING = replace(RANDOM, wrong_press_termination=True)
 FIXED = TaskConfig(initial_buffer_time=0.1)
@@ -169,7 +174,9 @@ def test_a_residual_policy_corrects_the_plan() -> None:
         assert_array_equal(done[:, -1], plan[:, -1])  # the pedal is the score's
 
 
-@pytest.mark.parametrize(("config", "residual"), [(RANDOM, False), (FIXED, True)])
+@pytest.mark.parametrize(
+    ("config", "residual"), [(RANDOM, False), (RANDOMIZED, False), (FIXED, True)]
+)
 def test_goes_on_after_a_stop_with_the_same_bits(config: TaskConfig, residual: bool) -> None:
     """The three environments are at different steps of different songs."""
     whole = Run(config, residual)

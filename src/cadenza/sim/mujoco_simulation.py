@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 MOST_ENVS = 10_000
-"""Each takes about a megabyte, and a third more with a model of its own."""
+"""Each takes about a megabyte, and half of one more with a model of its own."""
 _LOG = logging.getLogger(__name__)
 _AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # what MuJoCo does not pickle
 UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)

@@ -21,8 +21,14 @@ Ids = NDArray[np.intp]
 _LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without any; of all others 0
 _MOST_FACTOR = 100.0
 _MOST_LATENCY = 1.0  # [s]
-_MOST_NOISE = {"joint_noise": 10, "slide_noise": 1, "key_noise": 1, "control_noise": 1}
+_MOST_NOISE: dict[str, float] = {
+    "joint_noise": 10,
+    "slide_noise": 1,
+    "key_noise": 1,
+    "control_noise": 1,
+}
 _LATENCY, _SEED = "latency", "seed"
+_PREFIX = "randomization."  # the field of `TaskConfig`
 _CONTROL, _OBSERVATION = "control", "observation"
 _OTHERS = (_LATENCY, _CONTROL, _OBSERVATION)  # that have a generator, beside the factors
 
@@ -87,9 +93,7 @@ class Randomization:
         asked = [*self._shapes, *({_LATENCY} & self.drawn.keys())]
         if asked and not isinstance(simulation, RandomizableSimulation):
             kind = type(simulation).__name__
-            raise CadenzaError(
-                f"randomization.{asked[0]}: a {kind} cannot be randomized; leave it out"
-            )
+            raise CadenzaError(f"{_PREFIX}{asked[0]}: a {kind} cannot be randomized; leave it out")
 
     # At the beginning of episodes
 
@@ -215,9 +219,10 @@ def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
         low, high = getattr(config, name)
         if not least <= low <= high <= most:
             raise CadenzaError(
-                f"randomization.{name} {low} {high}: give the least and the greatest, both from "
-                f"{least} to {most}"
+                f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
+                f"{least:g} to {most:g}"
             )
-    check_ranges(config, {name: (0, most) for name, most in _MOST_NOISE.items()})
+    numbers = {name: (0, most) for name, most in _MOST_NOISE.items()}
     if config.seed is not None:
-        check_ranges(config, {_SEED: (0, MOST_COUNT)})
+        numbers[_SEED] = (0, MOST_COUNT)
+    check_ranges(config, numbers, _PREFIX)
