@@ -22,12 +22,13 @@ from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 # Episodes of different lengths that begin anywhere, and one may end at a wrong key.
-RANDOMIZED = TaskConfig(
+RANDOM = TaskConfig(random_stretch=0.4, random_hand_position=0.1, random_pitch_shift=2)
+RANDOMIZED = replace(
+    RANDOM,
     randomization=DomainRandomization(
         mass=(0.5, 2.0), latency=(0.0, 0.1), joint_noise=0.1, key_noise=0.1, control_noise=0.1
-    )
+    ),
 )
-RANDOM = TaskConfig(random_stretch=0.4, random_hand_position=0.1, random_pitch_shift=2)
 ENDING = replace(RANDOM, wrong_press_termination=True)
 FIXED = TaskConfig(initial_buffer_time=0.1)
 
