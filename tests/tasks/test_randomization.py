@@ -22,7 +22,7 @@ import cadenza
 from cadenza import CadenzaError, DomainRandomization, Note, SceneConfig, Score, TaskConfig
 from cadenza.agents.agent import RandomAgent, ZeroAgent
 from cadenza.agents.baselines.predictive_sampling import PredictiveSampling
-from cadenza.agents.planning.config import PredictiveSamplingConfig
+from cadenza.agents.planner.config import PredictiveSamplingConfig
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode

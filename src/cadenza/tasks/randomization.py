@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,11 +22,11 @@ Ids = NDArray[np.intp]
 _LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without any; of all others 0
 _MOST_FACTOR = 100.0
 _MOST_LATENCY = 1.0  # [s]
-_MOST_NOISE: dict[str, float] = {
-    "joint_noise": 10,
-    "slide_noise": 1,
-    "key_noise": 1,
-    "control_noise": 1,
+_MOST_NOISE = {
+    "joint_noise": math.pi,  # [rad], half a turn
+    "slide_noise": 1.0,  # [m], nearly the keyboard
+    "key_noise": 1.0,  # all the way down
+    "control_noise": 1.0,  # half the range
 }
 _LATENCY, _SEED = "latency", "seed"
 _PREFIX = "randomization."  # the field of `TaskConfig`
@@ -222,7 +223,9 @@ def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
                 f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
                 f"{least:g} to {most:g}"
             )
-    numbers = {name: (0, most) for name, most in _MOST_NOISE.items()}
+    numbers: dict[str, tuple[float, float]] = {
+        name: (0, most) for name, most in _MOST_NOISE.items()
+    }
     if config.seed is not None:
         numbers[_SEED] = (0, MOST_COUNT)
     check_ranges(config, numbers, _PREFIX)
