@@ -223,9 +223,7 @@ def _check(config: DomainRandomization, factors: Sequence[str]) -> None:
                 f"{_PREFIX}{name} {low} {high}: give the least and the greatest, both from "
                 f"{least:g} to {most:g}"
             )
-    numbers: dict[str, tuple[float, float]] = {
-        name: (0, most) for name, most in _MOST_NOISE.items()
-    }
+    numbers = {name: (0.0, most) for name, most in _MOST_NOISE.items()}
     if config.seed is not None:
         numbers[_SEED] = (0, MOST_COUNT)
     check_ranges(config, numbers, _PREFIX)
