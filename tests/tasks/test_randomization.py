@@ -377,7 +377,7 @@ def test_a_spec_has_it_as_a_dictionary_or_a_value() -> None:
         ({"servo_gain": (1.0, float("inf"))}, "randomization.servo_gain 1.0 inf"),
         ({"key_spring": (float("nan"), 1.0)}, "randomization.key_spring nan 1.0"),
         ({"latency": (0.0, 2.0)}, "randomization.latency 0.0 2.0"),
-        ({"key_noise": -1.0}, "randomization.key_noise -1.0: choose 0 to 1"),
+        ({"key_noise": -1.0}, "randomization.key_noise -1.0: choose 0.0 to 1.0"),
         ({"joint_noise": float("nan")}, "randomization.joint_noise nan"),
         ({"seed": -1}, "randomization.seed -1: choose 0"),
         ({"mass": 0.1}, "randomization.mass 0.1: give 2 of them; for each, give a number"),
