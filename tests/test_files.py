@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -27,10 +28,12 @@ from cadenza.files import (
     ArrayOf,
     check_arrays,
     checked,
+    content_of,
     folder_name,
     opened_in_place,
     read_arrays,
     read_json,
+    sha256_of,
     write_atomically,
     write_json,
 )
@@ -290,6 +293,59 @@ def test_what_a_file_unpacks_to_is_bounded(tmp_path: Path, content: bytes, sayin
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 2**22
+
+
+@contextmanager
+def with_little_memory() -> Iterator[None]:
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < 2**23
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.fixture
+def huge(tmp_path: Path) -> Path:
+    """A file of 3 GiB that takes no room."""
+    path = tmp_path / "huge"
+    path.touch()
+    os.truncate(path, 3 * 2**30)
+    return path
+
+
+def test_what_is_too_large_is_not_read(huge: Path) -> None:
+    with with_little_memory():
+        for read in (content_of, lambda path: read_json(path, dict), lambda p: read_arrays(p, ANY)):
+            with pytest.raises(CadenzaError):
+                read(huge)
+        with pytest.raises(CadenzaError, match=r"takes 3,072 MiB, .* needs no more than 1 MiB"):
+            sha256_of(huge, most=2**20)
+
+
+def test_an_archive_that_claims_to_list_files_without_end_is_not_read(huge: Path) -> None:
+    size = huge.stat().st_size
+    end = b"PK\5\6" + bytes(4) + b"\1\0\1\0" + size.to_bytes(4, "little") + bytes(6)
+    with huge.open("ab") as file:
+        file.write(end)
+    with with_little_memory(), pytest.raises(CadenzaError, match="holds too many files"):
+        read_arrays(huge, ANY)
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_arrays_that_would_be_unpacked_at_once_are_refused(tmp_path: Path, packing: int) -> None:
+    with zipfile.ZipFile(tmp_path / "file.npz", "w", packing) as file:
+        file.writestr("a.npy", npy((2,), bytes(16)))
+    with pytest.raises(CadenzaError, match="packed in an unusual way"):
+        read_arrays(tmp_path / "file.npz", ANY, 2**20)
+
+
+def test_a_digest_is_that_of_all_files_together(tmp_path: Path) -> None:
+    parts = [b"a" * 3_000_000, b"", b"b"]
+    paths = [tmp_path / str(number) for number in range(len(parts))]
+    for path, part in zip(paths, parts, strict=True):
+        path.write_bytes(part)
+    assert sha256_of(*paths) == hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def test_what_is_not_asked_for_is_not_unpacked(tmp_path: Path) -> None:

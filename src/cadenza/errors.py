@@ -25,9 +25,14 @@ class CadenzaWarning(UserWarning):
     """
 
 
+def is_full(error: Exception) -> bool:
+    """Whether it is that of a disk without room."""
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 def explained(error: CadenzaError | OSError) -> str:
     """What is wrong, and of a disk that is full what to do."""
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if isinstance(error, OSError) and is_full(error):
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
     return str(error)

@@ -7,6 +7,7 @@ else it holds is refused here, in one line.
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import json
 import math
@@ -14,12 +15,13 @@ import os
 import secrets
 import shutil
 import stat
+import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeVar
+from typing import IO, Any, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -33,6 +35,10 @@ TEMPORARY = ".cadenza-"  # what the name of a file begins with while it is writt
 _FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _WRITING = _FLAGS | getattr(os, "O_NOFOLLOW", 0)
 _READING = _FLAGS | getattr(os, "O_NONBLOCK", 0) | os.O_RDONLY
+MOST_JSON = 32 * 2**20
+"""Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
+_MOST_TEXT = 4 * MOST_JSON  # bytes, of which numpy takes four for a letter
+_PIECE = 2**20  # bytes that are read at once of a file that may be of any size
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 # Writing
@@ -148,6 +154,107 @@ def opened(path: Path) -> Iterator[IO[bytes]]:
         yield file
 
 
+@contextmanager
+def _readable(path: Path, most: int | None) -> Iterator[IO[bytes]]:
+    """As `opened`; raises: CadenzaError: it is not there, cannot be read, or is too large."""
+    try:
+        with opened(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if most is not None and size > most:
+                raise CadenzaError(
+                    f"{path}: takes {size >> 20:,} MiB, but such a file needs no more than "
+                    f"{most >> 20:,} MiB; {_ANOTHER}"
+                )
+            yield file
+    except FileNotFoundError as error:
+        raise CadenzaError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def content_of(path: Path, most: int = MOST_JSON) -> bytes:
+    """All that a file holds; nothing is read of one of over `most` bytes.
+
+    Raises:
+        CadenzaError: it is not there, cannot be read, or is larger.
+    """
+    with _readable(path, most) as file:
+        return file.read(os.fstat(file.fileno()).st_size)  # and not what is added meanwhile
+
+
+def sha256_of(*paths: Path, most: int | None = None) -> str:
+    """The digest of what files hold, one after the other, of which little is read at once.
+
+    Raises:
+        CadenzaError: one is not there, cannot be read, or takes over `most` bytes.
+    """
+    digest = hashlib.sha256()
+    for path in paths:
+        with _readable(path, most) as file:
+            while piece := file.read(_PIECE):
+                digest.update(piece)
+    return digest.hexdigest()
+
+
+# Archives
+
+
+class _Sparing(io.BufferedReader):
+    """Reads no more than `most` bytes at once."""
+
+    most = 2**20
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        within = size is not None and 0 <= size <= self.most
+        content = super().read(size if within else self.most + 1)
+        if len(content) > self.most:
+            raise CadenzaError("holds too many files")
+        return content
+
+
+@contextmanager
+def opened_archive(stream: IO[bytes]) -> Iterator[zipfile.ZipFile]:
+    """Yields a ZIP file, whose members are read with `unpacked` or `opened_member`.
+
+    Raises:
+        CadenzaError: it holds more files than any that we read.
+        Exception: it is damaged, which shows in many ways.
+    """
+    sparing = _Sparing(cast(Any, stream))
+    with zipfile.ZipFile(sparing) as archive:  # its list of files may be as long as it likes
+        sparing.most = sys.maxsize - 1  # a member is as long as it says
+        yield archive
+
+
+def unpacked(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+    """All that a member holds, which is at most `most` bytes; no more is unpacked.
+
+    Raises:
+        CadenzaError: it holds more, or is packed in a way that may unpack any amount at once.
+        Exception: it is damaged, which shows in many ways.
+    """
+    content = bytearray()
+    with opened_member(archive, name) as stream:
+        while piece := stream.read(_PIECE):
+            content += piece
+            if len(content) > most:
+                raise CadenzaError(f"over {most >> 20} MiB unpacked, too large for a song")
+    return bytes(content)
+
+
+def opened_member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """A member, of which no more is unpacked than is read.
+
+    Raises:
+        CadenzaError: it is packed in a way that may unpack any amount at once.
+        Exception: it is damaged, which shows in many ways.
+    """
+    member = archive.getinfo(name)
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise CadenzaError("packed in an unusual way; pack it again as a plain ZIP file (deflate)")
+    return archive.open(member)
+
+
 # JSON
 
 
@@ -155,7 +262,7 @@ def read_json(path: Path, kind: type[T]) -> T:
     """What a JSON file holds, as `kind`; see `checked`.
 
     Raises:
-        CadenzaError: it cannot be read, is no JSON, or holds something else.
+        CadenzaError: it cannot be read, is too large, is no JSON, or holds something else.
     """
     return parsed_json(content_of(path), kind, path)
 
@@ -283,20 +390,20 @@ def read_arrays(
     """
     where = source if where is None else where
     try:
-        with _stream(source) as stream, zipfile.ZipFile(stream) as file:
+        with _stream(source) as stream, opened_archive(stream) as file:
             size = stream.seek(0, os.SEEK_END)
             members = {name: m for name, m in _members(file) if first_fitting(name, expected)}
             total = sum(member.file_size for member in members.values())
             if total > (limit := size if most is None else most):
                 raise CadenzaError(
-                    f"{where}: its arrays would take {total / 2**20:,.0f} MiB, but such a file "
+                    f"its arrays would take {total / 2**20:,.0f} MiB, but such a file "
                     f"needs no more than {limit / 2**20:,.0f} MiB; {_ANOTHER}"
                 )
             arrays = {name: _array(file, member) for name, member in members.items()}
     except FileNotFoundError as error:
         raise CadenzaError(f"{where}: there is no such file") from error
-    except CadenzaError:
-        raise
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}") from error
     except Exception as error:  # damage shows in many ways, down to numpy's tokenizer
         raise CadenzaError(f"{where}: not a readable .npz file of plain arrays") from error
     check_arrays(arrays, expected, where)
@@ -329,21 +436,6 @@ def _stream(source: Path | bytes) -> AbstractContextManager[IO[bytes]]:
     return io.BytesIO(source) if isinstance(source, bytes) else opened(source)
 
 
-def content_of(path: Path) -> bytes:
-    """All that a file holds.
-
-    Raises:
-        CadenzaError: it is not there, or cannot be read.
-    """
-    try:
-        with opened(path) as file:
-            return file.read()
-    except FileNotFoundError as error:
-        raise CadenzaError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
-
-
 def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
     for member in file.infolist():
         if not member.filename.isprintable():
@@ -371,16 +463,12 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     """One that takes as much as the file's directory says, which is never exceeded.
 
     Raises:
-        ValueError: its header says something else, or it is packed in another way than numpy does.
+        ValueError: its header says something else, or text of more than any of ours.
     """
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError("not packed by numpy")
-    headers = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
-    with file.open(member) as packed:
-        shape, _, dtype = headers[np.lib.format.read_magic(packed)](packed)
+    with opened_member(file, member.filename) as packed:
+        shape, dtype = array_header(packed)
+        if dtype.kind in TEXT and member.file_size > _MOST_TEXT:
+            raise ValueError("too much text")
         if math.prod(shape) * dtype.itemsize != member.file_size - packed.tell():
             raise ValueError("not as long as its header says")
         packed.seek(0)
@@ -388,6 +476,18 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     if array.dtype.kind in TEXT and not all(map(_is_text, array.ravel().tolist())):
         raise ValueError("no text")
     return array
+
+
+def array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of the array in an .npy file.
+
+    Raises:
+        ValueError: it is none. A later version of the format may have a header of any size.
+    """
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("not of version 1.0")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    return shape, dtype
 
 
 def write_json(path: Path, content: Any) -> None:

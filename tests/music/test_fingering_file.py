@@ -58,7 +58,11 @@ def test_errors_name_the_line(tmp_path, text, message):
 
 def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "bytes").write_bytes(b"\xff\xfe\x00")
-    for name, message in (("missing", "cannot be read"), (".", "cannot"), ("bytes", "UTF-8")):
+    for name, message in (
+        ("missing", "there is no such file"),
+        (".", "cannot"),
+        ("bytes", "UTF-8"),
+    ):
         with pytest.raises(CadenzaError, match=message):
             read_fingering(tmp_path / name, SCORE)
 

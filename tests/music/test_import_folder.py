@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 import time
 from pathlib import Path
@@ -105,6 +106,26 @@ def test_what_cannot_be_read_is_left_out_and_said(
     ]
     assert last == "cadenza: mine: 4 of 10 could not be read and were left out"
     assert len(open_library("mine").songs) == 6
+
+
+def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "away.mid").symlink_to(folder / "nowhere.mid")
+    copy = shutil.copyfile
+
+    def fail(source: Path, to: Path) -> object:
+        if Path(source).name == "joy.mid":
+            raise OSError(errno.EIO, "Input/output error", str(source))
+        return copy(source, to)
+
+    monkeypatch.setattr(shutil, "copyfile", fail)
+    imported = import_folder(folder, "mine")
+    assert imported.left_out == [
+        f"{folder / 'away.mid'}: leads to {folder / 'nowhere.mid'}, which is not there",
+        f"[Errno 5] Input/output error: '{folder / 'joy.mid'}'",
+    ]
+    assert len(imported.rows) == 6
 
 
 def test_importing_again(folder: Path, data: Path, capsys: pytest.CaptureFixture[str]) -> None:

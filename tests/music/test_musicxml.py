@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import subprocess
 import sys
 import zipfile
@@ -12,8 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.music.formats.musicxml import MAX_XML_BYTES, MOST, read_musicxml
+from cadenza.music.formats.musicxml import read_musicxml
 from cadenza.music.formats.musicxml_mending import mend
+from cadenza.music.formats.musicxml_tree import DEEPEST, MAX_XML_BYTES, MOST, MOST_PARTS
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import PedalEvent
 from numbered import numbers
@@ -80,9 +82,9 @@ def saved(tmp_path):
     return save
 
 
-def compressed(document, name="score.xml"):
+def compressed(document, name="score.xml", packing=zipfile.ZIP_DEFLATED):
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(out, "w", packing) as archive:
         rootfile = f'<container><rootfiles><rootfile full-path="{name}"/></rootfiles></container>'
         archive.writestr("META-INF/container.xml", rootfile)
         archive.writestr(name, document)
@@ -360,6 +362,27 @@ def test_a_namespace_makes_no_difference(saved):
     assert pitches(load_score(saved(text))) == [60]
 
 
+def test_a_prefix_makes_no_difference(saved):
+    text = document([FOUR_QUARTERS + note("C4", 16)])
+    text = re.sub(r"<(/?)(\w)", r"<\1m:\2", text).replace("partwise v", 'partwise xmlns:m="x" v')
+    assert pitches(load_score(saved(text))) == [60]
+
+
+def test_what_stands_in_comments_and_sections_of_text_is_not_counted(saved):
+    words = "<words/>" * 2 * MOST["words"]
+    music = f"<!--{words}-->{FOUR_QUARTERS}{note('C4', 16)}"
+    text = document([music], title=f"<![CDATA[{words}]]>")
+    assert pitches(load_score(saved(text))) == [60]
+
+
+def test_nested_changes_of_the_pedal_do_not_double(saved):
+    change = direction('<pedal type="change"/>')
+    inner = change
+    for _ in range((DEEPEST - 8) // 2):
+        inner = f"<measure>{change[: -len('</direction>')]}{inner}</direction></measure>"
+    assert pitches(load_score(saved(document([FOUR_QUARTERS + inner + note("C4", 16)])))) == [60]
+
+
 def test_an_archive_with_a_single_document_needs_no_contents(saved):
     text = document([FOUR_QUARTERS + note("C4", 16)])
     for names in (["a.xml"], ["a.xml", "b.musicxml"]):
@@ -556,9 +579,48 @@ ATTACKS = {
     "zip of nothing": (compressed(b"", "x")[:60], "damaged"),
     "zip that names nothing": (compressed(b"<a/>", "'"), "names no document"),
     "zip without a score": (compressed(b"<a/>", "&quot;"), "damaged"),
-    "deep": ("<score-partwise>" + "<a>" * 100_000, "cannot be read as MusicXML"),
-    "too many tags": ("<score-partwise>" + "<a/>" * MOST[b"<"], "too large for a song"),
+    "packed by bzip2": (
+        compressed(b" " * (MAX_XML_BYTES + 1), packing=zipfile.ZIP_BZIP2),
+        "packed in an unusual way",
+    ),
+    "packed by LZMA": (
+        compressed(b" " * (MAX_XML_BYTES + 1), packing=zipfile.ZIP_LZMA),
+        "packed in an unusual way",
+    ),
+    "deep": ("<score-partwise>" + "<a>" * 350_000, "within each other"),
+    "deep beside a change of the pedal": (
+        document(
+            [
+                FOUR_QUARTERS
+                + direction('<pedal type="change"/>').replace(
+                    "</direction>", "<a>" * 350_000 + "</a>" * 350_000 + "</direction>"
+                )
+                + note("C4", 4)
+            ]
+        ),
+        "within each other",
+    ),
+    "attributes for all": (
+        document(
+            [FOUR_QUARTERS + note("C4", 4)],
+            head=f'<!DOCTYPE score-partwise [<!ATTLIST note a CDATA "{"x" * 100_000}">]>',
+        ),
+        "XML entities or the like",
+    ),
+    "too many tags": ("<score-partwise>" + "<a/>" * MOST_PARTS, "too large for a song"),
+    "too many attributes": (
+        "<score-partwise>" + '<a b="" c="" d=""/>' * (MOST_PARTS // 4),
+        "too large for a song",
+    ),
     "too many words": ("<score-partwise>" + "<words/>" * 4_000, "too large for a song"),
+    "too many words of a namespace": (
+        f'<m:score-partwise xmlns:m="x">{"<m:words/>" * 4_000}',
+        "over 3000 times <words>",
+    ),
+    "too many words in UTF-16": (
+        ("<score-partwise>" + "<words/>" * 4_000).encode("utf-16"),
+        "over 3000 times <words>",
+    ),
     "timewise": ("<score-timewise/>", "there are no notes"),
     "not a score": ("<opus></opus>", "cannot be read as MusicXML"),
     "a page": ("\n<!DOCTYPE html><br>", "is a page (HTML), no music"),

@@ -58,6 +58,9 @@ ONE_READ = (
 )
 
 
+LONG = "É" + "é" * 59  # of a title without end, what the name of a file takes of it
+
+
 def text_of(score: Score) -> str:
     """As the authors would write it."""
     lines = ["//Version: PianoFingering_v170101"]
@@ -348,6 +351,29 @@ def test_a_zip_bomb_is_not_unpacked(dataset: Path, tmp_path: Path) -> None:
     assert path.stat().st_size < 2**18
     (message,) = import_pig(path).left_out
     assert "002-1_fingering.txt: over 2 MiB" in message
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_piece_that_would_be_unpacked_at_once_is_left_out(
+    dataset: Path, tmp_path: Path, packing: int
+) -> None:
+    fingering(dataset, 2).unlink()
+    path = zipped(dataset, tmp_path / "pig.zip")
+    with zipfile.ZipFile(path, "a", packing) as archive:
+        name = fingering(dataset, 2).relative_to(dataset.parent)
+        archive.writestr(str(name), bytes(2**21))
+    imported = import_pig(path)
+    (message,) = imported.left_out
+    assert "002-1_fingering.txt: packed in an unusual way" in message
+    assert len(imported.rows) == 2
+
+
+@pytest.mark.parametrize("letters", [100_000, 200_000])
+def test_a_title_without_end_loses_no_piece(tmp_path: Path, letters: int) -> None:
+    place = make(tmp_path, {1: ("A", "One"), 2: ("B", "é" * letters), 3: ("C", "É" * letters)})
+    assert import_pig(place).left_out == []
+    songs = {song.name for song in open_library("repertoire-150").songs}
+    assert songs == {f"repertoire-150/{name}" for name in ("One", LONG, f"{LONG}-2")}
 
 
 @given(st.integers(0, 2**32 - 1))

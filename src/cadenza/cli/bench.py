@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shlex
 import sys
 import warnings
@@ -179,11 +178,13 @@ def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | N
 
 def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) -> Contender:
     from cadenza.evaluation.matrix import Contender
+    from cadenza.files import sha256_of
     from cadenza.learning.policy_folder import load_policy
+    from cadenza.learning.sealed_folder import MANIFEST
 
     learnt = load_policy(folder)
     own = again(replace(command, task=learnt.task, scene=learnt.scene))
-    digest = hashlib.sha256((folder / "manifest.json").read_bytes()).hexdigest()[:12]
+    digest = sha256_of(folder / MANIFEST)[:12]
     return Contender(agent, own.task, own.scene, digest=digest)
 
 

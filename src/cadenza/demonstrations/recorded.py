@@ -19,13 +19,21 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
-from cadenza.files import checked, opened, plain, read_json, write_atomically, write_json
+from cadenza.files import (
+    array_header,
+    checked,
+    opened,
+    plain,
+    read_json,
+    write_atomically,
+    write_json,
+)
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.goals import MAX_STEPS, Goals
 from cadenza.music.score import Score
@@ -219,6 +227,8 @@ def mapped(path: Path) -> Array:
     if path.exists() and not path.is_file():  # such as a pipe that nobody writes to
         raise CadenzaError(f"{path}: no regular file; {MAKE_AGAIN}")
     try:
+        with opened(path) as file:
+            array_header(file)  # which may say that it is as long as the file
         # As a plain array: what `numpy.memmap` adds to it takes longer than to read a row.
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
     except FileNotFoundError as error:
@@ -307,4 +317,4 @@ def digest(path: Path) -> str:
         OSError: it cannot be read.
     """
     with opened(path) as file:
-        return hashlib.sha256(file.read()).hexdigest()
+        return hashlib.file_digest(cast(Any, file), "sha256").hexdigest()

@@ -24,7 +24,7 @@ from cadenza.errors import CadenzaError, explained
 from cadenza.evaluation.job import JobSpec
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.evaluation.songs import digest_of
-from cadenza.files import TEMPORARY, locked, parsed_json, write_json
+from cadenza.files import TEMPORARY, locked, read_json, write_json
 from cadenza.music.libraries.library import find_song
 
 _PATIENCE = 2.0  # [s] for which a run waits for one that may just be ending
@@ -77,8 +77,8 @@ def write_failure(folder: Path, error: str) -> None:
 
 def progress_of(folder: Path) -> At | None:
     """How far the run is; None if that cannot be told now."""
-    with suppress(CadenzaError, OSError):
-        return parsed_json((folder / _PROGRESS).read_bytes(), At, folder)
+    with suppress(CadenzaError):
+        return read_json(folder / _PROGRESS, At)
     return None
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.configs import files_named, identity
-from cadenza.files import content_of, folder_name, plain
+from cadenza.files import folder_name, plain, sha256_of
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -106,8 +106,8 @@ def digest_of_files(*configs: Any) -> str:
     Raises:
         CadenzaError: a file is not there, or cannot be read.
     """
-    contents = [content_of(Path(path)) for config in configs for path in files_named(config)]
-    return hashlib.sha256(b"".join(contents)).hexdigest()[:_HASH] if contents else ""
+    paths = [Path(path) for config in configs for path in files_named(config)]
+    return sha256_of(*paths)[:_HASH] if paths else ""
 
 
 def _end_of(name: str) -> str:

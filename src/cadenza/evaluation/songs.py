@@ -9,6 +9,7 @@ from dataclasses import astuple
 from pathlib import Path
 
 from cadenza.evaluation.job import SongFacts
+from cadenza.files import sha256_of
 from cadenza.music.formats.fingering_file import SUFFIX
 from cadenza.music.libraries.songs import Library, Song
 
@@ -33,19 +34,17 @@ def digest_of(song: Song) -> str:
     """A hash of what is played: of the song's files, so that many are planned in a moment.
 
     Raises:
-        CadenzaError: a song without a file cannot be made.
-        OSError: a file cannot be read.
+        CadenzaError: a file cannot be read, or a song without one cannot be made.
     """
     files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
     if files:
         fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
-        content = b"".join(path.read_bytes() for path in (*files, *fingers))
-    else:
-        score = song.load()
-        notes = [  # `astuple` of the whole takes as long as writing an etude
-            (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))
-            for note in score.notes
-        ]
-        pedal = [(event.time, event.value) for event in score.pedal]
-        content = json.dumps([notes, pedal]).encode()
+        return sha256_of(*files, *fingers)[:_HASH]
+    score = song.load()
+    notes = [  # `astuple` of the whole takes as long as writing an etude
+        (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))
+        for note in score.notes
+    ]
+    pedal = [(event.time, event.value) for event in score.pedal]
+    content = json.dumps([notes, pedal]).encode()
     return hashlib.sha256(content).hexdigest()[:_HASH]

@@ -37,7 +37,7 @@ from cadenza.files import (
     TEMPORARY,
     Expected,
     checked,
-    opened,
+    content_of,
     opened_in_place,
     parsed_json,
     read_arrays,
@@ -54,6 +54,7 @@ from cadenza.scene.config import check_modules
 
 _VERSIONS = ("cadenza", "mujoco", "numpy", "jax", "flax", "optax")
 _KIND = "checkpoint"
+_MOST_ROWS = 2**28  # bytes of metrics: half a million rows
 _KEPT = 2  # should the newest be damaged, there is the one before
 # Names that are written here; whatever else lies there is nobody's business.
 _CHECKPOINT, _CHUNK = r"\d{12,}", r"\d{12,}\.\d+\.npz"
@@ -451,14 +452,9 @@ def read_rows(run: Path) -> list[dict[str, Any]]:
     Half a row at the end is left out, and with a remark on standard error what is no row.
     """
     path, rows, others = run / "metrics.jsonl", [], 0
-    try:
-        with opened(path) as file:
-            lines = file.read().split(b"\n")[:-1]
-    except FileNotFoundError:
+    if not path.exists():
         return []
-    except OSError as error:
-        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
-    for line in lines:
+    for line in content_of(path, _MOST_ROWS).split(b"\n")[:-1]:
         try:
             row = parsed_json(line.strip(b"\0"), _Row, path)
         except CadenzaError:

@@ -21,16 +21,18 @@ from numpy.typing import NDArray
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     ANY,
+    MOST_JSON,
     Expected,
     check_arrays,
     content_of,
-    parsed_json,
     read_arrays,
     read_json,
+    sha256_of,
     write_atomically,
 )
 
-MANIFEST, _ARRAYS = "manifest.json", "arrays.safetensors"
+MANIFEST, _FACTS, _ARRAYS = "manifest.json", "facts.json", "arrays.safetensors"
+_MOST_ARRAYS = 2**30  # bytes: a policy of ours takes a few million, a checkpoint ten times as many
 _OLD_ARRAYS = "arrays.npz"  # of the version before; to go with the next one
 
 
@@ -49,18 +51,26 @@ def write_sealed(
         kind: what it is, for `read_sealed`.
         facts: numbers, text, lists and dictionaries of them.
         arrays: without objects.
+
+    Raises:
+        CadenzaError: the arrays take more than can be read again.
     """
     new, old = _beside(folder, "new"), _beside(folder, "old")
     _remove(new)
     new.mkdir(parents=True)  # nobody else's
     in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     files = {
-        "facts.json": (json.dumps(facts, indent=1) + "\n").encode(),
+        _FACTS: (json.dumps(facts, indent=1) + "\n").encode(),
         _ARRAYS: safetensors.numpy.save(in_order),
     }
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     files[MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
     try:
+        if (size := len(files[_ARRAYS])) > _MOST_ARRAYS:
+            raise CadenzaError(
+                f"{folder}: its arrays take {size >> 20:,} MiB; a {kind} holds up to "
+                f"{_MOST_ARRAYS >> 20:,} MiB"
+            )
         for name, content in files.items():
             with write_atomically(new / name) as file:
                 file.write(content)
@@ -100,16 +110,17 @@ def read_sealed(
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
     packed = _OLD_ARRAYS if is_old(folder) else _ARRAYS
-    try:
-        contents = {name: content_of(folder / name) for name in ("facts.json", packed)}
-    except CadenzaError as error:
-        raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy") from error
-    for name, content in contents.items():
-        if manifest["sha256"].get(name) != hashlib.sha256(content).hexdigest():
+    for name, most in ((_FACTS, MOST_JSON), (packed, _MOST_ARRAYS)):
+        if not (folder / name).is_file():
+            raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy")
+        if manifest["sha256"].get(name) != sha256_of(folder / name, most=most):
             raise CadenzaError(f"{folder / name}: damaged or modified; use another copy")
-    facts = parsed_json(contents["facts.json"], dict[str, Any], folder / "facts.json")
+    facts = read_json(folder / _FACTS, dict[str, Any])
+    if not expected:
+        return facts, {}
+    content = content_of(folder / packed, _MOST_ARRAYS)
     unpack = read_arrays if packed == _OLD_ARRAYS else _unpacked
-    return facts, unpack(contents[packed], expected, where=folder / packed) if expected else {}
+    return facts, unpack(content, expected, where=folder / packed)
 
 
 def is_old(folder: Path) -> bool:

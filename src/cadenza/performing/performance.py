@@ -18,7 +18,7 @@ from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.files import read_json, write_json
+from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
@@ -229,7 +229,7 @@ def _write_page(
     goal_mp3 = encode_mp3(
         synthesize(goal.until(seconds)), bit_rate=48_000, mono=True, seconds=seconds
     )
-    midi = (folder / "played.mid").read_bytes()
+    midi = content_of(folder / "played.mid")
     path = folder / "report.html"
     write_report(
         path,

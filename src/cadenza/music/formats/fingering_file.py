@@ -20,12 +20,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from cadenza.errors import CadenzaError
-from cadenza.files import opened, write_atomically
+from cadenza.files import content_of, write_atomically
 from cadenza.fingers import Finger
 from cadenza.music.formats.finger_numbers import finger_from, written
 from cadenza.music.score import Score
 
 SUFFIX = ".fingering"
+_MAX_BYTES = 16 * 2**20  # with half a million lines
 TOLERANCE = 0.05  # [s] between a line's time and the start of its note
 
 _HEADER = (
@@ -45,12 +46,9 @@ def read_fingering(path: str | Path, score: Score, all_there: bool = True) -> Sc
     """
     path = Path(path)
     try:
-        with opened(path) as file:
-            text = file.read().decode("utf-8-sig")
+        text = content_of(path, _MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise CadenzaError(f"{path}: not a text file in UTF-8; give a fingering file") from None
-    except OSError as error:
-        raise CadenzaError(f"{path}: cannot be read ({error.strerror})") from error
 
     by_pitch: defaultdict[int, list[int]] = defaultdict(list)  # indices of notes, by start
     for index, note in enumerate(score.notes):

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import html
 import io
 import math
-import re
 import sys
 import warnings
-import zipfile
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Collection
@@ -25,7 +22,7 @@ from cadenza.fingers import Finger
 from cadenza.music.formats.bar_order import played_order, without_goal
 from cadenza.music.formats.musicxml_marks import Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
-from cadenza.music.formats.source import read_bytes
+from cadenza.music.formats.musicxml_tree import tree_of
 from cadenza.music.formats.titles import printable, title_of
 from cadenza.music.repair import Sounding, repaired, repairs, told
 from cadenza.music.score import (
@@ -38,17 +35,6 @@ from cadenza.music.score import (
 )
 from cadenza.music.tracks import Track, check_chosen
 
-_CONTENTS = "META-INF/container.xml"
-MAX_XML_BYTES = 16 * 2**20
-# A long sonata has a tenth of these. Some cost the library time by their square.
-MOST = {
-    b"<": 800_000,
-    b"<note": 40_000,
-    b"<grace": 5_000,
-    b"<words": 3_000,
-    b"<repeat": 1_000,
-    b"<ending": 1_000,
-}
 _MAX_PLAYED = 100_000  # notes or bars, with repeats
 _SECONDS_PER_QUARTER = 0.5  # until the file says otherwise, as in MIDI
 _GRACE = 0.1  # [s] that a grace note lasts, before the beat
@@ -75,7 +61,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
             without one of `tracks`.
     """
     path = Path(path)
-    sheet = _sheet(_xml(path), path)
+    sheet = _sheet(tree_of(path), path)
     parts = [part for part in sheet.parts if part.notes]
     listed = tuple(_track(number, part) for number, part in enumerate(parts, start=1))
     check_chosen(tracks, listed, path)
@@ -228,61 +214,6 @@ def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Sou
     return Sounding(*times, note.pitch, note.velocity, True, note.finger)
 
 
-def _xml(path: Path) -> bytes:
-    """The document, from its archive where it is compressed, if it is one that is safe to parse."""
-    data = read_bytes(path, MAX_XML_BYTES)
-    if data.startswith(b"PK"):
-        data = _unpacked(data, path)
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = data.decode("utf-16", "replace")
-        data = re.sub(r"^<\?xml[^>]*>", "", text).encode("utf-8", "replace")
-    beginning = data[:100].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-    if not beginning.startswith(b"<") or b"\0" in data:
-        raise CadenzaError(f"{path}: not a MusicXML file (it does not begin as XML)")
-    if beginning.startswith((b"<!doctype html", b"<html")):
-        raise CadenzaError(f"{path}: is a page (HTML), no music; download the file itself")
-    if b"<!ENTITY" in data:
-        raise CadenzaError(f"{path}: declares XML entities, which MusicXML does not use")
-    for tag, most in MOST.items():
-        if data.count(tag) > most:
-            raise CadenzaError(
-                f"{path}: too large for a song (over {most} times {tag.decode()} in its XML)"
-            )
-    return data
-
-
-def _unpacked(data: bytes, path: Path) -> bytes:
-    """The document of an archive."""
-    try:
-        with (
-            zipfile.ZipFile(io.BytesIO(data)) as archive,
-            archive.open(_document_of(archive)) as file,
-        ):
-            unpacked = file.read(MAX_XML_BYTES + 1)
-    except Exception as error:  # damage shows in many ways
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CadenzaError(f"{path}: the compressed MusicXML is damaged ({reason})") from error
-    if len(unpacked) > MAX_XML_BYTES:
-        raise CadenzaError(f"{path}: over {MAX_XML_BYTES >> 20} MiB unpacked, too large for a song")
-    return unpacked
-
-
-def _document_of(archive: zipfile.ZipFile) -> str:
-    """The first that its table of contents names; without that, the only one."""
-    names = archive.namelist()
-    if _CONTENTS in names:
-        with archive.open(_CONTENTS) as file:
-            contents = file.read(2**16).decode("utf-8", "replace")
-        named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
-        if named is None:
-            raise CadenzaError("its table of contents names no document")
-        return html.unescape(named[1])
-    documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
-    if len(documents) != 1:
-        raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")
-    return documents[0]
-
-
 def _partitura() -> Any:
     """The library, without the sound font that it fetches where pyfluidsynth is installed."""
     hidden = "fluidsynth"
@@ -299,10 +230,9 @@ def _partitura() -> Any:
     return partitura.score, load_musicxml
 
 
-def _sheet(data: bytes, path: Path) -> _Sheet:
+def _sheet(root: ElementTree.Element, path: Path) -> _Sheet:
     symbols, load_musicxml = _partitura()
     try:
-        root = ElementTree.fromstring(data)
         remarks = mend(root)
         marks = {part.get("id", ""): marks_of(part) for part in root.iterfind("part")}
         with warnings.catch_warnings(), np.errstate(all="ignore"):

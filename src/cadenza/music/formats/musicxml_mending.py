@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable
-from copy import deepcopy
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from xml.etree import ElementTree
 
@@ -16,12 +15,14 @@ Element = ElementTree.Element
 
 _COUNTED = ("divisions", "duration", "offset")  # a quarter in units, and what is given in these
 _MOST_FINE = 10_000  # times as small as a file has its units
+_SOUND = ("cue", "tie", "notations", "unpitched")  # what of a cue note no rest has
+_PLACES = ("offset", "voice", "staff")  # where a direction stands
 _SLOWEST, _FASTEST = 1, 10_000  # quarters a minute
 _QUARTERS = {"whole": 4.0, "half": 2.0, "quarter": 1.0, "eighth": 0.5, "16th": 0.25}
 
 
 def mend(root: Element) -> list[str]:
-    """Mends a document without entities, and says what was changed of what it says.
+    """Mends a document, and says what was changed of what it says.
 
     A score ordered by measures becomes one ordered by parts. Metronome marks become tempos for
     playback if there are none. A change of the pedal becomes a lift and a press. Fingerings
@@ -30,7 +31,6 @@ def mend(root: Element) -> list[str]:
     less than a semitone rounded. Octaves that an instrument sounds higher are added to the
     semitones.
     """
-    _forget_namespaces(root)
     _order_by_parts(root)
     _distinguish_parts(root)
     _play_metronomes(root)
@@ -52,12 +52,6 @@ def mend(root: Element) -> list[str]:
         (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
     )
     return told(remarks)
-
-
-def _forget_namespaces(root: Element) -> None:
-    if root.tag.startswith("{"):
-        for each in root.iter():
-            each.tag = each.tag.rpartition("}")[2]
 
 
 def _order_by_parts(root: Element) -> None:
@@ -101,19 +95,24 @@ def _play_metronomes(root: Element) -> None:
 
 
 def _split_pedal_changes(root: Element) -> None:
-    for measure in root.iter("measure"):
-        for place, direction in reversed([*enumerate(measure)]):
-            change = direction.find("direction-type/pedal[@type='change']")
-            if direction.tag != "direction" or change is None:
-                continue
-            pressed = deepcopy(direction)
-            for each in (*pressed.findall("direction-type"), *pressed.findall("sound")):
-                pressed.remove(each)
-            kind = ElementTree.Element("direction-type")
-            ElementTree.SubElement(kind, "pedal", {**change.attrib, "type": "start"})
-            pressed.insert(0, kind)
-            change.set("type", "stop")
-            measure.insert(place + 1, pressed)
+    for measure in root.iterfind("part/measure"):
+        measure[:] = [part for each in measure for part in _lift_and_press(each)]
+
+
+def _lift_and_press(direction: Element) -> Iterator[Element]:
+    """Two directions in place of one that changes the pedal; all else as it is."""
+    yield direction
+    change = direction.find("direction-type/pedal[@type='change']")
+    if direction.tag != "direction" or change is None:
+        return
+    press = Element("direction", direction.attrib)
+    kind = ElementTree.SubElement(press, "direction-type")
+    ElementTree.SubElement(kind, "pedal", {**change.attrib, "type": "start"})
+    for each in direction:
+        if each.tag in _PLACES:
+            ElementTree.SubElement(press, each.tag, each.attrib).text = each.text
+    change.set("type", "stop")
+    yield press
 
 
 def _round_alterations(root: Element) -> int:
@@ -172,9 +171,7 @@ def _takes_no_time(note: Element) -> bool:
 
 def _silence(note: Element) -> None:
     """Makes a rest of a note."""
-    for tag in ("cue", "tie", "notations", "unpitched"):
-        for part in note.findall(tag):
-            note.remove(part)
+    note[:] = [part for part in note if part.tag not in _SOUND]
     if (pitch := note.find("pitch")) is not None:
         pitch.clear()
         pitch.tag = "rest"
@@ -184,8 +181,7 @@ def _remove(root: Element, elements: Iterable[Element]) -> None:
     gone = set(elements)
     if gone:
         for parent in root.iter():
-            for child in [child for child in parent if child in gone]:
-                parent.remove(child)
+            parent[:] = [child for child in parent if child not in gone]
 
 
 def _refine(root: Element) -> None:

@@ -24,6 +24,8 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
         with opened(path) as file:
             data = file.read(most + 1)
     except FileNotFoundError:
+        if path.is_symlink():
+            raise CadenzaError(f"{path}: leads to {os.readlink(path)}, which is not there") from None
         raise CadenzaError(f"{path}: there is no such file; {_hint(path)}") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         reason = error.strerror if isinstance(error, OSError) else error

@@ -6,11 +6,14 @@ import os
 from pathlib import Path
 
 
+_LONGEST = 500  # letters
+
+
 def printable(text: str) -> str:
-    """`text` on one line and without what cannot be printed."""
+    """`text` on one line, without what cannot be printed and without what no title needs."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() else " " for c in text)
-    return " ".join(text.split())
+    return " ".join(text.split())[:_LONGEST].rstrip()
 
 
 def title_of(path: Path) -> str:

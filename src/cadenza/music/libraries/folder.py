@@ -88,7 +88,7 @@ def import_folder(
                 library.add(copy.name, score, {**facts, "title": facts.get("title") or score.title})
         known = {name for file in files for name in (*_paths(file), *_names(file))}
         library.left_out.extend(
-            f"{folder / INDEX}: there is no file of music {name!r}"
+            f"{folder / INDEX}: there is no file of music {name!r:.100}"
             for name in index
             if name not in known
         )
@@ -110,7 +110,12 @@ def _safe_names(files: Sequence[Path]) -> list[str]:
 def _safe(name: str) -> str:
     """Letters, digits, dashes and underscores only, and not too many."""
     safe = re.sub(r"[^\w-]+", "-", unicodedata.normalize("NFC", printable(name))).strip("-")
-    return safe.encode()[:_LONGEST].decode(errors="ignore") or "song"
+    return short(safe) or "song"
+
+
+def short(name: str) -> str:
+    """Its beginning, so long that a number and an ending still make the name of a file."""
+    return name.encode()[:_LONGEST].decode(errors="ignore")
 
 
 def music_files(folder: Path) -> list[Path]:

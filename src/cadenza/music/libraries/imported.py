@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, is_full
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
 from cadenza.music.libraries.songs import Library, Song
@@ -98,10 +98,16 @@ class NewLibrary:
 
     @contextmanager
     def leaving_out_what_is_wrong(self) -> Iterator[None]:
-        """Goes on after a CadenzaError, which is noted."""
+        """Goes on after an error, which is noted.
+
+        Raises:
+            OSError: the disk is full, of which the next piece would only tell again.
+        """
         try:
             yield
-        except CadenzaError as error:
+        except (CadenzaError, OSError) as error:
+            if is_full(error):
+                raise
             self.left_out.append(str(error))
 
 

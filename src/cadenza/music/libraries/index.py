@@ -31,7 +31,7 @@ _NUMBERS: Mapping[str, Callable[[str], float]] = {
     "difficulty": float,
 }
 _COLUMNS = (_NAMES[0], *_TEXTS, *_NUMBERS)
-_MAX_BYTES = 16 * 2**20
+_MAX_BYTES = 64 * 2**20  # of a hundred thousand pieces
 
 Facts = dict[str, Any]
 """What an index says of a piece, by the names of the fields of `Song`."""
@@ -54,7 +54,7 @@ def read_index(path: Path) -> dict[str, Facts]:
     for line, cells in rows:
         name = cells.get(column, "")
         if not name or name in index:
-            wrong = f"a second line for {name!r}" if name else "names no file"
+            wrong = f"a second line for {name!r:.100}" if name else "names no file"
             raise CadenzaError(f"{path}:{line}: {wrong}; correct or remove it")
         index[name] = _facts(cells)
     return index
@@ -75,6 +75,7 @@ def read_table(
     Raises:
         CadenzaError: it is no CSV.
     """
+    csv.field_size_limit(max(len(text), csv.field_size_limit()))  # that of the text is enough
     reader = csv.reader(io.StringIO(text, newline=""), strict=strict)
     try:
         header = [printable(name).lower() for name in next(reader, [])]

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -21,15 +20,16 @@ from functools import partial
 from math import inf
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
+from zipfile import ZipFile
 
 from cadenza.errors import CadenzaError
-from cadenza.files import opened
+from cadenza.files import opened, opened_archive, unpacked
 from cadenza.fingers import Finger
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.formats.source import MAX_BYTES, read_bytes
 from cadenza.music.formats.titles import printable
-from cadenza.music.libraries.folder import unique
+from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
@@ -74,7 +74,7 @@ def import_pig(
         list_file = _list_file(files, source)
         pieces = _pieces(files[list_file](), f"{source}/{list_file}", library.left_out)
         fingered = _first_fingerings(files, list_file.parent)
-        names = unique(published_name(piece.title) for piece in pieces)
+        names = unique(short(published_name(piece.title)) for piece in pieces)
         for done, (piece, name) in enumerate(zip(pieces, names, strict=True)):
             progress(done, len(pieces))
             with library.leaving_out_what_is_wrong():
@@ -120,11 +120,13 @@ def _files(source: Path) -> Iterator[_Files]:
     with ExitStack() as stack:
         try:
             stream = stack.enter_context(opened(source))
-            archive = stack.enter_context(zipfile.ZipFile(stream))
+            archive = stack.enter_context(opened_archive(stream))
         except FileNotFoundError:
             raise CadenzaError(f"{source}: there is no such folder or ZIP file") from None
         except OSError as error:
             raise CadenzaError(f"{source}: cannot be read ({error.strerror})") from error
+        except CadenzaError as error:
+            raise CadenzaError(f"{source}: {error}") from error
         except Exception as error:  # damage shows in many ways
             raise CadenzaError(
                 f"{source}: neither a folder nor a readable ZIP file; get the dataset at {WEBSITE}"
@@ -139,7 +141,7 @@ def _files(source: Path) -> Iterator[_Files]:
                     f"dataset at {WEBSITE}"
                 )
         yield {
-            PurePosixPath(member.filename): partial(_unpacked, archive, member, source)
+            PurePosixPath(member.filename): partial(_unpacked, archive, member.filename, source)
             for member in members
         }
 
@@ -152,17 +154,14 @@ def _in_folder(folder: Path) -> Iterator[PurePosixPath]:
         yield from (PurePosixPath(here.as_posix()) / name for name in names)
 
 
-def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Path) -> bytes:
-    """Of a member, which is never unpacked further than a file may be large, whatever it says."""
-    where = f"{source}/{printable(member.filename)}"
+def _unpacked(archive: ZipFile, member: str, source: Path) -> bytes:
+    where = f"{source}/{printable(member)}"
     try:
-        with archive.open(member) as stream:
-            data = stream.read(MAX_BYTES + 1)
+        return unpacked(archive, member, MAX_BYTES)
+    except CadenzaError as error:
+        raise CadenzaError(f"{where}: {error}") from error
     except Exception as error:  # damage shows in many ways
         raise CadenzaError(f"{where}: cannot be unpacked ({error})") from error
-    if len(data) > MAX_BYTES:
-        raise CadenzaError(f"{where}: over {MAX_BYTES >> 20} MiB, too large for a song")
-    return data
 
 
 def _list_file(files: _Files, source: Path) -> PurePosixPath:
@@ -207,7 +206,7 @@ def _pieces(content: bytes, where: str, left_out: list[str]) -> list[_Piece]:
     for line, cells in rows:
         number, title = cells.get(column, ""), printable(cells.get(titles, ""))
         if not _WHOLE.fullmatch(number):
-            left_out.append(f"{where}:{line}: {number!r} is not the number of a piece")
+            left_out.append(f"{where}:{line}: {number!r:.30} is not the number of a piece")
         elif not title:
             left_out.append(f"{where}:{line}: piece {number} has no title")
         elif int(number) in pieces:

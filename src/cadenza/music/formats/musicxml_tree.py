@@ -1,0 +1,130 @@
+"""The tree of a MusicXML document, which is refused before it costs more than a song does."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from collections import Counter
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+from zipfile import ZipFile
+
+from cadenza.errors import CadenzaError
+from cadenza.files import opened_archive, unpacked
+from cadenza.music.formats.source import read_bytes
+
+MAX_XML_BYTES = 16 * 2**20
+# A long sonata has a tenth of these. Some cost the library time by their square.
+MOST_PARTS = 800_000  # elements and attributes
+MOST = {
+    "note": 40_000,
+    "wedge": 5_000,
+    "grace": 5_000,
+    "words": 3_000,
+    "repeat": 1_000,
+    "ending": 1_000,
+}
+DEEPEST = 64  # elements within each other; MusicXML has a dozen
+_CONTENTS = "META-INF/container.xml"
+_MAX_CONTENTS = 2**16  # bytes
+_MARKS = b"\xef\xbb\xbf\xff\xfe"  # of the encoding, before the document
+
+
+def tree_of(path: Path) -> Element:
+    """The root of the document, from its archive where it is compressed.
+
+    Names are without namespaces and their prefixes, and what MusicXML has no attributes for is left
+    out: those with a prefix.
+
+    Raises:
+        CadenzaError: it cannot be read, is no XML, declares anything of its own, or is too large or
+            too deeply nested for a song.
+    """
+    data = read_bytes(path, MAX_XML_BYTES)
+    try:
+        if data.startswith(b"PK"):
+            data = _document_of(data)
+        beginning = data[:100].replace(b"\0", b"").lstrip(_MARKS + b" \t\r\n").lower()
+        if not beginning.startswith(b"<"):
+            raise CadenzaError("not a MusicXML file (it does not begin as XML)")
+        if beginning.startswith((b"<!doctype html", b"<html")):
+            raise CadenzaError("is a page (HTML), no music; download the file itself")
+        return _Reader().root_of(data)
+    except CadenzaError as error:
+        raise CadenzaError(f"{path}: {error}") from error
+
+
+class _Reader:
+    """Makes the tree of what the parser reports, and counts on the way."""
+
+    def __init__(self) -> None:
+        # Without namespaces, whose names are repeated with every element.
+        self._parser = expat.ParserCreate()
+        self._parser.buffer_text = True
+        self._parser.StartDoctypeDeclHandler = self._declare
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._tree = TreeBuilder()
+        self._parser.CharacterDataHandler = self._tree.data
+        self._open: list[str] = []
+        self._parts = 0
+        self._counts = Counter[str]()
+
+    def root_of(self, data: bytes) -> Element:
+        try:
+            self._parser.Parse(data, True)
+        except CadenzaError:
+            raise
+        except Exception as error:  # of the document's encoding, too
+            raise CadenzaError(f"cannot be read as MusicXML ({error})") from error
+        return self._tree.close()
+
+    def _declare(self, name: str, system: str | None, public: str | None, own: int) -> None:
+        if own:
+            raise CadenzaError("declares XML entities or the like, which MusicXML does not use")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        name = name.rpartition(":")[2]
+        self._parts += 1 + len(attributes)
+        self._counts[name] += 1
+        if self._parts > MOST_PARTS:
+            raise CadenzaError(f"over {MOST_PARTS} elements and attributes, too large for a song")
+        if self._counts[name] > MOST.get(name, MOST_PARTS):
+            raise CadenzaError(f"over {MOST[name]} times <{name}>, too large for a song")
+        if len(self._open) == DEEPEST:
+            raise CadenzaError(f"over {DEEPEST} elements within each other, which no music has")
+        self._open.append(name)
+        plain = {n: v for n, v in attributes.items() if n != "xmlns" and ":" not in n}
+        self._tree.start(name, plain)
+
+    def _end(self, _: str) -> None:
+        self._tree.end(self._open.pop())
+
+
+def _document_of(data: bytes) -> bytes:
+    """The document in an archive."""
+    try:
+        with opened_archive(io.BytesIO(data)) as archive:
+            return unpacked(archive, _name_of_document(archive), MAX_XML_BYTES)
+    except CadenzaError as error:
+        raise CadenzaError(f"the compressed MusicXML: {error}") from error
+    except Exception as error:  # damage shows in many ways
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise CadenzaError(f"the compressed MusicXML is damaged ({reason})") from error
+
+
+def _name_of_document(archive: ZipFile) -> str:
+    """The first that its table of contents names; without that, the only one."""
+    names = archive.namelist()
+    if _CONTENTS in names:
+        contents = unpacked(archive, _CONTENTS, _MAX_CONTENTS).decode("utf-8", "replace")
+        named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
+        if named is None:
+            raise CadenzaError("its table of contents names no document")
+        return html.unescape(named[1])
+    documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
+    if len(documents) != 1:
+        raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")
+    return documents[0]
