@@ -9,6 +9,14 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+_LACKS_MEMORY = (
+    "allocate memory",  # of the system, and of MuJoCo
+    "failed to map segment",  # of the system, where it loads a library
+    "Caught an unknown exception!",  # of MuJoCo, where it makes room for a simulation
+    "RESOURCE_EXHAUSTED",  # of XLA
+    "bad_alloc",  # of C++
+)
+
 
 class CadenzaError(Exception):
     """Something the user gave cannot be used.
@@ -30,11 +38,29 @@ def is_full(error: Exception) -> bool:
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
-def explained(error: CadenzaError | OSError) -> str:
-    """What is wrong, and of a disk that is full what to do."""
+def lacks_memory(error: BaseException) -> bool:
+    """Whether there was too little memory, which each library says in its own words."""
+    return _lack_of_memory(error) is not None
+
+
+def _lack_of_memory(error: BaseException | None) -> BaseException | None:
+    """The error that tells of it, which may be the cause of what is known."""
+    while error is not None:
+        said = "" if isinstance(error, CadenzaError) else str(error)
+        if isinstance(error, MemoryError) or any(words in said for words in _LACKS_MEMORY):
+            return error
+        error = error.__cause__
+    return None
+
+
+def explained(error: BaseException) -> str:
+    """What is wrong, and what to do where the disk is full or there is too little memory."""
     if isinstance(error, OSError) and is_full(error):
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
+    if (lack := _lack_of_memory(error)) is not None:
+        said = " ".join(str(lack).split()) or type(lack).__name__
+        return f"there is not enough memory ({said}); end other programs, or allow more (ulimit -v)"
     return str(error)
 
 
@@ -46,7 +72,9 @@ def errors_in_a_line() -> Iterator[None]:
     """
     try:
         yield
-    except (CadenzaError, OSError) as error:
+    except Exception as error:
+        if not isinstance(error, CadenzaError | OSError) and not lacks_memory(error):
+            raise
         print(f"error: {explained(error)}", file=sys.stderr)
         sys.exit(2)
 
@@ -61,6 +89,8 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
+        if lacks_memory(error):
+            raise CadenzaError(explained(error)) from error
         raise CadenzaError(
             f"{what} needs more packages ({error}): pip install 'cadenza[{extra}]'"
         ) from error
@@ -78,6 +108,8 @@ def by_others(what: str) -> Iterator[None]:
     except (CadenzaError, OSError):
         raise
     except (Exception, SystemExit) as error:  # a module may end the process
+        if lacks_memory(error):
+            raise CadenzaError(explained(error)) from error
         frame = traceback.extract_tb(error.__traceback__)[-1]
         said = " ".join(f"{type(error).__name__}: {error}".split())
         where = f" ({frame.filename}, line {frame.lineno})"

@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.errors import CadenzaError
+from cadenza.errors import CadenzaError, is_full
 
 T = TypeVar("T")
 
@@ -122,16 +122,27 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
     Args:
         folder: others that lock it keep out of it.
         patience: how long to wait for them [s].
+
+    Raises:
+        CadenzaError: it cannot be locked, as nothing can be written there.
+        OSError: the disk is full.
     """
     from filelock import FileLock, Timeout  # which takes a while to import
 
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / "lock")
+    path = folder / "lock"
+    lock = FileLock(path)
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=patience)
     except Timeout:
         yield False
         return
+    except OSError as error:
+        if is_full(error):
+            raise
+        in_the_way = os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode)
+        what = "remove it" if in_the_way else "copy the folder to where you can write"
+        raise CadenzaError(f"{path}: cannot be locked ({error.strerror}); {what}") from error
     try:
         yield True
     finally:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import resource
 import shutil
 from collections.abc import Iterator
@@ -399,6 +401,18 @@ def test_links_are_not_followed(run: RunFolder, tmp_path: Path) -> None:
         run.add_row({"step": 1, "seconds": 0.1})
     assert run.load() is None
     assert dear.read_text() == "dear"
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
+def test_a_run_where_nothing_can_be_written_is_to_be_copied(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fail(path: str, *_: object) -> int:
+        raise OSError(number, os.strerror(number), path)
+
+    monkeypatch.setattr(os, "open", fail)
+    with pytest.raises(CadenzaError, match=r"cannot be locked .*; copy the folder"), run.locked():
+        pass
 
 
 def test_what_a_lock_holds_is_kept(run: RunFolder) -> None:

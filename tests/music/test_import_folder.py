@@ -122,7 +122,7 @@ def test_one_that_is_not_there_or_lies_elsewhere_loses_no_other(
     monkeypatch.setattr(shutil, "copyfile", fail)
     imported = import_folder(folder, "mine")
     assert imported.left_out == [
-        f"{folder / 'away.mid'}: leads to {folder / 'nowhere.mid'}, which is not there",
+        f"{folder / 'away.mid'}: leads to {folder / 'nowhere.mid'}, where there is no file",
         f"[Errno 5] Input/output error: '{folder / 'joy.mid'}'",
     ]
     assert len(imported.rows) == 6

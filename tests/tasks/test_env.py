@@ -298,16 +298,29 @@ def test_copies_go_on_as_their_originals_within_an_episode(duplicate: Callable) 
         assert_array_equal(envs.step(actions)[0], twin.step(actions)[0])
 
 
-def test_actions_that_are_no_numbers_end_their_episode_only() -> None:
+@pytest.mark.parametrize("at", [slice(None), 0, -1], ids=["all", "a joint", "the pedal"])
+def test_actions_that_are_no_numbers_end_their_episode_only(at: int | slice) -> None:
     envs = PianoVectorEnv("OdeToJoy", num_envs=2)
     envs.reset(seed=0)
     actions = np.zeros((2, 39))
-    actions[0] = np.nan
+    actions[0, at] = np.nan
     observation, reward, terminated, _, info = envs.step(actions)
     assert_array_equal(terminated, [True, False])
     assert_array_equal(info["unstable"], [True, False])
     assert np.isfinite(observation).all()
     assert np.isfinite(reward).all()
+
+
+def test_the_next_episode_knows_nothing_of_a_pedal_that_was_no_number() -> None:
+    env = PianoEnv("OdeToJoy")
+    env.reset(seed=0)
+    action = np.zeros(39)
+    action[-1] = np.nan
+    assert env.step(action)[2:4] == (True, False)
+    env.reset()
+    *_, terminated, _, info = env.step(np.zeros(39))
+    assert not terminated
+    assert not info["unstable"]
 
 
 def test_steps_on_after_close() -> None:

@@ -43,7 +43,7 @@ from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
 from cadenza.cli.renamed import with_new_names
 from cadenza.cli.setups import with_options_of_setup
-from cadenza.errors import CadenzaError, CadenzaWarning, explained
+from cadenza.errors import CadenzaError, CadenzaWarning, explained, lacks_memory
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
@@ -91,7 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _exit(1)
     except (CadenzaError, OSError) as error:
         _exit(2, explained(error))
-    except RuntimeError as error:
+    except Exception as error:
+        if lacks_memory(error):
+            _exit(2, explained(error))
         if "MUJOCO_GL" not in str(error):  # what MuJoCo says of a backend that it does not know
             raise
         _exit(2, f"{error}; unset it, or choose egl or osmesa")

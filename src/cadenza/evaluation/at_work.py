@@ -20,7 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.errors import CadenzaError, explained
+from cadenza.errors import CadenzaError, explained, lacks_memory
 from cadenza.evaluation.job import JobSpec
 from cadenza.evaluation.results import FAILED, FORMAT
 from cadenza.evaluation.songs import digest_of
@@ -91,7 +91,7 @@ def _tidy(folder: Path) -> None:
 
 def _what_failed(error: Exception) -> str:
     """What went wrong, in a line; where too, if it was not what somebody has given."""
-    if isinstance(error, CadenzaError | OSError):
+    if isinstance(error, CadenzaError | OSError) or lacks_memory(error):
         return " ".join(explained(error).split())
     said = " ".join(str(error).split())
     frame = traceback.extract_tb(error.__traceback__)[-1]

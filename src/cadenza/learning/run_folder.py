@@ -27,7 +27,6 @@ from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from filelock import FileLock, Timeout
 from msgspec import Meta
 from numpy.typing import NDArray
 
@@ -38,6 +37,7 @@ from cadenza.files import (
     Expected,
     checked,
     content_of,
+    locked,
     opened_in_place,
     parsed_json,
     read_arrays,
@@ -134,22 +134,12 @@ class RunFolder:
         """While a process trains it; makes the folder.
 
         Raises:
-        CadenzaError: another process trains this run.
+            CadenzaError: another process trains this run, or nothing can be written there.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(self.path / "lock")
-        try:
-            lock.acquire(blocking=False)
-        except Timeout as error:
-            raise CadenzaError(f"{self.path}: another process is training this run") from error
-        except OSError as error:
-            raise CadenzaError(
-                f"{self.path / 'lock'}: cannot be locked ({error.strerror}); remove it"
-            ) from error
-        try:
+        with locked(self.path) as ours:
+            if not ours:
+                raise CadenzaError(f"{self.path}: another process is training this run")
             yield
-        finally:
-            lock.release()
 
     # What it is
 

@@ -44,10 +44,11 @@ class Transition(NamedTuple):
     terms: dict[str, Array]
     """Each term of the reward by name; they add up to it."""
     terminated: Mask
-    """A wrong key sounded where that ends the episode, or the simulation became unstable."""
+    """A wrong key sounded where that ends the episode, or it is unstable."""
     truncated: Mask
     """The score is over."""
     unstable: Mask
+    """The simulation became so, or a control of it or of the pedal was not a number."""
 
 
 def _checked_terms(terms: Mapping[str, reward.RewardTerm]) -> dict[str, reward.RewardTerm]:
@@ -150,7 +151,7 @@ class PianoTask:
         self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
         self.wanted = np.zeros((num_envs, keyboard.num_keys), bool)
         self._more_terms = _checked_terms(reward_terms or {})
-        self._pedal = np.zeros(num_envs)
+        self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
         self._look()
@@ -261,7 +262,7 @@ class PianoTask:
         self.wanted[list(env_ids)] = False
         self._randomization.begin(env_ids, rngs, start)
         self.simulation.reset(env_ids, start)
-        self._pedal[list(env_ids)] = 0.0
+        self._pedal[list(env_ids)], self._lost[list(env_ids)] = 0.0, False
         self.reward[list(env_ids)] = 0.0
         self._look()
 
@@ -283,8 +284,9 @@ class PianoTask:
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         arrived = self._randomization.step(ctrl, moving)
         self._look()
-        # Up where it is not a number.
-        self._pedal[moving] = np.fmin(np.fmax(arrived[moving, -1], 0.0), 1.0)
+        pedal = arrived[moving, -1]
+        self._lost[moving] |= ~np.isfinite(pedal)
+        self._pedal[moving] = np.fmin(np.fmax(pedal, 0.0), 1.0)  # up where it is not a number
         self.wanted[moving] = goal[moving, :-1]
         within = self._env_ids[moving][(sheets.steps_done < sheets.num_steps)[moving]]
         here = within, row[within]
@@ -293,7 +295,7 @@ class PianoTask:
         sheets.advance(moving)
 
         terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
-        terminated = self.state.unstable
+        terminated = unstable = self.state.unstable | self._lost
         if self.config.wrong_press_termination:
             terminated = terminated | (self.sounding > goal[:, :-1]).any(axis=1)
         total = sum(terms.values(), np.zeros(self.num_envs))
@@ -303,7 +305,7 @@ class PianoTask:
             terms=terms,
             terminated=terminated,
             truncated=(sheets.steps_done >= sheets.num_steps) > terminated,
-            unstable=self.state.unstable,
+            unstable=unstable,
         )
 
     def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:

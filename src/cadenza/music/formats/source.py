@@ -25,8 +25,10 @@ def read_bytes(path: Path, most: int = MAX_BYTES) -> bytes:
             data = file.read(most + 1)
     except FileNotFoundError:
         if path.is_symlink():
-            raise CadenzaError(f"{path}: leads to {os.readlink(path)}, which is not there") from None
-        raise CadenzaError(f"{path}: there is no such file; {_hint(path)}") from None
+            what = f"leads to {os.readlink(path)}, where there is no file"
+        else:
+            what = f"there is no such file; {_hint(path)}"
+        raise CadenzaError(f"{path}: {what}") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         reason = error.strerror if isinstance(error, OSError) else error
         raise CadenzaError(f"{path}: cannot be read ({reason})") from error

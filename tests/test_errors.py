@@ -1,0 +1,61 @@
+"""Where there is too little memory, one line says so, whatever a library makes of it."""
+
+from __future__ import annotations
+
+import mujoco
+import pytest
+
+from cadenza.cli import main
+from cadenza.errors import CadenzaError, by_others, extra_packages
+
+MUJOCO = mujoco.FatalError("Could not allocate memory")
+LOADER = ImportError("libjax_common.so: failed to map segment from shared object")
+
+
+@pytest.mark.parametrize("error", [MemoryError(), MUJOCO, LOADER], ids=["own", "mujoco", "loader"])
+def test_a_command_without_memory_says_so(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail() -> None:
+        raise error
+
+    monkeypatch.setattr("cadenza.cli._run", lambda _: fail())
+    with pytest.raises(SystemExit) as stop:
+        main(["songs"])
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("cadenza: there is not enough memory (")
+
+
+@pytest.mark.parametrize("error", [MemoryError(), MUJOCO, LOADER], ids=["own", "mujoco", "loader"])
+def test_code_of_others_without_memory_is_not_to_blame(error: Exception) -> None:
+    with pytest.raises(CadenzaError, match="there is not enough memory"), by_others("agent own"):
+        raise error
+
+
+def test_a_package_without_memory_need_not_be_installed() -> None:
+    with (
+        pytest.raises(CadenzaError, match="there is not enough memory"),
+        extra_packages("train", "training"),
+    ):
+        raise LOADER
+    with (
+        pytest.raises(CadenzaError, match=r"pip install 'cadenza\[train\]'"),
+        extra_packages("train", "training"),
+    ):
+        raise ImportError("No module named 'jax'")
+
+
+def test_what_is_blamed_on_a_file_may_be_a_lack_of_memory(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def read(_: list[str]) -> None:
+        try:
+            raise MemoryError
+        except MemoryError as error:
+            raise CadenzaError("song.mxl: cannot be read as MusicXML") from error
+
+    monkeypatch.setattr("cadenza.cli._run", read)
+    with pytest.raises(SystemExit):
+        main(["songs"])
+    assert "there is not enough memory (MemoryError)" in capsys.readouterr().err
