@@ -15,7 +15,7 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
 from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.output import check_writable
+from cadenza.cli.output import check_writable, counted
 from cadenza.cli.performing import TRAIN, Again, Options, agents_in, check_all_play
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cadenza.evaluation.matrix import Contender
 
 _MOST_SEEDS = 10_000
+_MOST_RUNS = 20_000  # which take a minute to be told apart, and then days
 _RESIDUAL = "-residual"
 
 
@@ -78,7 +79,15 @@ def run(command: Bench, again: Again[Bench]) -> None:
     check_all_play(command, agents)
     check_executor(command)
     who = _contenders(command, again, agents)
-    jobs = matrix(open_library(command.songs), who, seeds, command.arrangement, command.pages)
+    library = open_library(command.songs)
+    if (runs := len(library.songs) * len(agents) * len(seeds)) > _MOST_RUNS:
+        parts = (library.songs, "song"), (agents, "agent"), (seeds, "seed")
+        what = ", ".join(counted(len(each), noun) for each, noun in parts)
+        raise CadenzaError(
+            f"{what}: {runs} runs, but a bench holds up to {_MOST_RUNS}; choose fewer, such as a "
+            "split or a smaller folder of songs"
+        )
+    jobs = matrix(library, who, seeds, command.arrangement, command.pages)
     if not jobs:
         raise CadenzaError("there is nothing to run: choose other songs or agents")
     check_writable(command.output)
