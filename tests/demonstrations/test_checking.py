@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -74,6 +75,31 @@ def test_damaged_files(copied: Path, name: str, damage: str) -> None:
     (line,) = problems(copied, replays=0)
     assert line.startswith(f"{path}: ")
     assert line.endswith("delete its folder and collect again")
+
+
+@pytest.mark.parametrize("name", [STEPS, PLAN, SCORE, RESULT])
+def test_a_file_that_is_far_too_large_is_not_read_at_once(copied: Path, name: str) -> None:
+    os.truncate(first(copied) / name, 2**28)  # takes no room
+    tracemalloc.start()
+    (line,) = problems(copied, replays=0)
+    assert tracemalloc.get_traced_memory()[1] < 2**26
+    tracemalloc.stop()
+    assert line.startswith(f"{first(copied) / name}: ")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_array_whose_header_claims_to_be_as_long_as_the_file_is_not_read(
+    copied: Path, version: int
+) -> None:
+    path = first(copied) / STEPS
+    size = 2**28
+    path.write_bytes(np.lib.format.magic(version, 0) + (size - 12).to_bytes(4, "little"))
+    os.truncate(path, size)
+    tracemalloc.start()
+    with pytest.raises(CadenzaError, match=r"not a readable \.npy file"):
+        _ = kept(copied)[0].steps
+    assert tracemalloc.get_traced_memory()[1] < 2**23
+    tracemalloc.stop()
 
 
 def test_a_result_that_is_cut_off(copied: Path) -> None:

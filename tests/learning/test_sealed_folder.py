@@ -9,6 +9,7 @@ import json
 import os
 import pickle
 import shutil
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,6 +61,25 @@ def test_can_be_moved_and_copied(folder: Path, tmp_path: Path) -> None:
 
 
 # What is not whole
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "facts.json", "arrays.safetensors"])
+def test_a_file_that_is_far_too_large_is_not_read(folder: Path, name: str) -> None:
+    os.truncate(folder / name, 3 * 2**30)  # takes no room
+    tracemalloc.start()
+    assert_refused(folder, "takes 3,072 MiB, but such a file needs no more")
+    assert tracemalloc.get_traced_memory()[1] < 2**23
+    tracemalloc.stop()
+
+
+def test_what_could_not_be_read_again_is_not_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cadenza.learning.sealed_folder._MOST_ARRAYS", 2**20)
+    with pytest.raises(CadenzaError, match=r"its arrays take 8 MiB; a thing holds up to 1 MiB"):
+        write_sealed(folder, "thing", FACTS, {"a": np.zeros(2**20)})
+    assert read_sealed(folder, "thing")[0] == FACTS
+    assert [path.name for path in folder.parent.iterdir()] == ["policy"]
 
 
 def test_any_byte_that_was_changed_is_noticed(folder: Path) -> None:
