@@ -549,6 +549,13 @@ def test_repeats_of_more_than_twice_are_played_as_often(saved):
     assert score.remarks == ()
 
 
+def test_a_section_that_is_silent_when_repeated_without_end_takes_no_time(saved):
+    begin = '<barline location="left"><ending number="1" type="start"/></barline>'
+    end = '<ending number="1" type="stop"/><repeat direction="backward" times="1000000000000"/>'
+    music = f'{begin}{FOUR_QUARTERS}{note("C4", 16)}<barline location="right">{end}</barline>'
+    assert pitches(load_score(saved(document([music])))) == [60]
+
+
 LAUGHS = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
 ATTACKS = {
     "billion laughs": (

@@ -17,6 +17,7 @@ Place = tuple[int, int]
 
 _JUMP = re.compile(r"\b(d\. ?[cs]\.|da capo\b|dal segno\b)", re.IGNORECASE)
 _PASS = re.compile(r"\d{1,3}")
+_MOST_TIMES = 999  # that a section is played, as endings are numbered
 _MINUTE = 60  # seconds
 
 
@@ -138,7 +139,7 @@ def _read_barline(
     direction = repeat.get("direction") if repeat is not None else None
     if repeat is not None and direction == "backward":
         repeated = bars[-2][1] if location == "left" and len(bars) > 1 else signs
-        repeated.times = max(2, _whole(repeat.get("times")))
+        repeated.times = min(max(2, _whole(repeat.get("times"))), _MOST_TIMES)
     if direction and location == "middle" and place > bars[-1][0]:
         signs = Signs(ending=bracket)
         bars.append((place, signs))
