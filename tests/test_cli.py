@@ -419,7 +419,7 @@ def test_play_leaves_what_it_promises(
     arguments += AT_ONCE
     main([str(argument) for argument in arguments])
     said = capsys.readouterr()
-    assert "F1 1.000  precision 1.000  recall 1.000" in said.out
+    assert "F1 1.000  precision 1.000  recall 1.000  note onsets F1 1.000" in said.out
     assert f"Open {folder / 'report.html'}" in said.out
     files = {"episode.npz", "metrics.json", "played.mid", "report.html", "settings.json"}
     names = {path.name for path in folder.iterdir()}
@@ -431,6 +431,9 @@ def test_play_leaves_what_it_promises(
     scores |= {f"{kind}_{name}" for name in scores for kind in ("sustain", "pooled")}
     scores |= {"note_onset_f1", "note_onset_offset_f1"}
     other = {"return", "reward/key_press", "steps", "planning_seconds", "playing_seconds"}
+    other |= {"rewarded_fingers"}
+    total = metrics["return"]
+    assert f"return {total:.1f}: key press {total:.1f}\n" in said.out  # there are no fingers
     assert metrics.keys() == scores | other | {"unstable", "timing_error"}
     assert {metrics[name] for name in scores} == {1.0}
     assert (metrics["steps"], metrics["unstable"], metrics["timing_error"]) == (13, 0, 0)

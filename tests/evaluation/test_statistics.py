@@ -93,8 +93,8 @@ def test_the_bootstrap_interval_is_that_of_scipy() -> None:
 
 
 def test_runs_are_drawn_within_their_piece() -> None:
-    """Pieces differ here and their runs do not: only drawing other pieces would change a figure."""
-    scores = np.tile([0.1, 0.5, 0.9], (3, 1))
+    """Pieces differ here and their runs hardly do: drawing other pieces would change a figure."""
+    scores = np.tile([0.1, 0.5, 0.9], (3, 1)) + np.array([[-1e-9], [0], [1e-9]])
     for statistic in (mean, interquartile_mean):
         low, high = bootstrap_interval(statistic, scores, np.random.default_rng(0))
         assert low == pytest.approx(high) == pytest.approx(0.5)
@@ -116,6 +116,15 @@ def test_single_runs_have_no_interval() -> None:
     assert np.isnan(bootstrap_interval(mean, scores, np.random.default_rng(0))).all()
     assert np.isnan(mean_interval(scores)[1:]).all()
     assert mean_interval(scores)[0].tolist() == [0.2, 0.8]
+
+
+def test_runs_that_are_all_the_same_have_no_interval() -> None:
+    scores = np.array([[0.2, 0.8], [0.2, 0.8], [math.nan, 0.8]])
+    assert np.isnan(bootstrap_interval(mean, scores, np.random.default_rng(0))).all()
+    scores[0, 0] = 0.3
+    assert not np.isnan(bootstrap_interval(mean, scores, np.random.default_rng(0))).any()
+    _, low, high = mean_interval(scores)
+    assert np.isnan(low).tolist() == np.isnan(high).tolist() == [False, True]
 
 
 def test_the_same_seed_gives_the_same_interval() -> None:

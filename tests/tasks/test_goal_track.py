@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import pickle
+from contextlib import closing
 
 import numpy as np
+import pytest
 from numpy.testing import assert_array_equal
 
+from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.agents.rollout import play_episode
+from cadenza.fingers import Finger
 from cadenza.learning.observation import GoalTable
 from cadenza.music.score import Note, Score
-from cadenza.scene.config import SceneConfig
+from cadenza.scene.config import Hands, SceneConfig
 from cadenza.tasks import goal_track
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import Fingering, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 
 CONFIG = TaskConfig(initial_buffer_time=0.33)
 SONG = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate((60, 64, 67))))
+GIVEN = SONG.with_fingers([Finger(0, 0), Finger(0, 2), Finger(0, 4)])
 CLUSTER = Score(tuple(Note(0.0, 0.5, pitch) for pitch in range(40, 60)))
 
 
@@ -63,6 +69,26 @@ def test_says_which_notes_no_finger_is_there_for() -> None:
     }
     assert track.fingered() is track
     assert track.of(CLUSTER).fingered().score == track.score
+
+
+@pytest.mark.parametrize(
+    ("song", "fingering", "hands", "rewarded"),
+    [
+        (GIVEN, "auto", "both", "score"),
+        (SONG, "auto", "both", "found"),
+        (GIVEN, "transport", "both", "transport"),
+        (GIVEN, "off", "both", "off"),
+        (GIVEN, "auto", "none", "off"),
+    ],
+)
+def test_says_whose_fingers_are_rewarded(
+    song: Score, fingering: Fingering, hands: Hands, rewarded: str
+) -> None:
+    with closing(PianoTask([song], TaskConfig(fingering=fingering), SceneConfig(hands=hands))) as t:
+        assert t.tracks[0].rewarded_fingers == rewarded
+        metrics = play_episode(t, ZeroAgent(), stop=lambda: True).metrics
+    assert metrics["rewarded_fingers"] == rewarded
+    assert ("reward/fingering" in metrics) == (rewarded != "off")
 
 
 def test_can_be_pickled() -> None:

@@ -30,9 +30,9 @@ class EpisodeResult:
     episode: Episode
     metrics: dict[str, Any]
     """Those of `cadenza.music.metrics.playing_metrics`, None for one that is not defined; `return`
-    and ``reward/<term>`` summed over the episode; `steps`, `planning_seconds` spent by the agent,
-    from its reset on, `playing_seconds` by the simulation, and whether the simulation became
-    `unstable`; `combined`, of hands that play apart."""
+    and ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
+    `planning_seconds` spent by the agent, from its reset on, `playing_seconds` by the simulation,
+    and whether the simulation became `unstable`; `combined`, of hands that play apart."""
 
 
 def play_episode(
@@ -174,6 +174,7 @@ class _Record:
         metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
         metrics |= self._sums()
         metrics |= {
+            "rewarded_fingers": self._task.sheets.tracks[self._env].rewarded_fingers,
             "steps": self._done,
             "planning_seconds": self.planning_seconds,
             "playing_seconds": self.playing_seconds,

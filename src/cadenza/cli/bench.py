@@ -222,4 +222,5 @@ def _result(folder: Path, job: Job) -> str:
 
     result = read_result(folder)
     no_page = "; no page, see log.txt" * (job.page and not (result.folder / PAGE).exists())
-    return f"F1 {result.metrics['f1']:.3f}, {result.timing.wall_seconds:.0f} s{no_page}"
+    f1, onsets = (result.metrics.get(name) for name in ("f1", "note_onset_f1"))
+    return f"F1 {f1:.3f}, note onsets F1 {onsets:.3f}, {result.timing.wall_seconds:.0f} s{no_page}"

@@ -157,7 +157,8 @@ def _how_it_went(folder: Path, _job: Job) -> str:
 
     made = about(folder)
     left_out = "" if made.kept else ", not kept"
-    return f"F1 {made.f1:.3f}, {counted(made.num_steps, 'step')}{left_out}"
+    scores = f"F1 {made.f1:.3f}, note onsets F1 {made.note_onset_f1:.3f}"
+    return f"{scores}, {counted(made.num_steps, 'step')}{left_out}"
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,11 @@ Command = TypeVar("Command", bound="Options")
 Again = Callable[[Command], Command]
 """Reads the same command line again, with what it does not say taken from a command."""
 
+_REWARDED = {
+    "score": "; the score's fingers are rewarded",
+    "found": "; fingers that a search found are rewarded",
+    "transport": "; the nearest fingers are rewarded",
+}
 TRAIN = "train:"  # what the name of an agent begins with that is trained first
 
 AGENTS_HELP = (
@@ -186,12 +191,25 @@ def print_scores(performance: Performance) -> None:
         f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
     )
     print(
-        f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}, "
-        f"return {metrics['return']:.1f}; planning took {metrics['planning_seconds']:.1f} s, "
+        f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}; "
+        f"planning took {metrics['planning_seconds']:.1f} s, "
         f"simulation {metrics['playing_seconds']:.1f} s"
     )
+    print(_return_in_words(metrics))
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
+
+
+def _return_in_words(metrics: Mapping[str, Any]) -> str:
+    """The return and its terms, as agents are rewarded for fingers that not all of them use."""
+    terms = {
+        name.removeprefix("reward/").replace("_", " "): value
+        for name, value in metrics.items()
+        if name.startswith("reward/")
+    }
+    told = ", ".join(f"{name} {value:.1f}" for name, value in terms.items())
+    fingers = _REWARDED.get(metrics["rewarded_fingers"], "")
+    return f"return {metrics['return']:.1f}: {told}{fingers}"
 
 
 def print_what_was_lost(performance: Performance) -> None:

@@ -145,7 +145,9 @@ def _how_far(
 def _where(practice: Practice, score: Score) -> str:
     """What is worked on of a score, and what remains."""
     passages = len(practice.passages())
-    so_far = f"F1 {practice.history[-1][1]:.3f}, " if practice.history else ""
+    so_far = ""
+    if practice.history:
+        so_far = "F1 {1:.3f}, note onsets F1 {2:.3f}, ".format(*practice.history[-1])
     how = "another take, " if practice.plays_another_take else ""
     left = f"{passages} passage{'s'[: passages != 1]} left"
     return f"{so_far}{how}{_places(practice, score, practice.at)}, {left}"

@@ -57,14 +57,15 @@ def results(command: Results) -> None:
 
 def _in_text(told: Overview) -> str:
     """The table of agents, for a terminal: interquartile means."""
-    from cadenza.report.overview import FIGURES, HEADLINES, in_interval, shown
+    from cadenza.report.overview import FIGURES, HEADLINES, SAME, in_interval, same_in_words, shown
 
     titles = [FIGURES[name].title for name in HEADLINES]
-    rows = [["", "pieces", "runs", titles[0], "95 % interval", *titles[1:]]]
+    rows = [["", "pieces", "runs", SAME.lower(), titles[0], "95 % interval", *titles[1:]]]
     for group in told.groups:
         rows.append([group.name, *[""] * (len(rows[0]) - 1)])
         for agent, of in group.standings.items():
             f1, *others = (shown(name, of.iqm[name].value) for name in HEADLINES)
             interval = in_interval(HEADLINES[0], of.iqm[HEADLINES[0]])
-            rows.append([f"  {agent}", str(of.pieces), str(of.runs), f1, interval, *others])
+            counts = [str(of.pieces), str(of.runs), same_in_words(of)]
+            rows.append([f"  {agent}", *counts, f1, interval, *others])
     return f"Interquartile means\n{in_columns(rows)}"

@@ -201,7 +201,9 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
                 renew()
                 if "eval/f1" in row:
                     best = training.best["eval/f1"]
-                    scores = f"F1 {row['eval/f1']:.3f}, best {best:.3f}"
+                    onsets = row["eval/note_onset_f1"]
+                    scores = f"F1 {row['eval/f1']:.3f}, note onsets F1 {onsets:.3f}"
+                    scores += f", best F1 {best:.3f}"
             advance(training.step, training.config.num_steps, scores)
             return not stop()
 

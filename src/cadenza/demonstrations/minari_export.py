@@ -97,7 +97,13 @@ def _buffer(kind: Any, made: Transitions, about: About) -> Any:
         truncations=np.arange(count) == count - 1,
         infos={"chosen_action": chosen},
         seed=about.job["seed"],
-        options={"song": about.song, "f1": about.f1, **about.drawn},
+        options={
+            "song": about.song,
+            "f1": about.f1,
+            "note_onset_f1": about.note_onset_f1,
+            "rewarded_fingers": about.metrics.get("rewarded_fingers"),
+            **about.drawn,
+        },
     )
 
 

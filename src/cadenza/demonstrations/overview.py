@@ -30,7 +30,9 @@ def overview(folder: Path) -> Iterator[str]:
     yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
     yield _steps(kept)
     if kept:
-        yield _f1(kept)
+        yield _spread("F1", [about.f1 for about in kept])
+        yield _spread("note onsets F1", [about.note_onset_f1 for about in kept])
+        yield from _rewarded(kept)
         yield f"{sum(about.drawn['mirrored'] for about in kept)} episodes are mirrored"
     size = sum(file.stat().st_size for file in (folder / EPISODES).rglob("*") if file.is_file())
     steps = sum(about.num_steps for about in kept)
@@ -45,9 +47,15 @@ def _steps(kept: list[About]) -> str:
     return f"{sum(about.num_steps for about in kept):,} steps, {seconds / 60:.1f} min of music"
 
 
-def _f1(kept: list[About]) -> str:
-    f1 = np.array([about.f1 for about in kept])
-    return f"F1 {f1.mean():.3f} on average, {f1.min():.3f} to {f1.max():.3f}"
+def _spread(what: str, values: list[float]) -> str:
+    return f"{what} {np.mean(values):.3f} on average, {min(values):.3f} to {max(values):.3f}"
+
+
+def _rewarded(kept: list[About]) -> Iterator[str]:
+    """Whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
+    counts = Counter(str(about.metrics.get("rewarded_fingers")) for about in kept)
+    for fingers, count in sorted(counts.items()):
+        yield f"rewarded fingers: {printable(fingers)} in {count} episodes"
 
 
 def _versions(found: Iterable[About]) -> Iterator[str]:

@@ -111,7 +111,7 @@ class About:
     song: str
     kept: bool
     """Whether it was good enough; else there is nothing but this."""
-    metrics: dict[str, int | float | bool | None]
+    metrics: dict[str, int | float | bool | str | None]
     """See `cadenza.agents.rollout.EpisodeResult`."""
     drawn: dict[str, int | float | bool]
     """How it differs from others of the same song."""
@@ -134,6 +134,10 @@ class About:
     @property
     def f1(self) -> float:
         return float(self.metrics["f1"] or 0.0)
+
+    @property
+    def note_onset_f1(self) -> float:
+        return float(self.metrics["note_onset_f1"] or 0.0)
 
 
 @dataclass(frozen=True)
@@ -263,11 +267,13 @@ def about(folder: Path) -> About:
 
 def _unlikely(told: About) -> str | None:
     """What of an episode that was kept others count on, and is not as it can be."""
-    steps, f1 = told.metrics.get("steps"), told.metrics.get("f1")
+    steps = told.metrics.get("steps")
     if type(steps) is not int or not 0 < steps <= _MOST_STEPS:
         return f"steps {steps!r:.30}"
-    if not isinstance(f1, float | int) or not 0 <= f1 <= 1:
-        return f"f1 {f1!r:.30}"
+    for name in ("f1", "note_onset_f1"):
+        value = told.metrics.get(name)
+        if not isinstance(value, float | int) or not 0 <= value <= 1:
+            return f"{name} {value!r:.30}"
     if not isinstance(mirrored := told.drawn.get("mirrored"), bool):
         return f"mirrored {mirrored!r:.30}"
     if not _LEAST_STEP <= told.task.control_timestep < math.inf:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +109,7 @@ def run_figures(result: Result) -> dict[str, float]:
     }
 
 
-def _number(value: float | None) -> float:
+def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
@@ -135,6 +136,18 @@ class _Scores:
     def played(self, agent: str) -> set[int]:
         """Indices of pieces."""
         return {piece for piece in self.pieces if ("f1", agent, piece) in self._values}
+
+    def repeated(self, agent: str) -> set[int]:
+        """Indices of pieces with several runs."""
+        return {p for p in self.played(agent) if len(self._values["f1", agent, p]) > 1}
+
+    def same(self, agent: str) -> set[int]:
+        """Those of them of which every share is the same in all runs."""
+        return {
+            piece
+            for piece in self.repeated(agent)
+            if all(len(set(self._values.get((name, agent, piece), ()))) < 2 for name in SHARES)
+        }
 
     def rank(self, agent: str) -> tuple[int, float]:
         """The lowest is first: who played the most pieces, and of these who played best."""
@@ -183,6 +196,8 @@ def _standing(agent: str, pieces: Sequence[int], scores: _Scores) -> Standing:
     return Standing(
         pieces=len(pieces),
         runs=int(np.sum(~np.isnan(scores.of("f1", agent, pieces)))),
+        repeated=len(scores.repeated(agent).intersection(pieces)),
+        same=len(scores.same(agent).intersection(pieces)),
         mean={name: Estimate(*(part[0] for part in each)) for name, each in estimates.items()},
         iqm={name: Estimate(*(part[1] for part in each)) for name, each in estimates.items()},
         profile={name: Estimate(*(part[2:] for part in estimates[name])) for name in SHARES},

@@ -39,7 +39,7 @@ def _fault(result: Result) -> str:
     )
     for name, limit in (most | dict.fromkeys(sizes, _MOST)).items():
         value = figures.get(name)
-        if value is not None and not 0 <= value <= limit:
+        if isinstance(value, str) or (value is not None and not 0 <= value <= limit):
             return f"its {name} cannot be {str(value)[:20]}"
     if 0 < result.timing.music_seconds < _LEAST_MUSIC:
         return f"its music_seconds cannot be {result.timing.music_seconds}"
@@ -68,6 +68,8 @@ def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
         own = [(r, _own_settings(r)) for r in results if r.agent == agent]
         if settings := _differing(own):
             yield f"Settings of {agent} differ.", settings
+    if fingers := _rewarded_fingers(results):
+        yield "Rewards are for different fingers.", fingers
     if threads := _differing([(r, {"threads": r.timing.threads}) for r in results]):
         yield "Wall times are of different numbers of threads.", threads
     if changed := _not_as_written(results):
@@ -103,6 +105,22 @@ def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
             )
             lines.append(f"{name}: {'; '.join(each)}")
     return lines
+
+
+def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
+    """In a line for each piece with several: who was rewarded for whose fingers."""
+    pieces = dict.fromkeys(result.song.name for result in results)
+    return [
+        f"{piece}: {line}"
+        for piece in pieces
+        for line in _differing(
+            [
+                (result, {"rewarded_fingers": result.metrics.get("rewarded_fingers")})
+                for result in results
+                if result.song.name == piece
+            ]
+        )
+    ]
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:

@@ -50,7 +50,7 @@ class ResultFile:
     job: dict[str, Any]
     """A `cadenza.evaluation.job.JobSpec`."""
     song: SongFacts
-    metrics: dict[str, int | float | bool | None]
+    metrics: dict[str, int | float | bool | str | None]
     """As `cadenza play` writes them, and `energy` [J] of all actuators, if the task counts it."""
     timing: Timing
     versions: dict[str, str]

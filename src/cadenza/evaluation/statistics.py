@@ -68,15 +68,21 @@ def bootstrap_interval(
 
     The percentile bootstrap of section 4.1: the runs of each piece are drawn anew from these runs,
     with replacement, as many as there are. It tells how much the figure owes to the seeds, for
-    these very pieces. NaN where no piece has two runs.
+    these very pieces. NaN where no piece has two runs that differ: nothing is random then.
     """
-    if (np.sum(~np.isnan(scores), axis=0) < 2).all():
+    if not _differ(scores).any():
         unknown = np.full_like(statistic(scores), np.nan)
         return unknown, unknown
     of_each = statistic(_resampled(scores, rng, resamples))
     tail = (1 - confidence) / 2
     low, high = np.quantile(of_each, [tail, 1 - tail], axis=0)
     return low, high
+
+
+def _differ(scores: Scores) -> NDArray[np.bool_]:
+    """(pieces,) whether some run of a piece differs from another."""
+    least = np.fmin.reduce(scores, axis=0, initial=np.inf)
+    return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > least)
 
 
 def _resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Scores:
@@ -92,13 +98,13 @@ def mean_interval(scores: Scores, confidence: float = CONFIDENCE) -> tuple[Score
     """Of each piece the mean over its runs, and from where to where it lies; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
-    of few runs is too narrow. NaN from and to for a piece with a single run, all NaN
-    for one with none.
+    of few runs is too narrow. NaN from and to for a piece with a single run, or whose runs are all
+    the same; all NaN for one with none.
     """
     count = np.sum(~np.isnan(scores), axis=0)
     middle = np.nansum(scores, axis=0) / np.where(count, count, np.nan)
     squares = np.nansum((scores - middle) ** 2, axis=0)
-    several = np.where(count > 1, count, np.nan)
+    several = np.where(_differ(scores), count, np.nan)
     error = np.sqrt(squares / (several - 1) / several)
     reach = stats.t.ppf((1 + confidence) / 2, several - 1) * error
     return middle, middle - reach, middle + reach

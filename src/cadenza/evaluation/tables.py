@@ -15,6 +15,7 @@ from cadenza.files import write_atomically, write_json
 from cadenza.report.overview import FIGURES, THRESHOLDS, Estimate, Overview
 
 FORMAT = 1
+_OF_FINGERS = ("return", "reward/fingering")
 Row = Mapping[str, Any]
 
 
@@ -44,7 +45,9 @@ def _agents(overview: Overview) -> Iterator[Row]:
     for group in overview.groups:
         for agent, standing in group.standings.items():
             row: dict[str, Any] = {"group": group.name, "agent": agent}
-            row |= {"pieces": standing.pieces, "runs": standing.runs}
+            row |= {
+                name: getattr(standing, name) for name in ("pieces", "runs", "repeated", "same")
+            }
             for name in FIGURES:
                 row |= _ends(f"{name}_mean", standing.mean[name])
                 row |= _ends(f"{name}_iqm", standing.iqm[name])
@@ -74,10 +77,20 @@ def _runs(overview: Overview, results: Sequence[Result], folder: Path) -> Iterat
     for run, result in zip(overview.runs, results, strict=True):
         row = {"piece": overview.pieces[run.piece].name, "agent": run.agent, "seed": run.seed}
         row |= {name: run.figures[name] for name in FIGURES}
-        row |= {name: result.metrics.get(name) for name in measured if name not in FIGURES}
+        row |= {
+            _column(name, result): result.metrics.get(name)
+            for name in measured
+            if name not in FIGURES
+        }
         row |= vars(result.timing)
         row |= {f"{name}_version": version for name, version in result.versions.items()}
         yield row | {"folder": Path(os.path.relpath(result.folder, folder)).as_posix()}
+
+
+def _column(name: str, result: Result) -> str:
+    """Where a metric stands: the reward for other fingers is another figure."""
+    fingers = result.metrics.get("rewarded_fingers")
+    return f"{name}, fingers: {fingers}" if name in _OF_FINGERS and fingers else name
 
 
 def _profiles(overview: Overview) -> Iterator[Row]:

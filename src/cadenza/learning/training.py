@@ -71,6 +71,7 @@ class Training:
         self._updates = 0
         self._score = score.without_fingers() if config.residual else score
         self._task = self._new_task(config.num_envs)
+        self._rewarded = {"rewarded_fingers": self._task.tracks[0].rewarded_fingers}
         self._goals = GoalTable(self._task.spec)
         self._goals.add_all(self._task)
         self._reference = reference_of(self._task) if config.residual else None
@@ -253,7 +254,7 @@ class Training:
         self._add_row(row)
         if not self.best or _right(row) > _right(self.best):
             self.best = row
-            save_policy(self._folder.path / "best", learnt, row)
+            save_policy(self._folder.path / "best", learnt, row | self._rewarded)
 
     # Checkpoints
 
@@ -283,7 +284,9 @@ class Training:
         self._save_last()
 
     def _save_last(self) -> None:
-        save_policy(self._folder.path / "last", self._learnt(), {"step": self.step})
+        save_policy(
+            self._folder.path / "last", self._learnt(), {"step": self.step} | self._rewarded
+        )
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         facts, parts = checkpoint.facts, _parted(checkpoint.arrays)

@@ -23,10 +23,10 @@ SHARES = {
     "f1": Figure(
         "F1", 3, "The balance of precision and recall in each control step, mean over all steps."
     ),
-    "pooled_f1": Figure("F1, pooled", 3, "The same, with the keys of all steps counted together."),
     "note_onset_f1": Figure(
         "Note onset F1", 3, "Whole notes: found is what begins within 50 ms of its time."
     ),
+    "pooled_f1": Figure("F1, pooled", 3, "As F1, with the keys of all steps counted together."),
     "precision": Figure("Precision", 3, "Of the keys that sound, the share that should."),
     "recall": Figure("Recall", 3, "Of the keys that should sound, the share that do."),
 }
@@ -48,8 +48,10 @@ FIGURES = SHARES | {
 }
 """All figures of a run. NaN is one that is not known."""
 
-DRAWN = ("f1", "pooled_f1", "note_onset_f1")
+DRAWN = ("f1", "note_onset_f1", "pooled_f1")
 """What is drawn as bars."""
+SAME = "Same with every seed"
+"""What the number of pieces is called that were played so."""
 HEADLINES = (*DRAWN, "wall_per_music")
 """What is told first."""
 THRESHOLDS = np.linspace(0, 1, 51)
@@ -57,7 +59,8 @@ THRESHOLDS = np.linspace(0, 1, 51)
 
 
 class Estimate(NamedTuple):
-    """A figure and its 95 % interval, from NaN to NaN where there is none; numbers or arrays."""
+    """A figure and its 95 % interval, from NaN to NaN where there is none, as with a
+    single seed or where every seed gave the same; numbers or arrays."""
 
     value: Any
     low: Any
@@ -99,6 +102,10 @@ class Standing:
 
     pieces: int
     runs: int
+    repeated: int
+    """Pieces with several seeds."""
+    same: int
+    """Those of them of which each of `SHARES` is the same with every seed."""
     mean: Mapping[str, Estimate]
     """Of each of `FIGURES`: numbers."""
     iqm: Mapping[str, Estimate]
@@ -141,6 +148,11 @@ def shown(figure: str, value: float) -> str:
     """`value` of one of `FIGURES`; a dash if it is not known."""
     text = "–" if math.isnan(value) else f"{value:z.{FIGURES[figure].decimals}f}"
     return text.replace("-", "−")
+
+
+def same_in_words(standing: Standing) -> str:
+    """How many pieces were played the same with every seed; a dash with a single seed."""
+    return f"{standing.same} of {standing.repeated}" if standing.repeated else "–"
 
 
 def in_interval(figure: str, estimate: Estimate, between: str = "–") -> str:

@@ -59,7 +59,7 @@ def write_report(
 
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.
-        metrics: name -> number; nested mappings are flattened. NaN is shown as a dash.
+        metrics: name -> number or text; nested mappings are flattened. NaN is shown as a dash.
         settings: name -> value, nested or not; `agent` and `seed` are also named at the top, and
             each of `remarks`. None is not shown; of an absolute path, only the last part.
         audio: the performance as `synthesize` makes it, starting with the first step.
@@ -176,6 +176,8 @@ def _figures(metrics: Mapping[str, Any]) -> str:
 
 
 def _with_unit(name: str, value: Any) -> str:
+    if isinstance(value, str):
+        return html.escape(value)
     number = _number(value)
     if number is None or isinstance(value, bool):
         return "–" if number is None else "yes" if value else "no"

@@ -10,9 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.files import write_atomically
-from cadenza.report.overview import Overview, shown
+from cadenza.report.overview import (
+    FIGURES,
+    Overview,
+    Standing,
+    in_interval,
+    same_in_words,
+    shown,
+)
 
-_FIGURE = "f1"
+_FIGURE, _BESIDE = "f1", "note_onset_f1"  # the bars, and the marks on them
 _WIDTH, _LEFT, _RIGHT = 1200, 48, 16  # [px]
 _HEIGHT_OF_ONE, _HEIGHT = 320, 150  # [px] of the chart of a single agent, and of one of several
 _TITLE, _GAP = 34, 10  # [px] above a chart, and below it
@@ -25,13 +32,17 @@ _STYLE = """
     --card: #161a21; --ink: #e9edf3; --soft: #a0aab9; --line: #2b323d; --bar: #86a8ff; } }
   .card { fill: var(--card); } .bar { fill: var(--bar); } .grid { stroke: var(--line); }
   .interval { stroke: var(--ink); fill: none; }
+  .beside { fill: var(--card); stroke: var(--ink); stroke-width: 1.5; }
   text { fill: var(--soft); } .agent { fill: var(--ink); font-weight: 600; }
   .end { text-anchor: end; }
 """
 
 
 def write_figure(path: Path, overview: Overview) -> None:
-    """Draws the F1 of all pieces with its intervals, a chart an agent, in the order of the best."""
+    """Draws the F1 of all pieces with its intervals, a chart an agent, in the order of the best.
+
+    A dot is the note onset F1 of the piece.
+    """
     with write_atomically(path) as file:
         file.write("\n".join(_drawn(overview)).encode("utf-8", "replace"))
 
@@ -44,7 +55,7 @@ def _drawn(overview: Overview) -> Iterator[str]:
     height = _HEIGHT_OF_ONE if len(overview.agents) == 1 else _HEIGHT
     charts = (_TITLE + height + _GAP) * len(overview.agents)
     total = charts + 10 + round(6.8 * max(map(len, names), default=0))
-    words = f"F1 of {len(order)} pieces by {', '.join(overview.agents)}"
+    words = f"F1 and note onset F1 of {len(order)} pieces by {', '.join(overview.agents)}"
     yield (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {total}" role="img">'
         f"<title>{html.escape(words)}</title><style>{_STYLE}</style>"
@@ -68,31 +79,45 @@ def _chart(
 ) -> Iterator[str]:
     """The bars of an agent, and above them who it is."""
     name = overview.agents[agent]
-    iqm = overview.groups[0].standings[name].iqm[_FIGURE]
-    told = f"interquartile mean {shown(_FIGURE, iqm.value)}"
-    if not math.isnan(iqm.low):
-        told += f", 95 % interval {shown(_FIGURE, iqm.low)} to {shown(_FIGURE, iqm.high)}"
+    told = html.escape(_told(overview.groups[0].standings[name]))
     yield f'<text class="agent" y="-12">{html.escape(name)}</text>'
-    yield f'<text class="end" x="{_WIDTH - _LEFT - _RIGHT}" y="-12">F1: {told}</text>'
+    yield f'<text class="end" x="{_WIDTH - _LEFT - _RIGHT}" y="-12">{told}</text>'
     for tick in (0, 0.25, 0.5, 0.75, 1):
         y = _y(tick, height)
         yield f'<path class="grid" d="M0 {y:g}H{_WIDTH - _LEFT - _RIGHT}"/>'
         yield f'<text class="end" x="-8" y="{y + 4:g}">{tick:g}</text>'
     bar = min(0.76 * column, 44)
-    values = zip(
-        *(part[agent][order].tolist() for part in overview.of_pieces[_FIGURE]), strict=True
-    )
-    for place, (i, (value, low, high)) in enumerate(zip(order, values, strict=True)):
+    onsets = overview.of_pieces[_BESIDE].value[agent][order].tolist()
+    columns = [part[agent][order].tolist() for part in overview.of_pieces[_FIGURE]]
+    values = zip(order, *columns, onsets, strict=True)
+    for place, (i, value, low, high, onset) in enumerate(values):
         if math.isnan(value):
             continue
         x, y = (place + 0.5) * column, _y(value, height)
-        title = html.escape(f"{overview.pieces[i].title}: {shown(_FIGURE, value)}")
+        both = f"F1 {shown(_FIGURE, value)}, note onset F1 {shown(_BESIDE, onset)}"
+        title = html.escape(f"{overview.pieces[i].title}: {both}")
         yield (
             f'<rect class="bar" x="{x - bar / 2:.2f}" y="{y:.2f}" width="{bar:.2f}"'
             f' height="{height - y:.2f}"><title>{title}</title></rect>'
         )
         if not math.isnan(low):
             yield _interval(x, _y(low, height), _y(high, height), min(bar / 4, 5))
+        if not math.isnan(onset):
+            at = f'cx="{x:.2f}" cy="{_y(onset, height):.2f}"'
+            yield f'<circle class="beside" {at} r="{min(bar / 4, 3):.2f}"/>'
+
+
+def _told(standing: Standing) -> str:
+    """The interquartile means of an agent, and how many pieces its seeds made no difference to."""
+    parts = []
+    for name in (_FIGURE, _BESIDE):
+        interval = in_interval(name, standing.iqm[name], " to ")
+        value = f"{FIGURES[name].title} {shown(name, standing.iqm[name].value)}"
+        parts.append(f"{value} ({interval})" if interval else value)
+    told = f"interquartile means: {', '.join(parts)}"
+    if standing.repeated:
+        told += f"; same with every seed: {same_in_words(standing)} pieces"
+    return told
 
 
 def _interval(x: float, low: float, high: float, wide: float) -> str:

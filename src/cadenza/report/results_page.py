@@ -24,6 +24,7 @@ from cadenza.report.overview import (
     DRAWN,
     FIGURES,
     HEADLINES,
+    SAME,
     SHARES,
     THRESHOLDS,
     Estimate,
@@ -33,12 +34,14 @@ from cadenza.report.overview import (
     Piece,
     Run,
     in_interval,
+    same_in_words,
     shown,
 )
 from cadenza.report.page import write_page
 from cadenza.report.recording import in_json
 
 _SCRIPTS = ("chart.js", "curves.js", "results.js")
+_MEANS = {"f1": "Mean F1", "note_onset_f1": "Mean note onset F1"}  # beside interquartile means
 _MOST_REMARKS = 12  # of a kind that are spelt out
 
 
@@ -66,7 +69,7 @@ def write_results_pages(
         "remarks": _remarks(overview.remarks),
         "headlines": _headlines(overview),
         "bars": _side_by_side(overview),
-        "head": _head(("Pieces", "Runs", "Mean F1"), FIGURES.values()),
+        "head": _head(("Pieces", "Runs", SAME, *_MEANS.values()), FIGURES.values()),
         "standings": "".join(_standings(group) for group in overview.groups),
         "choices": _choices(overview),
         "legend": legend(marks) if len(marks) > 1 else "",
@@ -155,6 +158,8 @@ def _headlines(overview: Overview) -> str:
             bar = f'<div class="bar"><i style="width:{100 * estimate.value:.1f}%"></i></div>'
         interval = in_interval(name, estimate, " to ")
         small = f"<small>95 % interval {interval}</small>" if interval else ""
+        if standing.repeated and standing.same == standing.repeated and name in SHARES:
+            small = "<small>the same with every seed</small>"
         cards.append(
             f'<div class="score"><h3>{figure.title}</h3>'
             f'<p class="value">{shown(name, estimate.value)}</p>{bar}{small}'
@@ -206,14 +211,15 @@ def _head(first: Sequence[str], figures: Iterable[Figure]) -> str:
 
 def _standings(group: Group) -> str:
     """The rows of a group: its name, and one of each agent."""
-    columns = 4 + len(FIGURES)
+    columns = 4 + len(_MEANS) + len(FIGURES)
     rows = [
         f'<tr class="group"><th scope="rowgroup" colspan="{columns}">{html.escape(group.name)}'
         f" <small>{_counted(len(group.pieces), 'piece')}</small></th></tr>"
     ]
     for agent, standing in group.standings.items():
         cells = [f"<td>{standing.pieces:,}</td><td>{standing.runs:,}</td>"]
-        cells.append(_cell("f1", standing.mean["f1"]))
+        cells.append(f"<td>{same_in_words(standing)}</td>")
+        cells += [_cell(name, standing.mean[name]) for name in _MEANS]
         cells += [_cell(name, standing.iqm[name]) for name in FIGURES]
         rows.append(f'<tr><th scope="row">{html.escape(agent)}</th>{"".join(cells)}</tr>')
     return f"<tbody>{''.join(rows)}</tbody>"

@@ -29,7 +29,6 @@ from cadenza.report.page import settings_section, write_page
 
 _REWARDS = "eval/reward/"
 _TITLES = {
-    "eval/note_onset_f1": "Note onset F1",
     "eval/return": "Return",
     _REWARDS: "Reward: ",
     "episodes/f1": "F1 of training episodes",
@@ -42,7 +41,6 @@ _TITLES = {
 }
 """Columns -> titles of their charts; each term of the reward has one."""
 _KINDS: dict[str, Literal["number", "share", "log"]] = {
-    "eval/note_onset_f1": "share",
     "episodes/f1": "share",
     "train/critic_loss": "log",
     "train/temperature": "log",
@@ -189,15 +187,17 @@ def _figures(run: Curve) -> dict[str, float]:
     figures["rate"] = figures["step"] / (figures["seconds"] or math.nan)
     steps, f1 = _points(run, "eval/f1")
     if not len(f1):
-        return figures | dict.fromkeys(
-            ("best_f1", "best_step", "best_seconds", "last_f1"), math.nan
-        )
+        return dict.fromkeys(_FIGURES, math.nan) | figures
     best = f1.argmax()
+    onsets = {row.get("eval_step"): row.get("eval/note_onset_f1") for row in run.rows}
+    at_best, last = (onsets.get(float(steps[i])) for i in (best, -1))
     return figures | {
         "best_f1": float(f1[best]),
+        "best_onsets": math.nan if at_best is None else at_best,
         "best_step": float(steps[best]),
         "best_seconds": float(_seconds(run, steps)[best]),
         "last_f1": float(f1[-1]),
+        "last_onsets": math.nan if last is None else last,
     }
 
 
@@ -210,15 +210,18 @@ def _ratio(value: float) -> str:
 
 _FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "best_f1": ("Best F1", _ratio),
+    "best_onsets": ("Note onset F1 there", _ratio),
     "best_step": ("at step", in_short),
     "best_seconds": ("after", in_time),
     "last_f1": ("Last F1", _ratio),
+    "last_onsets": ("Last note onset F1", _ratio),
     "step": ("Control steps", in_short),
     "seconds": ("Wall time", in_time),
     "updates": ("Updates", in_short),
     "rate": ("Steps a second", in_short),
 }
 """Figures of a run -> what they are called, and how they are written."""
+_SHARES = ("best_f1", "best_onsets", "last_f1", "last_onsets")
 
 
 def _shown(name: str, figures: Mapping[str, float]) -> str:
@@ -247,9 +250,9 @@ def _cards(run: Curve) -> str:
     if not math.isnan(figures["best_f1"]):
         step, seconds = _shown("best_step", figures), _shown("best_seconds", figures)
         more["best_f1"] = f"at step {step},<br>after {seconds}"
-    for name in ("best_f1", "last_f1", "step", "seconds", "updates", "rate"):
+    for name in (*_SHARES, "step", "seconds", "updates", "rate"):
         bar = ""
-        if name.endswith("f1") and not math.isnan(figures[name]):
+        if name in _SHARES and not math.isnan(figures[name]):
             bar = f'<div class="bar"><i style="width:{100 * figures[name]:.1f}%"></i></div>'
         small = f"<small>{more[name]}</small>" if name in more else ""
         title, shown = _FIGURES[name][0], _shown(name, figures)
@@ -294,30 +297,26 @@ def _row(kind: str, name: str, figures: Mapping[str, float]) -> str:
 
 
 def _f1_section(runs: Sequence[Curve]) -> str:
-    """F1 with precision and recall, against control steps and against wall time."""
+    """F1 with precision and recall, and note onset F1, against control steps and wall time."""
     columns = {
-        n: [_points(run, f"eval/{n}") for run in runs] for n in ("f1", "precision", "recall")
+        n: [_points(run, f"eval/{n}") for run in runs]
+        for n in ("f1", "precision", "recall", "note_onset_f1")
     }
     if not any(len(points.x) for points in columns["f1"]):
         return _section("How well it plays", "<p>No evaluation yet.</p>")
     timed = {name: list(map(_timed, runs, each)) for name, each in columns.items()}
-    charts = [
-        line_chart(
-            "F1 by control steps",
-            "control steps",
-            _end(runs, "step"),
-            _f1_lines(runs, columns),
-            y="share",
-        ),
-        line_chart(
-            "F1 by wall time",
-            "wall time",
-            _end(runs, "seconds"),
-            _f1_lines(runs, timed),
-            "seconds",
-            "share",
-        ),
-    ]
+    charts = []
+    axes: tuple[tuple[str, str, Mapping[str, list[Points]], Literal["number", "seconds"]], ...] = (
+        ("control steps", "step", columns, "number"),
+        ("wall time", "seconds", timed, "seconds"),
+    )
+    for by, end, of, unit in axes:
+        both = {"F1": _f1_lines(runs, of), "Note onset F1": _lines(runs, of["note_onset_f1"])}
+        charts += [
+            line_chart(f"{title} by {by}", by, _end(runs, end), lines, unit, "share")
+            for title, lines in both.items()
+            if lines
+        ]
     of_all = "mean " if len(runs) > 1 else ""
     more = [("precision", f"{of_all}precision"), ("recall", f"{of_all}recall"), ("best", "best")]
     named = legend([*_marks(runs), *(more if len(_tasks(runs)) == 1 else ())])
@@ -343,7 +342,7 @@ def _other_section(runs: Sequence[Curve]) -> str:
         kind = _KINDS.get(column, "number")
         above = 1 / LARGEST if kind == "log" else -LARGEST
         lines = _lines(runs, [_points(run, column, above) for run in runs])
-        if any(len(line.points.x) for line in lines):
+        if lines:
             charts += line_chart(title, "control steps", _end(runs, "step"), lines, y=kind)
     named = legend(_marks(runs)) if len(runs) > 1 else ""
     content = f'{named}<div class="small">{charts}</div>'
@@ -362,7 +361,12 @@ def _titles(runs: Sequence[Curve]) -> Iterator[tuple[str, str]]:
 
 
 def _lines(runs: Sequence[Curve], each: Sequence[Points]) -> list[Line]:
-    """A line a run, and their mean if several have any points; or a line a task."""
+    """A line a run, and their mean if several have any points; or a line a task.
+
+    None where there is nothing to draw.
+    """
+    if not any(len(points.x) for points in each):
+        return []
     if len(tasks := _tasks(runs)) > 1:
         points = dict(zip(map(id, runs), each, strict=True))
         members = ([points[id(run)] for run in its_runs] for its_runs in tasks.values())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -32,6 +33,20 @@ class GoalTrack:
     found: bool = False
     """Whether all its fingers were found for these hands: the song gives none."""
     _made: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def rewarded_fingers(self) -> Literal["score", "found", "transport", "off"]:
+        """Whose fingers the task rewards.
+
+        score: those of the song, and of a search for notes that have none; found: those of a
+        search for all notes; transport: whichever are nearest to the keys; off: none.
+        """
+        chosen = self.config.fingering
+        if chosen == "off" or not self.scene.sides:
+            return "off"
+        if chosen == "transport":
+            return chosen
+        return "found" if self.found else "score"
 
     @property
     def silent_steps(self) -> int:
