@@ -55,7 +55,8 @@ def main() -> None:
     parser.add_argument("policies", nargs="+", type=Path)
     parser.add_argument("--starts", type=one_or_more, default=20)
     options = parser.parse_args()
-    print("| policy | F1 | all keys right | F1, begun beside | all keys right, begun beside |")
+    print("Scores are F1 · note onset F1.\n")
+    print("| policy | scores | all keys right | begun beside | all keys right, begun beside |")
     print("| --- | --- | --- | --- | --- |")
     for folder in options.policies:
         learnt, cells = load_policy(folder), [str(folder)]
@@ -63,8 +64,11 @@ def main() -> None:
             results = played(learnt, starts, beside)
             arrays = [result.episode.arrays for result in results]
             right = sum(succeeds(a["goal_keys"], a["key_activation"]) for a in arrays)
-            f1 = np.mean([result.metrics["f1"] for result in results])
-            cells += [f"{f1:.3f}", f"{right} of {starts}"]
+            f1, onsets = (
+                np.mean([result.metrics[name] for result in results])
+                for name in ("f1", "note_onset_f1")
+            )
+            cells += [f"{f1:.3f} · {onsets:.3f}", f"{right} of {starts}"]
         print(f"| {' | '.join(cells)} |", flush=True)
 
 

@@ -130,7 +130,7 @@ def play(song: Path, policies: Sequence[Policy], unseen: bool) -> Iterator[dict[
 
 
 class Mean(NamedTuple):
-    """F1 on songs, with its 95 % interval over songs and seeds together."""
+    """F1 on songs, with its 95 % interval over songs and seeds together, and note onset F1."""
 
     songs: int
     width: int
@@ -138,18 +138,21 @@ class Mean(NamedTuple):
     f1: float
     low: float
     high: float
+    note_onset_f1: float
 
 
 def means(rows: Sequence[dict[str, object]]) -> list[Mean]:
     """Of each number of songs and width, on those learnt and on those that nobody has learnt."""
-    found: dict[tuple[bool, int, int], list[float]] = {}
+    found: dict[tuple[bool, int, int], list[list[float]]] = {}
     for row in rows:
         of = bool(row["learnt"]), int(str(row["width"])), int(str(row["songs"]))
-        found.setdefault(of, []).append(float(str(row["f1"])))
+        both = [float(str(row[name])) for name in ("f1", "note_onset_f1")]
+        found.setdefault(of, []).append(both)
     result = []
-    for (learnt, width, count), f1 in sorted(found.items()):
-        mean, low, high = mean_interval(np.array(f1)[:, None])
-        result.append(Mean(count, width, learnt, float(mean[0]), float(low[0]), float(high[0])))
+    for (learnt, width, count), scores in sorted(found.items()):
+        mean, low, high = mean_interval(np.array(scores))
+        figures = *(float(part[0]) for part in (mean, low, high)), float(mean[1])
+        result.append(Mean(count, width, learnt, *figures))
     return result
 
 
@@ -262,11 +265,13 @@ def summed_up(folder: Path, rows: Sequence[dict[str, object]]) -> None:
     found = means(rows)
     with write_atomically(folder / "multitask.svg") as file:
         file.write("\n".join(drawn(found)).encode())
-    print("| songs | units | | F1 | 95 % interval |\n| --- | --- | --- | --- | --- |")
+    print("| songs | units | | F1 | 95 % interval | note onset F1 |")
+    print("| --- " * 6 + "|")
     for mean in found:
         kind = "learnt" if mean.learnt else "others"
-        interval = f"{mean.low:.3f} to {mean.high:.3f}"
-        print(f"| {mean.songs} | {mean.width} | {kind} | {mean.f1:.3f} | {interval} |")
+        interval = "all the same" if math.isnan(mean.low) else f"{mean.low:.3f} to {mean.high:.3f}"
+        figures = f"{mean.f1:.3f} | {interval} | {mean.note_onset_f1:.3f}"
+        print(f"| {mean.songs} | {mean.width} | {kind} | {figures} |")
 
 
 if __name__ == "__main__":

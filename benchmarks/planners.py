@@ -37,6 +37,7 @@ class Result(NamedTuple):
     """How the first steps of a song went."""
 
     f1: float
+    note_onset_f1: float
     fingering: float
     """Mean nearness of the fingers to their keys, 0..1, the task's fingering term."""
     ratio: float
@@ -63,8 +64,10 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
         fingering += float(task.step(action).terms["fingering"][0])
     music = num_steps * task.config.control_timestep
     parts = agent.planners[0].seconds if isinstance(agent, ILQG) else {}
+    scores = task.episode_metrics(0)
     return Result(
-        task.episode_metrics(0)["f1"],
+        scores["f1"],
+        scores["note_onset_f1"],
         fingering / num_steps,
         planning / music,
         {name: seconds / music for name, seconds in parts.items()},
@@ -73,9 +76,9 @@ def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
 
 def line(name: str, results: list[Result]) -> str:
     """A row of the table: means over the seeds."""
-    f1, fingering, ratio = (np.mean([r[i] for r in results]) for i in range(3))
+    f1, onsets, fingering, ratio = (np.mean([r[i] for r in results]) for i in range(4))
     parts = ", ".join(f"{part} {value:.2f}" for part, value in results[0].parts.items())
-    return f"| {name} | {f1:.3f} | {fingering:.3f} | {ratio:.2f} | {parts} |"
+    return f"| {name} | {f1:.3f} | {onsets:.3f} | {fingering:.3f} | {ratio:.2f} | {parts} |"
 
 
 @errors_in_a_line()
@@ -106,8 +109,8 @@ def main() -> None:
         print(line(name, results), flush=True)
 
     print(f"{options.song}, {num_steps} control steps\n")
-    print("| planner | F1 | fingering | planning time / music | of which |")
-    print("| --- | --- | --- | --- | --- |")
+    print("| planner | F1 | note onsets | fingering | planning time / music | of which |")
+    print("| --- | --- | --- | --- | --- | --- |")
     if options.whole_song:
         row("nominal plan", Planner(PlannerConfig(method="none")))
         row("nominal plan, refined", Planner(), options.seeds)

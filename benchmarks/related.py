@@ -168,6 +168,11 @@ def _mean(table: Iterable[dict[str, str]], column: str) -> str:
     return f"{mean(values):.3f}" if values else ""
 
 
+def _scores(table: Sequence[dict[str, str]]) -> str:
+    """F1 and note onset F1."""
+    return f"{_mean(table, 'f1')} · {_mean(table, 'note_onset_f1')}" if table else ""
+
+
 def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
     """Each setting on each piece; and what is lost where something is amiss."""
     names = [name for name in SETTINGS if any(row["setting"] == name for row in table)]
@@ -190,7 +195,7 @@ def tables(table: Sequence[dict[str, str]]) -> Iterator[str]:
     for name in names:
         if SETTINGS[name].troubles == ALL:
             mine = [r for r in table if r["setting"] == name]
-            cells = [_mean((r for r in mine if r["amiss"] == t.name), "f1") for t in ALL]
+            cells = [_scores([r for r in mine if r["amiss"] == t.name]) for t in ALL]
             yield f"| {SETTINGS[name].about} | " + " | ".join(cells) + " |"
 
 

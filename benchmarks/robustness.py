@@ -75,30 +75,33 @@ def troubled_task(
     return PianoTask([score], amiss, scene)
 
 
-def f1_in_trouble(
+def played_in_trouble(
     score: Score, config: TaskConfig, trouble: Trouble, agent: Agent, seed: int
-) -> tuple[float, Array]:
-    """F1, and the actions (T, A) that the agent chose."""
+) -> tuple[tuple[float, float], Array]:
+    """F1 and note onset F1, and the actions (T, A) that the agent chose."""
     performance = play_episode(troubled_task(score, config, trouble), agent, seed)
-    return performance.metrics["f1"], performance.episode.arrays["action"]
+    metrics = performance.metrics
+    return (metrics["f1"], metrics["note_onset_f1"]), performance.episode.arrays["action"]
 
 
 def rows(score: Score, config: TaskConfig, agent: Callable[[], Agent], seeds: int) -> Iterator[str]:
     """A row of the table for each trouble, means and least over the seeds."""
     nothing = TROUBLES[0]
-    plans = [f1_in_trouble(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
+    plans = [played_in_trouble(score, config, nothing, agent(), seed)[1] for seed in range(seeds)]
     for trouble in TROUBLES:
-        f1 = np.array(
+        scores = np.array(
             [
                 [
-                    f1_in_trouble(score, config, trouble, player, seed)[0]
+                    played_in_trouble(score, config, trouble, player, seed)[0]
                     for player in (agent(), Playback(plan))
                 ]
                 for seed, plan in enumerate(plans)
             ]
         )
-        figures = zip(f1.mean(axis=0), f1.min(axis=0), strict=True)
-        cells = " | ".join(f"{mean:.3f} | {least:.3f}" for mean, least in figures)
+        figures = zip(scores.mean(axis=0), scores[..., 0].min(axis=0), strict=True)
+        cells = " | ".join(
+            f"{f1:.3f} · {onset:.3f} | {least:.3f}" for (f1, onset), least in figures
+        )
         yield f"{trouble.name} | {cells} |"
 
 

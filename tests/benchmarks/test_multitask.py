@@ -44,7 +44,10 @@ def test_writes_songs_under_short_names_of_their_own(tmp_path) -> None:
 
 def rows_of(songs: int, width: int, learnt: bool, *f1: float) -> list[dict[str, object]]:
     about = {"songs": songs, "width": width, "song": "A", "learnt": learnt}
-    return [{**about, "seed": seed, "f1": value} for seed, value in enumerate(f1)]
+    return [
+        {**about, "seed": seed, "f1": value, "note_onset_f1": value / 2}
+        for seed, value in enumerate(f1)
+    ]
 
 
 def test_means_and_their_picture() -> None:
@@ -54,6 +57,7 @@ def test_means_and_their_picture() -> None:
     assert (other.songs, other.learnt, other.f1) == (1, True, pytest.approx(0.95))
     assert other.low < 0.9  # Student's t of two values
     assert other.high > 1.0
+    assert other.note_onset_f1 == pytest.approx(0.475)
     picture = ET.fromstring("".join(drawn([one, other])))
     assert "0.95 songs learnt, 256 units" in "".join(picture.itertext())
 

@@ -48,7 +48,7 @@ def test_tables_show_means(monkeypatch: pytest.MonkeyPatch) -> None:
         for trouble, f1 in ((related.NOTHING, "0"), (related.NOTHING, "1"), (related.STRONG, "4"))
     ]
     lines = list(related.tables(table))
-    assert lines[-1] == "| hands that wave | 0.500 |  | 4.000 |  |"
+    assert lines[-1] == "| hands that wave | 0.500 · 0.500 |  | 4.000 · 0.500 |  |"
     setting = replace(related.SETTINGS["waving"], open_loop=False)
     monkeypatch.setitem(related.SETTINGS, "waving", setting)
     assert "| hands that wave | 0.500 | 0.500 | 0.500 | 0.25 | 0.50 |" in related.tables(table)

@@ -9,7 +9,7 @@ from benchmarks.robustness import (
     OF_THE_MODEL,
     TROUBLES,
     Trouble,
-    f1_in_trouble,
+    played_in_trouble,
     rows,
     troubled_task,
 )
@@ -43,14 +43,14 @@ def test_noise_alone_leaves_the_model() -> None:
 
 def test_starts_differ_by_seed_and_recorded_plans_meet_them_unprepared() -> None:
     trouble = Trouble("", start=0.05)
-    plan = f1_in_trouble(TUNE, TaskConfig(), TROUBLES[0], ZeroAgent(), 0)[1]
+    plan = played_in_trouble(TUNE, TaskConfig(), TROUBLES[0], ZeroAgent(), 0)[1]
     starts = []
     for seed in (0, 1):
         task = troubled_task(TUNE, TaskConfig(), trouble)
         task.reset([np.random.default_rng(seed)], [0])
         starts.append(task.state.hand_qpos[0].copy())
     assert np.abs(starts[0] - starts[1]).max() > 1e-3
-    _, replayed = f1_in_trouble(TUNE, TaskConfig(), trouble, Playback(plan), 0)
+    _, replayed = played_in_trouble(TUNE, TaskConfig(), trouble, Playback(plan), 0)
     assert_array_equal(replayed, plan)
 
 

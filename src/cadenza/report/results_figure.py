@@ -110,10 +110,10 @@ def _chart(
 def _told(standing: Standing) -> str:
     """The interquartile means of an agent, and how many pieces its seeds made no difference to."""
     parts = []
-    for name in (_FIGURE, _BESIDE):
-        interval = in_interval(name, standing.iqm[name], " to ")
-        value = f"{FIGURES[name].title} {shown(name, standing.iqm[name].value)}"
-        parts.append(f"{value} ({interval})" if interval else value)
+    for name, drawn in ((_FIGURE, "bars"), (_BESIDE, "dots")):
+        interval = in_interval(name, standing.iqm[name])
+        value = f"{FIGURES[name].title} ({drawn}) {shown(name, standing.iqm[name].value)}"
+        parts.append(f"{value} (95 %: {interval})" if interval else value)
     told = f"interquartile means: {', '.join(parts)}"
     if standing.repeated:
         told += f"; same with every seed: {same_in_words(standing)} pieces"
