@@ -168,8 +168,8 @@ def test_huge_values_neither_hang_nor_hide_the_others(written) -> None:
 def test_the_figures_of_a_run(written) -> None:
     shown = words(written(RUN))
     assert "Best F1 0.850 at step 3,000, after 5 min" in shown
-    assert "Note onset F1 there 0.680" in shown
-    assert "Last F1 0.700 Last note onset F1 0.560" in shown
+    assert "Note onsets then 0.680" in shown
+    assert "Last F1 0.700 Last note onsets 0.560" in shown
     assert "Control steps 5,000 Wall time 8 min Updates 1,000 Steps a second 10" in shown
 
 

@@ -210,11 +210,11 @@ def _ratio(value: float) -> str:
 
 _FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
     "best_f1": ("Best F1", _ratio),
-    "best_onsets": ("Note onset F1 there", _ratio),
+    "best_onsets": ("Note onsets then", _ratio),
     "best_step": ("at step", in_short),
     "best_seconds": ("after", in_time),
     "last_f1": ("Last F1", _ratio),
-    "last_onsets": ("Last note onset F1", _ratio),
+    "last_onsets": ("Last note onsets", _ratio),
     "step": ("Control steps", in_short),
     "seconds": ("Wall time", in_time),
     "updates": ("Updates", in_short),
