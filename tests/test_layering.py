@@ -41,7 +41,7 @@ LIBRARIES: dict[str, set[str]] = {
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},
     "agents": {"numpy", "scipy", "threadpoolctl"},
-    "demonstrations": {"numpy", "gymnasium", "minari", "pyarrow"},
+    "demonstrations": {"numpy", "av", "gymnasium", "minari", "pyarrow"},
     "learning": {
         "numpy",
         "jax",

@@ -38,10 +38,10 @@ from cadenza.agents.planner.search.networks.weights import (
     Weights,
 )
 from cadenza.demonstrations.dataset import Dataset, kept
-from cadenza.demonstrations.recorded import Recorded
+from cadenza.demonstrations.recorded import Recorded, played_actions
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import write_atomically
-from cadenza.scene.scene import hand_alone
+from cadenza.scene.scene import Scene, hand_alone
 from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.tasks.goal_track import GoalTrack
@@ -84,18 +84,20 @@ def lesson_of(recorded: Recorded) -> Lesson:
         )
     nothing, inputs, answers = State.zeros(scene, 1), [], []
     hands = CorrectedHands(plan)
+    played = played_actions(rows, scene)
     for step in range(recorded.about.num_steps):
-        seen, planned = hands.see(step, state_of(rows[step : step + 1], nothing))
+        seen, planned = hands.see(step, state_of(rows[step : step + 1], nothing, scene))
         inputs.append(seen)
         answers.append(hands.recommended(rows["action"][step, hands.servos], planned))
-        hands.played(rows["previous_action"][step + 1, hands.servos], planned)
+        hands.played(played[step, hands.servos], planned)
     return Lesson(*(np.concatenate(each).astype(np.float32) for each in (inputs, answers)))
 
 
-def state_of(rows: Array, nothing: State) -> State:
+def state_of(rows: Array, nothing: State, scene: Scene) -> State:
     """What was recorded of a state."""
-    names = ("hand_qpos", "hand_qvel", "key_qpos", "fingertip_xpos")
-    return nothing._replace(**{name: rows[name].astype(np.float64) for name in names})
+    names = ("hand_qpos", "hand_qvel", "fingertip_xpos")
+    known = {name: rows[name].astype(np.float64) for name in names}
+    return nothing._replace(**known, key_qpos=rows["key_state"] * scene.keyboard.travel)
 
 
 def kept_lesson(recorded: Recorded, folder: Path) -> Lesson:

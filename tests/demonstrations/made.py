@@ -21,33 +21,45 @@ SCORE = Score(tuple(Note(*note) for note in NOTES), (PedalEvent(0.3, 127),))
 
 
 def jobs(
-    folder: Path, variation: Variation, count: int, least_f1: float = 0.0, **task: Any
+    folder: Path,
+    variation: Variation,
+    count: int,
+    least_f1: float = 0.0,
+    scene: SceneConfig | None = None,
+    **task: Any,
 ) -> list[EpisodeJob]:
-    """Episodes of a song that lies beside the folder."""
+    """Episodes of the songs that lie beside the folder, one if there are none."""
     songs = folder.parent / f"{folder.name}-songs"
     if not songs.exists():
         write_midi(SCORE, songs / "song.mid")
-    who = demonstrator(variation, **task)
+    who = demonstrator(variation, scene, **task)
     return episodes(open_library(songs), who, range(count), least_f1)
 
 
-def demonstrator(variation: Variation, **task: Any) -> Demonstrator:
+def demonstrator(
+    variation: Variation, scene: SceneConfig | None = None, **task: Any
+) -> Demonstrator:
     return Demonstrator(
         agent="planner",
         config=PlannerConfig(method="none"),
         task=replace(varied(), **task),
-        scene=SceneConfig(),
+        scene=scene or SceneConfig(),
         arrangement=Arrangement(),
         variation=variation,
     )
 
 
 def collected(
-    folder: Path, variation: Variation, episodes: int = 1, least_f1: float = 0.0, **task: Any
+    folder: Path,
+    variation: Variation,
+    episodes: int = 1,
+    least_f1: float = 0.0,
+    scene: SceneConfig | None = None,
+    **task: Any,
 ) -> list[Path]:
     """The folders of the episodes."""
     found = []
-    for job in jobs(folder, variation, episodes, least_f1, **task):
+    for job in jobs(folder, variation, episodes, least_f1, scene, **task):
         found.append(folder / RUNS / job.spec.name)
         record(job, found[-1], num_threads=1)
     return found

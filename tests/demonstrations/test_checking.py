@@ -24,7 +24,8 @@ from cadenza.cli import main
 from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
 from cadenza.demonstrations.dataset import kept, open_dataset
-from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, STEPS, digest, write_about
+from cadenza.demonstrations.minari_export import write_minari
+from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, SONGS, STEPS, digest, write_about
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.learning.config import ImitationConfig
@@ -100,6 +101,20 @@ def test_an_array_whose_header_claims_to_be_as_long_as_the_file_is_not_read(
         _ = kept(copied)[0].steps
     assert tracemalloc.get_traced_memory()[1] < 2**23
     tracemalloc.stop()
+
+
+@pytest.mark.parametrize("damage", ["cut", "gone"])
+def test_a_damaged_song_is_told_of_all_its_episodes(copied: Path, damage: str) -> None:
+    (path,) = (copied / SONGS).iterdir()
+    if damage == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[:-1])
+    told = list(problems(copied, replays=0))
+    assert len(told) == 2
+    assert all(line.startswith(f"{path}: ") for line in told)
+    with pytest.raises(CadenzaError, match=str(path)):
+        write_minari(open_dataset(copied), copied / "minari", lambda *_: None)
 
 
 def test_a_result_that_is_cut_off(copied: Path) -> None:
@@ -231,7 +246,7 @@ def test_a_pipe_is_not_waited_for(copied: Path) -> None:
 
 def test_what_was_not_played_so(copied: Path) -> None:
     def spoil(steps: np.ndarray) -> None:
-        steps["previous_action"][5, 6] *= 0.99
+        steps["played"][5, 6] *= 0.99
 
     changed(copied, STEPS, spoil)
     (line,) = problems(copied, replays=2)

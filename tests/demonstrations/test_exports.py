@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episodes
 from cadenza.cli import main
-from cadenza.demonstrations import lerobot_export, minari_export
-from cadenza.demonstrations.dataset import open_dataset
+from cadenza.demonstrations import lerobot_export, lerobot_videos, minari_export
+from cadenza.demonstrations.dataset import Dataset, open_dataset
 from cadenza.demonstrations.recorded import played_actions
 from cadenza.demonstrations.replay import task_of
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
+from cadenza.music.formats.midi import write_midi
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.render import Picture
+from cadenza.tasks.env import PianoEnv
 from cadenza.tasks.view import View
-from demonstrations.made import collected
+from demonstrations.made import SCORE, collected
 
 minari = pytest.importorskip("minari")
 pq = pytest.importorskip("pyarrow.parquet")
+
+
+OTHER = Score(tuple(Note(i / 3, (i + 1) / 3, 55 + 2 * i) for i in range(5)))
 
 
 class Watching(Playback):
@@ -42,7 +52,7 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
     episode, exported = dataset.episodes[0], transitions(dataset, 0)
     seen.clear()
     with task_of(episode, dataset.scene) as task:
-        (result,) = play_episodes(task, Watching(played_actions(episode.steps)), [0])
+        (result,) = play_episodes(task, Watching(played_actions(episode.steps, task.scene)), [0])
         seen.append(task.observation()[0])
         layout = task.observation_layout
     shown = np.array(seen)
@@ -50,7 +60,7 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
     at = layout["goal"].stop
     ours = np.delete(exported.observation, np.s_[at : at + fingering], axis=1)
     assert ours.shape == shown.shape
-    np.testing.assert_allclose(ours, shown, atol=1e-3)  # keys are kept as float16
+    np.testing.assert_array_equal(ours, shown)
     assert result.metrics["f1"] == episode.about.f1
 
 
@@ -71,8 +81,8 @@ def test_minari_loads_what_was_recorded(
         assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
         (told,) = loaded.storage.get_episode_metadata([number])
         about = dataset.episodes[number].about
-        assert (told["seed"], told["options"]["f1"]) == (about.job["seed"], about.f1)
-        assert told["options"]["song"] == about.song
+        assert (told["seed"], told["f1"], told["song"]) == (about.job["seed"], about.f1, about.song)
+        assert about.drawn.items() <= told.items()
     environment = loaded.recover_environment()
     assert environment.observation_space == loaded.observation_space
     assert environment.action_space == loaded.action_space
@@ -98,7 +108,69 @@ def test_minari_recovers_the_task_that_was_recorded(
         observation, *_, truncated, _ = environment.step(action)
         shown.append(observation)
     assert truncated
-    np.testing.assert_allclose(episode.observations, shown, atol=1e-3)  # keys are float16
+    np.testing.assert_array_equal(episode.observations, shown)
+
+
+@pytest.mark.parametrize(
+    ("variation", "task", "scene"),
+    [
+        (Variation(), {"random_octave_shift": 1, "control_timestep": 0.04}, {}),
+        (Variation(noise=1.0, excerpt=1.0), {"stretch": 1.5, "transpose": 2}, {}),
+        (Variation(student="zero"), {"sustain_term": True, "forearm_term": True}, {}),
+        (Variation(), {"fingering": "transport", "key_press": "graded"}, {"hands": "right"}),
+    ],
+    ids=["varied", "noisy excerpts", "with a student", "one hand"],
+)
+def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
+    variation: Variation,
+    task: dict[str, Any],
+    scene: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The songs are given by a path from where they were collected, and are gone."""
+    monkeypatch.chdir(tmp_path)
+    write_midi(SCORE, Path("made-songs/song.mid"))
+    write_midi(OTHER, Path("made-songs/other.mid"))
+    collected(Path("made"), variation, episodes=3, scene=SceneConfig(**scene), **task)
+    shutil.rmtree("made-songs")
+    Path("elsewhere").mkdir()
+    Path("made").rename("elsewhere/moved")
+    monkeypatch.chdir("elsewhere")
+    main(["dataset", "check", "moved"])
+    main(["dataset", "export", "moved", "-o", "minari"])
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "minari")
+    loaded = minari.load_dataset("cadenza/demonstrations-v0")
+    environment = loaded.recover_environment()
+    told = list(loaded.storage.get_episode_metadata(range(6)))
+    assert {each["song"] for each in told} == {"made-songs/song.mid", "made-songs/other.mid"}
+    assert {each["mirrored"] for each in told} == {False, True}
+    for episode, each in zip(loaded.iterate_episodes(), told, strict=True):
+        shown = [environment.reset(seed=each["seed"], options=each["options"])[0]]
+        steps = [environment.step(action) for action in episode.actions]
+        shown += [observation for observation, *_ in steps]
+        np.testing.assert_array_equal(shown, episode.observations)
+        np.testing.assert_array_equal([reward for _, reward, *_ in steps], episode.rewards)
+        assert [truncated for *_, truncated, _ in steps] == episode.truncations.tolist()
+    first, _ = environment.reset(seed=0)  # draws from the songs themselves, as was asked for
+    again, _ = environment.reset(seed=1)
+    assert not np.array_equal(first, again)
+
+
+@pytest.mark.parametrize("form", ["minari", "lerobot"])
+def test_exports_of_the_same_demonstrations_are_the_same_bytes(
+    form: str, made: Path, copied: Path, tmp_path: Path
+) -> None:
+    for folder, out in ((made, "first"), (copied, "second")):
+        main(["dataset", "export", str(folder), "--format", form, "-o", str(tmp_path / out)])
+    first, second = ({p.relative_to(at): p for p in at.rglob("*")} for at in written_to(tmp_path))
+    assert first.keys() == second.keys()
+    files = [name for name, path in first.items() if path.is_file()]
+    assert all(first[name].read_bytes() == second[name].read_bytes() for name in files)
+
+
+def written_to(folder: Path) -> tuple[Path, Path]:
+    return folder / "first", folder / "second"
 
 
 def test_lerobot_files_hold_what_was_recorded(
@@ -123,6 +195,80 @@ def test_lerobot_files_hold_what_was_recorded(
     np.testing.assert_allclose(stats["mean"], actions.mean(axis=0), atol=1e-5)
     np.testing.assert_allclose(stats["std"], actions.std(axis=0), atol=1e-5)
     assert stats["count"] == [dataset.num_steps]
+
+
+def test_lerobot_files_hold_what_cameras_see(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export = ["dataset", "export", str(made), "--format", "lerobot", "--video-size", "64", "48"]
+    main([*export, "--video-cameras", "back", "player", "-o", str(tmp_path / "one")])
+    monkeypatch.setattr(lerobot_videos, "FILE_BYTES", 0)
+    main([*export, "--video-cameras", "back", "player", "-o", str(tmp_path / "several")])
+    dataset = open_dataset(made)
+    shown = np.concatenate([pictures_of(dataset, number) for number in range(2)])
+    for folder in (tmp_path / "one", tmp_path / "several"):
+        info = json.loads((folder / "meta/info.json").read_text())
+        cameras = {name for name, of in info["features"].items() if of["dtype"] == "video"}
+        assert cameras == {"observation.images.back", "observation.images.player"}
+        feature = info["features"]["observation.images.back"]
+        assert (feature["shape"], feature["names"][-1]) == ([48, 64, 3], "channels")
+        frames = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))
+        assert cameras.isdisjoint(frames.column_names)
+        rows = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+        seen = np.concatenate([frames_of(folder, info, row) for row in rows])
+        assert seen.shape == shown.shape
+        assert np.abs(seen - shown.astype(float)).mean() < 6  # of 255, as videos lose some
+        stats = json.loads((folder / "meta/stats.json").read_text())["observation.images.back"]
+        assert np.shape(stats["mean"]) == (3, 1, 1)
+        np.testing.assert_allclose(np.ravel(stats["mean"]), shown.mean((0, 1, 2)) / 255, atol=1e-3)
+        np.testing.assert_allclose(np.ravel(stats["std"]), shown.std((0, 1, 2)) / 255, atol=1e-3)
+        assert stats["count"] == [dataset.num_steps]
+    assert len(list((tmp_path / "one").rglob("*.mp4"))) == 2
+    assert len(list((tmp_path / "several").rglob("*.mp4"))) == 4
+
+
+def pictures_of(dataset: Dataset, number: int) -> np.ndarray:
+    """(T, height, width, 3) what the environment shows before each step."""
+    episode = dataset.episodes[number]
+    start, actions = episode.about.start, episode.steps["played"][1:]
+    small = Picture(64, 48, "back")
+    env = PianoEnv(episode.score, task=episode.about.task, pixels=True, picture=small)
+    shown = [env.reset(options={"score": episode.score, "start": start})[0]]
+    shown += [env.step(action)[0] for action in actions[:-1]]
+    env.close()
+    return np.array([each["pixels"] for each in shown])
+
+
+def frames_of(folder: Path, info: dict[str, Any], row: dict[str, Any]) -> np.ndarray:
+    """(T, height, width, 3) those of an episode, found by their times."""
+    name = "observation.images.back"
+    at = {key.removeprefix(f"videos/{name}/"): value for key, value in row.items()}
+    times = at["from_timestamp"] + np.arange(row["length"]) / info["fps"]
+    assert at["to_timestamp"] == pytest.approx(times[-1] + 1 / info["fps"])
+    places = {n: at[n] for n in ("chunk_index", "file_index")}
+    with av.open(folder / info["video_path"].format(video_key=name, **places)) as video:
+        frames = {round(f.time, 4): f.to_ndarray(format="rgb24") for f in video.decode(video=0)}
+    return np.array([frames[round(time, 4)] for time in times.tolist()])
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (["--video-cameras", "back"], "--video-cameras: only LeRobot holds videos"),
+        (["--format", "lerobot", "--video-cameras", "front"], "no camera 'front': choose from"),
+        (
+            ["--format", "lerobot", "--video-cameras", "back", "--video-size", "65", "48"],
+            "a video of 65 x 48 pixels cannot be encoded: choose even numbers",
+        ),
+    ],
+)
+def test_videos_that_cannot_be_are_told(
+    words: list[str], what: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["dataset", "export", str(made), *words, "-o", str(tmp_path / "new")])
+    assert what in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_nothing_is_overwritten(made: Path, tmp_path: Path) -> None:

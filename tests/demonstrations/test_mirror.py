@@ -78,7 +78,7 @@ def test_mirrored_actions_make_the_mirrored_episode(made: Path) -> None:
     begun = replace(scene, hand_start=mirror.joints(np.array(episode.about.start)))
     config = replace(episode.about.task, fingering="off")
     task = PianoTask([episode.score.mirrored], config, begun)
-    result = play_episode(task, Playback(mirror.actions(played_actions(episode.steps))))
+    result = play_episode(task, Playback(mirror.actions(played_actions(episode.steps, scene))))
     image = mirror.joints(episode.steps["hand_qpos"][1:].astype(np.float64))
     off = np.abs(result.episode["hand_qpos"] - image).max(axis=1)
     assert off[:5].max() < 1e-6

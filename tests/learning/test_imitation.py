@@ -97,11 +97,11 @@ def test_observes_what_the_environments_show(demonstrations: Path) -> None:
     joints = np.repeat([[-1.0], [1.0]], shown.joints.shape[1], axis=1)
     ranges = Ranges(joints, np.stack([dataset.scene.action_low, dataset.scene.action_high]))
     batch = dataset.batch(dataset.first[0] + np.arange(count))
-    seen = observed(batch, dataset.scene.keyboard.travel, ranges)
+    seen = observed(batch, ranges)
     size = shown.observation.shape[1]
     assert_array_equal(seen[:, :size], shown.observation[:-1])
     assert_allclose(seen[:, size:-1], shown.played[:-1], atol=1e-6)
-    assert_array_equal(seen[1:, -1], shown.reward[:-1])
+    assert_array_equal(seen[1:, -1], shown.reward[:-1].astype(np.float32))
 
 
 @pytest.mark.parametrize("previous_action", [False, True])
@@ -114,7 +114,7 @@ def test_sees_in_a_performance_what_it_has_learnt_from(
     assert learnt.ranges is not None
     dataset = open_dataset(demonstrations)
     batch = dataset.batch(np.zeros(1, np.intp), CONFIG.n_steps_lookahead)
-    seen = observed(batch, dataset.scene.keyboard.travel, learnt.ranges)
+    seen = observed(batch, learnt.ranges)
     done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
     performance = cadenza.play(SCORE, tmp_path / "run" / "last")
     expected = to_range(done, *learnt.ranges.actions)
@@ -132,7 +132,7 @@ def test_sees_the_same_however_the_recorded_task_shows_it(
     assert learnt.ranges is not None
     assert learnt.task.trim_silence
     batch = dataset.batch(np.zeros(1, np.intp), CONFIG.n_steps_lookahead)
-    seen = observed(batch, dataset.scene.keyboard.travel, learnt.ranges)
+    seen = observed(batch, learnt.ranges)
     assert seen.shape[1] == learnt.observation.size
     done = learnt.policy.mode(seen[:, list(learnt.inputs.kept)])
     performance = cadenza.play(SCORE, tmp_path / "run" / "last")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from typing import Any
 
 import gymnasium as gym
@@ -18,6 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import cadenza
 from cadenza.errors import CadenzaError
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
@@ -105,6 +108,65 @@ def test_a_batch_is_its_environments_one_by_one() -> None:
         rows = [step[0] for step in steps]
         assert_array_equal(rewards, [step[1] for step in steps])
     envs.close()
+
+
+def test_a_score_and_a_start_that_a_reset_names_are_taken_as_they_are() -> None:
+    """Nothing is drawn then, nor done to the score; as JSON has them, they are the same."""
+    env = PianoEnv(
+        "OdeToJoy", stretch=2.0, transpose=1, random_stretch=0.2, random_hand_position=0.05
+    )
+    start = np.linspace(0.0, 0.02, len(env.task.scene.hand_joint_names))
+    late = Score((Note(0.1, 0.2, 60, finger=finger(0)), Note(0.2, 0.3, 61)), title="late")
+    written = json.loads(json.dumps(asdict(WrittenScore.of(late))))
+    for song, begin in ((late, start), (written, start.tolist())):
+        observation, info = env.reset(seed=0, options={"score": song, "start": begin})
+        assert info["song"] == "late"
+        assert env.task.sheets.tracks[0].score == late
+        assert_array_equal(observation[env.observation_layout["joints"]], start.astype("f4"))
+    env.reset()
+    assert env.task.sheets.tracks[0].score.title != "late"
+    assert not np.array_equal(env.task.state.hand_qpos[0], start)
+
+
+def test_fingers_are_looked_for_where_a_score_that_a_reset_names_gives_none() -> None:
+    env = PianoEnv(SHORT)
+    env.reset(options={"score": SHORT.without_fingers()})
+    assert env.task.sheets.tracks[0].score.has_fingering
+
+
+def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own() -> None:
+    envs = PianoVectorEnv(SHORT, num_envs=3)
+    start = np.full(len(envs.task.scene.hand_joint_names), 0.01)
+    other = replace(SHORT, title="other")
+    options = {"song": [None, 0, None], "score": [other, None, None], "start": [None, start, None]}
+    envs.reset(options=options)
+    assert [score.title for score in envs.task.sheets.songs] == ["other", "short", "short"]
+    moved = (envs.task.state.hand_qpos == 0.01).all(axis=1)
+    assert moved.tolist() == [False, True, False]
+    envs.reset(options={"start": start})
+    assert (envs.task.state.hand_qpos == 0.01).all()
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"score": Score(())}, "nothing to play: the score has no notes"),
+        ({"score": Score((Note(0.0, 0.1, 20),))}, "1 of 1 notes are not on the keyboard"),
+        ({"score": {"notes": [{"pitch": 60}]}}, "the score: .*missing"),
+        ({"score": "OdeToJoy"}, "score 'OdeToJoy': give a Score; a song is named by song"),
+        ({"score": SHORT, "song": 0}, "song and score: give one of them"),
+        ({"start": [0.0, 1.0]}, r"start of shape \(2,\): give a finite number for each"),
+        ({"start": "left"}, "start 'left': give a finite number for each"),
+        ({"start": [float("nan")] * 46}, "start is not finite"),
+        ({"start": [[0.0] * 46] * 2}, "2 starts for 1 environments: give one for each"),
+    ],
+)
+def test_scores_and_starts_that_cannot_be(options: dict[str, Any], what: str) -> None:
+    env = PianoEnv(SHORT)
+    env.reset(seed=0)
+    with pytest.raises(CadenzaError, match=what):
+        env.reset(options=options)
 
 
 def test_same_seed_same_episode_and_reset_draws_anew() -> None:
@@ -367,7 +429,7 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         ),
         (
             lambda: PianoVectorEnv(SHORT).reset(options={"songs": 0}),
-            "no option 'songs' of reset: choose from reset_mask, song",
+            "no option 'songs' of reset: choose from reset_mask, score, song, start",
         ),
         (lambda: PianoEnv(SHORT).reset(options={"songs": 0}), "no option 'songs' of reset"),
         (

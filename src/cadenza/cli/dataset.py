@@ -262,6 +262,11 @@ class DatasetExport(OwnParts):
     """A new folder. To load the dataset with Minari, set MINARI_DATASETS_PATH to it."""
     format: Literal["minari", "lerobot"] = "minari"
     """Format of the dataset."""
+    video_cameras: tuple[str, ...] = ()
+    """For LeRobot: cameras that film every episode, of player, closeup, left, right, back,
+    egocentric and topdown."""
+    video_size: Advanced[tuple[int, int]] = (640, 360)
+    """Width and height of the videos [px], even numbers up to 1920 1080."""
     quiet: Quiet = False
 
 
@@ -269,11 +274,17 @@ def export(command: DatasetExport) -> None:
     from cadenza.demonstrations.dataset import open_dataset
     from cadenza.demonstrations.lerobot_export import write_lerobot
     from cadenza.demonstrations.minari_export import NAME, write_minari
+    from cadenza.sim.render import Picture
 
     command.import_them()
+    pictures = [Picture(*command.video_size, name) for name in dict.fromkeys(command.video_cameras)]
+    if pictures and command.format != "lerobot":
+        raise CadenzaError("--video-cameras: only LeRobot holds videos; add --format lerobot")
     dataset = open_dataset(command.folder)
-    write = write_minari if command.format == "minari" else write_lerobot
     with progress("exporting", "episodes") as advance:
-        write(dataset, command.output, advance)
+        if command.format == "minari":
+            write_minari(dataset, command.output, advance)
+        else:
+            write_lerobot(dataset, command.output, advance, pictures)
     what = f"the dataset {NAME}" if command.format == "minari" else "a LeRobot dataset"
     print(f"{len(dataset.episodes)} episodes: {what} in {command.output}")

@@ -93,6 +93,7 @@ def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
     if wrong := wrong_start(recorded, scene):
         yield wrong
     recorded.goals(scene)  # or says what is wrong with its score
+    _ = recorded.song
 
 
 def _of_replay(recorded: Recorded, scene: Scene) -> Iterator[str]:

@@ -33,6 +33,7 @@ from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.view import to_range
 
 Array = NDArray[Any]
 Floats = NDArray[np.float32]
@@ -52,8 +53,8 @@ class Batch(NamedTuple):
     """(B, J) [m/s, rad/s]"""
     fingertip_xpos: Floats
     """(B, F, 3) [m]"""
-    key_qpos: Floats
-    """(B, K) [rad]"""
+    key_state: Floats
+    """(B, K) how far the keys are down, from 0 to 1."""
     sounding: NDArray[np.bool_]
     """(B, K) which keys sound."""
     previous_action: Floats
@@ -160,10 +161,10 @@ class Dataset:
             hand_qpos=rows["hand_qpos"],
             hand_qvel=rows["hand_qvel"],
             fingertip_xpos=rows["fingertip_xpos"],
-            key_qpos=rows["key_qpos"].astype(np.float32),
+            key_state=rows["key_state"],
             sounding=np.unpackbits(rows["sounding"], axis=-1, count=keys).view(bool),
-            previous_action=rows["previous_action"],
-            previous_reward=rows["previous_reward"],
+            previous_action=self._in_units(rows["played"], step),
+            previous_reward=rows["previous_reward"].astype(np.float32),
             action=rows["action"],
             tracked=rows["tracked"],
             goal=goal,
@@ -186,6 +187,11 @@ class Dataset:
     def goals(self, episode: int) -> Goals:
         """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
         return self.episodes[episode].goals(self.scene)
+
+    def _in_units(self, played: Floats, step: Ids) -> Floats:
+        """(B, A + 1) in actuator units, 0 before the first step."""
+        ctrl = to_range(played, self.scene.action_low, self.scene.action_high)
+        return np.where(step[:, None] > 0, ctrl, 0.0).astype(np.float32)
 
     def _within(self, episode: Ids, step: Ids, ahead: Sequence[int]) -> Ids:
         """(B, S) rows of the episodes."""
@@ -270,10 +276,13 @@ def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
         for field in array.dtype.names or ():
             if not np.isfinite(array[field]).all():
                 yield f"{episode.folder / name}: {field} is not finite; {MAKE_AGAIN}"
-    chosen, played = episode.steps["action"][:-1], episode.steps["previous_action"][1:]
+    chosen, played = episode.steps["action"][:-1], episode.steps["played"][1:]
     low, high = scene.action_low - _ROUNDING, scene.action_high + _ROUNDING
-    for field, actions in (("action", chosen), ("previous_action", played)):
-        if ((actions < low) | (actions > high)).any():
+    for field, beyond in (
+        ("action", (chosen < low) | (chosen > high)),
+        ("played", np.abs(played) > 1),
+    ):
+        if beyond.any():
             yield f"{episode.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
 
 

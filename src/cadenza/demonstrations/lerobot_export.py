@@ -5,6 +5,7 @@
     meta/tasks.parquet                            a task for each song
     meta/episodes/chunk-000/file-000.parquet      where each episode is
     data/chunk-000/file-000.parquet               the frames, many episodes a file
+    videos/NAME/chunk-000/file-000.mp4            what a camera sees in them, if it is asked for
 
 The action is what the demonstrator chose, in [-1, 1]; what was played, with noise, is the next
 frame's `observation.previous_action`.
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
+from cadenza.demonstrations.lerobot_videos import FILE_BYTES, FILES_PER_CHUNK, PLACE, Video
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
+from cadenza.sim.render import Picture
 
-_FILE_BYTES = 100 * 2**20  # after which another file is begun
+_DATA_BYTES = 100 * 2**20  # after which another file is begun
 _ROWS_AT_ONCE = 256  # of the table of episodes; one takes 170 kB
-_FILES_PER_CHUNK = 1000
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
@@ -35,12 +38,17 @@ Arrays = dict[str, NDArray[Any]]
 Stats = dict[str, dict[str, Any]]
 
 
-def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
-    """Writes a dataset into a new folder.
+def write_lerobot(
+    dataset: Dataset,
+    path: Path,
+    advance: Callable[[int, int], None],
+    pictures: Sequence[Picture] = (),
+) -> None:
+    """Writes a dataset into a new folder, with these `pictures` of every step.
 
     Raises:
-        CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, or the
-            control steps are no whole number a second.
+        CadenzaError: pyarrow is not installed, the folder exists, an episode is damaged, the
+            control steps are no whole number a second, or this machine cannot draw.
     """
     with extra_packages("export", "exporting"):
         import pyarrow as pa
@@ -48,22 +56,31 @@ def write_lerobot(dataset: Dataset, path: Path, advance: Callable[[int, int], No
     fps = _fps(dataset)
     songs = list(dict.fromkeys(episode.about.song for episode in dataset.episodes))
     tasks = {song: number for number, song in enumerate(songs)}
-    with new_folder(path) as folder:
+    with new_folder(path) as folder, ExitStack() as opened:
+        videos = [
+            opened.enter_context(closing(Video(dataset, picture, fps, folder)))
+            for picture in pictures
+        ]
         files, rows, stats = _Files(folder), _Episodes(folder / _EPISODES), _Stats()
         index = 0
         features: dict[str, Any] = {}
         for number, episode in enumerate(dataset.episodes):
             frames = _frames(dataset, number, index, tasks[episode.about.song], fps)
             features = features or {name: _feature(values) for name, values in frames.items()}
-            of_episode = _stats_of(frames)
+            of_episode, places = _stats_of(frames), dict[str, Any]()
+            for video in videos:
+                at, of_episode[video.name] = video.add(number)
+                places |= at
             stats.add(of_episode)
             place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
             end = index + len(frames["index"])
-            rows.add(_row(number, episode.about.song, range(index, end), place, of_episode))
+            row = _row(number, episode.about.song, range(index, end), place, of_episode)
+            rows.add(row | places)
             index = end
             advance(number + 1, len(dataset.episodes))
         files.close()
         rows.close()
+        features |= {video.name: video.feature for video in videos}
         pq.write_table(_tasks(pa, songs), folder / "meta/tasks.parquet")
         write_json(folder / "meta/stats.json", stats.whole)
         counts = {"episodes": len(dataset.episodes), "frames": index, "tasks": len(songs)}
@@ -106,13 +123,13 @@ def _info(
         "codebase_version": "v3.0",
         "robot_type": robot,
         **{f"total_{what}": count for what, count in counts.items()},
-        "chunks_size": _FILES_PER_CHUNK,
-        "data_files_size_in_mb": _FILE_BYTES >> 20,
-        "video_files_size_in_mb": 200,
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": _DATA_BYTES >> 20,
+        "video_files_size_in_mb": FILE_BYTES >> 20,
         "fps": fps,
         "splits": {"train": f"0:{counts['episodes']}"},
         "data_path": _DATA,
-        "video_path": None,
+        "video_path": PLACE if any(of["dtype"] == "video" for of in features.values()) else None,
         "features": features,
     }
 
@@ -127,7 +144,7 @@ def _frames(dataset: Dataset, number: int, first: int, task: int, fps: int) -> A
         "observation.previous_action": made.played[:-1],
         "observation.environment_state": made.environment[:-1],
         "action": made.chosen,
-        "next.reward": made.reward,
+        "next.reward": made.reward.astype(np.float32),
         "next.done": frame == count - 1,
         "timestamp": (frame / fps).astype(np.float32),
         "frame_index": frame,
@@ -220,7 +237,7 @@ class _Files:
         """Adds an episode; returns the numbers of its chunk and its file."""
         import pyarrow.parquet as pq
 
-        if self._writer is None or self._path.stat().st_size > _FILE_BYTES:
+        if self._writer is None or self._path.stat().st_size > _DATA_BYTES:
             self.close()
             self._number += 1
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -234,7 +251,7 @@ class _Files:
 
     @property
     def _place(self) -> tuple[int, int]:
-        return divmod(self._number, _FILES_PER_CHUNK)
+        return divmod(self._number, FILES_PER_CHUNK)
 
     @property
     def _path(self) -> Path:

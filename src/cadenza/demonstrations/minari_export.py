@@ -3,6 +3,10 @@
 Observations and actions are those of the environment `cadenza/Piano-v0`; the actions are those that
 were played, noise and all, since they led to the next observation. What the demonstrator chose
 stands beside them, as the info `chosen_action`.
+
+The dataset holds all that its environment plays: the songs, and as the options of each episode its
+score and where the hands began. Reset with these options, the environment that Minari recovers
+answers the episode's actions with its observations and rewards, to the bit on the same machine.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
-from cadenza.demonstrations.recorded import About
+from cadenza.demonstrations.recorded import About, Recorded, written
 from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import extra_packages
 from cadenza.files import new_folder, plain
@@ -51,7 +55,7 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
         warnings.simplefilter("ignore", UserWarning)  # that it has no author
         made = minari.create_dataset_from_buffers(
             NAME,
-            [_buffer(EpisodeBuffer, first, dataset.episodes[0].about)],
+            [_buffer(EpisodeBuffer, first, dataset.episodes[0])],
             env=_environment(dataset),
             observation_space=spaces.Box(low, high, dtype=np.float32),
             action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
@@ -63,29 +67,24 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
         count, lengths = len(dataset.episodes), [e.about.num_steps for e in dataset.episodes]
         for some in _batched(range(1, count), lengths):
             made.update_dataset_from_buffer(
-                [
-                    _buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i].about)
-                    for i in some
-                ]
+                [_buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i]) for i in some]
             )
             advance(some[-1] + 1, count)
+        made.storage.update_episode_metadata(_told(e.about) for e in dataset.episodes)
 
 
 def _environment(dataset: Dataset) -> EnvSpec:
-    """What `recover_environment` of Minari makes, with all the songs.
-
-    The songs are as they are stored: of the task, what it does to them is kept as it was asked for.
-    """
-    abouts = [episode.about for episode in dataset.episodes]
+    """What `recover_environment` of Minari makes: it draws from all songs as was asked for."""
+    about = dataset.episodes[0].about
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
     lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
-    task = asdict(abouts[0].task) | abouts[0].job["task"] | lookahead
-    songs = list(dict.fromkeys(about.song for about in abouts))
-    spec.kwargs = plain({"song": songs} | task | asdict(abouts[0].scene))
+    task = asdict(about.task) | about.job["task"] | lookahead
+    songs = dict.fromkeys(episode.song for episode in dataset.episodes)
+    spec.kwargs = plain({"song": [written(song) for song in songs]} | task | asdict(about.scene))
     return spec
 
 
-def _buffer(kind: Any, made: Transitions, about: About) -> Any:
+def _buffer(kind: Any, made: Transitions, episode: Recorded) -> Any:
     count = len(made.chosen)
     # Minari has as many infos as observations.
     chosen = np.concatenate([made.chosen, np.zeros_like(made.chosen[:1])])
@@ -96,15 +95,20 @@ def _buffer(kind: Any, made: Transitions, about: About) -> Any:
         terminations=np.zeros(count, bool),
         truncations=np.arange(count) == count - 1,
         infos={"chosen_action": chosen},
-        seed=about.job["seed"],
-        options={
-            "song": about.song,
-            "f1": about.f1,
-            "note_onset_f1": about.note_onset_f1,
-            "rewarded_fingers": about.metrics.get("rewarded_fingers"),
-            **about.drawn,
-        },
+        seed=episode.about.job["seed"],
+        options={"score": written(episode.score), "start": episode.about.start},
     )
+
+
+def _told(about: About) -> dict[str, Any]:
+    """The metadata of an episode beside its seed and its options."""
+    return {
+        "song": about.song,
+        "f1": about.f1,
+        "note_onset_f1": about.note_onset_f1,
+        "rewarded_fingers": about.metrics.get("rewarded_fingers"),
+        **about.drawn,
+    }
 
 
 @contextmanager

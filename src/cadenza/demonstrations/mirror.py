@@ -52,7 +52,7 @@ class Mirror:
             hand_qpos=self.joints(batch.hand_qpos),
             hand_qvel=self.joints.speed(batch.hand_qvel),
             fingertip_xpos=self._points(batch.fingertip_xpos),
-            key_qpos=np.where(self._has_key, self._of_keys(batch.key_qpos), batch.key_qpos),
+            key_state=np.where(self._has_key, self._of_keys(batch.key_state), batch.key_state),
             sounding=self._of_keys(batch.sounding),
             previous_action=self.actions(batch.previous_action),
             previous_reward=batch.previous_reward,

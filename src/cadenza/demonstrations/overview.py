@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, finished
-from cadenza.demonstrations.recorded import About
+from cadenza.demonstrations.recorded import SONGS, About
 from cadenza.music.formats.titles import printable
 
 _MIB = 2**20
@@ -34,7 +34,8 @@ def overview(folder: Path) -> Iterator[str]:
         yield _spread("note onsets F1", [about.note_onset_f1 for about in kept])
         yield from _rewarded(kept)
         yield f"{sum(about.drawn['mirrored'] for about in kept)} episodes are mirrored"
-    size = sum(file.stat().st_size for file in (folder / EPISODES).rglob("*") if file.is_file())
+    there = (file for part in (EPISODES, SONGS) for file in (folder / part).rglob("*"))
+    size = sum(file.stat().st_size for file in there if file.is_file())
     steps = sum(about.num_steps for about in kept)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
     hours = sum(about.cpu_seconds for _, about in found) / 3600

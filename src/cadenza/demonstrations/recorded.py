@@ -4,6 +4,7 @@ FOLDER/steps.npy      states and actions, see `steps_type`
 FOLDER/plan.npy       where a plan has the hands, see `plan_type`
 FOLDER/score.json     what was to be played, with its fingers; goals are rebuilt from it
 FOLDER/result.json    all else that there is to know; written last
+songs/DIGEST.json     two folders up: the song before anything was drawn, once for all its episodes
 
 Both arrays have a row for each of T control steps and one for the state after the last. Of an
 episode that was not good enough to be kept, there is only result.json.
@@ -41,12 +42,14 @@ from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
+from cadenza.tasks.view import to_range
 
 Array = NDArray[Any]
 
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
-STEPS, PLAN, SCORE = "steps.npy", "plan.npy", "score.json"
+STEPS, PLAN, SCORE, SONG = "steps.npy", "plan.npy", "score.json", "song"
+SONGS = "songs"  # the folder of those of all episodes
 _SEAL = "seal"  # what result.json calls its own checksum
 _MOST_STEPS = 2 * MAX_STEPS  # of a song, and of the silence before it
 _LEAST_STEP = 1e-4  # [s]
@@ -59,9 +62,9 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
 
     - `hand_qpos`, `hand_qvel` (J,) [m, rad] and [m/s, rad/s]
     - `fingertip_xpos` (F, 3) [m]
-    - `key_qpos` (K,) [rad]
-    - `previous_action` (A + 1,) what was played in the step before, in actuator units, the pedal
-      last: with the noise; 0 before the first
+    - `key_state` (K,) how far the keys are down, from 0 to 1, as environments show it
+    - `played` (A + 1,) the action of the step before, from -1 to 1, as environments take it, the
+      pedal last: with the noise; 0 before the first
     - `previous_reward` () that it got, 0 before the first
     - `sounding` the keys that sound, as bits
 
@@ -77,11 +80,11 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
             ("hand_qpos", np.float32, (joints,)),
             ("hand_qvel", np.float32, (joints,)),
             ("fingertip_xpos", np.float32, (scene.fingers.count, 3)),
-            ("previous_action", np.float32, (servos + 1,)),
-            ("previous_reward", np.float32),
+            ("played", np.float32, (servos + 1,)),
+            ("previous_reward", np.float64),
             ("action", np.float32, (servos + 1,)),
             ("tracked", np.float32, (servos,)),
-            ("key_qpos", np.float16, (keys,)),
+            ("key_state", np.float32, (keys,)),
             ("sounding", np.uint8, (-(-keys // 8),)),
         ],
         align=True,
@@ -156,6 +159,12 @@ class Recorded:
         check_modules(self.about.scene, self.folder / RESULT)
         return build_scene(self.about.scene)
 
+    def path(self, name: str) -> Path:
+        """Where one of its files is."""
+        if name == SONG:
+            return _path_of_song(self.folder, self.about.files.get(name, ""))
+        return self.folder / name
+
     @cached_property
     def steps(self) -> Array:
         """(T + 1,) see `steps_type`."""
@@ -173,8 +182,20 @@ class Recorded:
         Raises:
             CadenzaError: the file is not there, or is not as it was written.
         """
-        path = self.folder / SCORE
-        self.check_files((SCORE,))
+        return self._score_in(SCORE)
+
+    @cached_property
+    def song(self) -> Score:
+        """The song of which that is a part or a variation, as it was chosen to be played.
+
+        Raises:
+            CadenzaError: the file is not there, or is not as it was written.
+        """
+        return self._score_in(SONG)
+
+    def _score_in(self, name: str) -> Score:
+        path = self.path(name)
+        self.check_files((name,))
         try:
             return read_json(path, WrittenScore).score
         except CadenzaError as error:
@@ -190,12 +211,12 @@ class Recorded:
         for what in self.wrong_files(names):
             raise CadenzaError(what)
 
-    def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE)) -> Iterator[str]:
+    def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE, SONG)) -> Iterator[str]:
         """Which of its files are not there, or are not as they were written, a line each."""
         for name in names:
-            path = self.folder / name
+            path = self.path(name)
             if name not in self.about.files:
-                yield f"{path}: result.json does not name it; {MAKE_AGAIN}"
+                yield f"{self.folder / RESULT}: does not name {name}; {MAKE_AGAIN}"
             elif not path.is_file():
                 yield f"{path}: missing; {MAKE_AGAIN}"
             elif digest(path) != self.about.files[name]:
@@ -216,9 +237,9 @@ class Recorded:
         return goals
 
 
-def played_actions(steps: Array) -> NDArray[np.float64]:
-    """(T, A + 1) what was played in each step, of the rows of steps.npy."""
-    return steps["previous_action"][1:].astype(np.float64)
+def played_actions(steps: Array, scene: Scene) -> NDArray[np.float64]:
+    """(T, A + 1) what was played in each step, in actuator units, of the rows of steps.npy."""
+    return to_range(steps["played"][1:], scene.action_low, scene.action_high)
 
 
 def mapped(path: Path) -> Array:
@@ -283,13 +304,16 @@ def _unlikely(told: About) -> str | None:
     return None
 
 
-def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array]) -> None:
+def write(
+    folder: Path, about: About, song: Score, score: Score, arrays: Mapping[str, Array]
+) -> None:
     """Writes an episode that is kept.
 
     Args:
         folder: of the episode.
         about: without its files.
-        score: what was to be played.
+        song: as it was chosen.
+        score: what of it was to be played.
         arrays: of STEPS and PLAN.
     """
     for name, array in arrays.items():
@@ -297,11 +321,31 @@ def write(folder: Path, about: About, score: Score, arrays: Mapping[str, Array])
         np.save(content, array, allow_pickle=False)
         with write_atomically(folder / name) as file:
             file.write(content.getbuffer())  # NumPy itself would not say that the disk is full
-    written = json.dumps(plain(asdict(WrittenScore.of(score))), allow_nan=False)
-    with write_atomically(folder / SCORE) as file:
-        file.write(written.encode())
+    _write_score(folder / SCORE, score)
     files = {name: digest(folder / name) for name in (*arrays, SCORE)}
+    files[SONG] = hashlib.sha256(_bytes_of(song)).hexdigest()
+    _write_score(_path_of_song(folder, files[SONG]), song)
     write_about(folder, replace(about, files=files))
+
+
+def _write_score(path: Path, score: Score) -> None:
+    with write_atomically(path) as file:
+        file.write(_bytes_of(score))
+
+
+def _bytes_of(score: Score) -> bytes:
+    return json.dumps(written(score), allow_nan=False).encode()
+
+
+def _path_of_song(folder: Path, digest: str) -> Path:
+    """Where the song of an episode is, which others of the same demonstrations share."""
+    return folder.parent.parent / SONGS / f"{digest}.json"
+
+
+def written(score: Score) -> dict[str, Any]:
+    """A score as JSON has it, see `WrittenScore`."""
+    content: dict[str, Any] = plain(asdict(WrittenScore.of(score)))
+    return content
 
 
 def write_about(folder: Path, about: About) -> None:

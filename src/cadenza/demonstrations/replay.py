@@ -20,8 +20,9 @@ from cadenza.demonstrations.recorded import (
 from cadenza.errors import CadenzaError
 from cadenza.scene.scene import Scene
 from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.reward import key_state
 
-_COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_qpos")
+_COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state")
 
 
 def wrong_start(recorded: Recorded, scene: Scene) -> str | None:
@@ -53,7 +54,7 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
 def replayed(recorded: Recorded, scene: Scene) -> EpisodeResult:
     """All that happens when the recorded actions are played."""
     with task_of(recorded, scene) as task:
-        return play_episode(task, Playback(played_actions(recorded.steps)))
+        return play_episode(task, Playback(played_actions(recorded.steps, scene)))
 
 
 def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
@@ -66,9 +67,11 @@ def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
     if missing := recorded.about.num_steps - again.num_steps:
         found["the number of steps"] = float(missing)
         return found
+    depth = key_state(again["key_qpos"], scene.keyboard.travel)
+    seen = {**again.arrays, "key_state": depth}
     for name in _COMPARED:
         was = recorded.steps[name][1:]
-        now = again[name].astype(was.dtype)
+        now = seen[name].astype(was.dtype)
         if not np.array_equal(was, now):
             found[name] = float(np.abs(was.astype(np.float64) - now).max())
     if result.metrics["f1"] != recorded.about.metrics["f1"]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats, check_values
-from cadenza.tasks import reward
+from cadenza.demonstrations.recorded import played_actions
 from cadenza.tasks.view import from_range
 
 
@@ -31,7 +32,7 @@ class Transitions(NamedTuple):
     """(T, A + 1) actions in [-1, 1] that the demonstrator chose, without noise."""
     played: Floats
     """(T + 1, A + 1) and those that were played, before each state; 0 before the first."""
-    reward: Floats
+    reward: NDArray[np.float64]
     """(T,)"""
 
     @property
@@ -55,21 +56,18 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
     check_values(dataset.episodes[number], scene)
     count = len(steps) - 1
     batch = dataset.batch(dataset.first[number] + np.arange(count), LOOKAHEAD)
+    limits = scene.action_low, scene.action_high
     # After the last step, environments go on showing its goals.
     here = np.minimum(np.arange(count + 1), count - 1)
-    depth = reward.key_state(steps["key_qpos"].astype(np.float32), scene.keyboard.travel)
-    limits = scene.action_low, scene.action_high
-    played = from_range(steps["previous_action"], *limits).astype(np.float32)
-    played[0] = 0
     fingering = batch.fingering[here, 0].astype(np.float32)
     return Transitions(
         goal=batch.goal[here].reshape(count + 1, -1).astype(np.float32),
         fingering=fingering if dataset.shows_fingers else fingering[:, :0],
-        key_state=depth.astype(np.float32),
-        pedal=steps["previous_action"][:, -1:],
+        key_state=steps["key_state"],
+        pedal=np.pad(played_actions(steps, scene)[:, -1:], [(1, 0), (0, 0)]).astype(np.float32),
         joints=steps["hand_qpos"],
         velocities=steps["hand_qvel"],
         chosen=from_range(steps["action"][:-1], *limits).astype(np.float32),
-        played=played,
+        played=steps["played"],
         reward=steps["previous_reward"][1:],
     )

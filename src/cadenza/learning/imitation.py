@@ -32,7 +32,6 @@ from cadenza.learning.ranges import Ranges
 from cadenza.learning.run_folder import read_rows, taking_up
 from cadenza.learning.sealed_folder import is_there, read_sealed, write_sealed
 from cadenza.music.formats.reading import name_without_ending
-from cadenza.tasks import reward
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
@@ -201,8 +200,7 @@ class Imitation:
 
     def _examples(self, dataset: Dataset, steps: NDArray[np.intp]) -> Examples:
         batch = dataset.batch(steps, self.config.n_steps_lookahead)
-        travel = dataset.scene.keyboard.travel
-        observation = observed(batch, travel, self._ranges)[:, list(self._inputs.kept)]
+        observation = observed(batch, self._ranges)[:, list(self._inputs.kept)]
         action = from_range(batch.action, *self._ranges.actions)
         return Examples(observation, action.astype(np.float32))
 
@@ -255,12 +253,11 @@ class Imitation:
         self._save_policy()  # a kill may have come before it
 
 
-def observed(batch: Batch, travel: NDArray[np.float64], ranges: Ranges) -> Floats:
+def observed(batch: Batch, ranges: Ranges) -> Floats:
     """(B, D) what a policy without a reference observes, see `ObservationSpec`.
 
     Args:
         batch: of steps.
-        travel: (K,) of the keys [rad].
         ranges: on whose scale joints and the previous action are.
     """
     count = len(batch.goal)
@@ -269,7 +266,7 @@ def observed(batch: Batch, travel: NDArray[np.float64], ranges: Ranges) -> Float
     parts = (
         batch.goal.reshape(count, -1),
         batch.fingering[:, 0],
-        reward.key_state(batch.key_qpos.astype(np.float64), travel),
+        batch.key_state,
         batch.previous_action[:, -1:],  # the pedal
         ranges.scaled(batch.hand_qpos),
         played,

@@ -15,7 +15,8 @@ from cadenza.performing.setup import Setup
 def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
     """The performance of a recorded episode, with the noise that it was played with."""
     about = recorded.about
-    with task_of(recorded, recorded.build_scene()) as task:
+    scene = recorded.build_scene()
+    with task_of(recorded, scene) as task:
         settings = {
             "song": about.song,
             "agent": about.job["agent"],
@@ -26,6 +27,6 @@ def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
             "scene": asdict(about.scene),
             "drawn": about.drawn,
         }
-        player = Playback(played_actions(recorded.steps))
+        player = Playback(played_actions(recorded.steps, scene))
         setup = Setup(recorded.score, player, task, 0, settings, {})
         return perform(setup, progress)

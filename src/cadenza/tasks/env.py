@@ -17,20 +17,23 @@ from numpy.typing import NDArray
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
+from cadenza.files import checked
+from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.lock import Lock, one_at_a_time
 from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask, Transition
 from cadenza.tasks.reward import RewardTerm
 from cadenza.tasks.setups import setup_named
 
-Song = str | Path | Score
+Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
 
-_RESET_OPTIONS = {"reset_mask", "song"}
+_RESET_OPTIONS = {"reset_mask", "song", "score", "start"}
 
 
 def configure(
@@ -67,9 +70,16 @@ def configure(
 
 
 def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
-    """One or several songs: bundled names, paths of MIDI files, or scores."""
+    """One or several songs: bundled names, paths of MIDI files, or scores, also as JSON."""
     songs: list[Any] = [*song] if isinstance(song, list | tuple) else [song]
-    return tuple(s if isinstance(s, Score) else load_score(s) for s in songs)
+    return tuple(_score(s) or load_score(s) for s in songs)
+
+
+def _score(song: Any) -> Score | None:
+    """The score that `song` is itself, see `WrittenScore`; None of all that only names one."""
+    if isinstance(song, Mapping):
+        return checked(song, WrittenScore, "the score").score
+    return song if isinstance(song, Score) else None
 
 
 def make_task(
@@ -130,8 +140,8 @@ class PianoVectorEnv(VectorEnv):
         **options: Any,
     ) -> None:
         """Args:
-            song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, or several
-                of them, of which one is drawn per episode.
+            song: a bundled song's name, the path of a MIDI or MusicXML file, a `Score`, what JSON
+                makes of a `WrittenScore`, or several of them, of which one is drawn per episode.
             num_envs: N.
             num_threads: threads that share the simulation.
             autoreset_mode: when finished environments are reset.
@@ -220,7 +230,10 @@ class PianoVectorEnv(VectorEnv):
             options: "reset_mask", (N,) bool, resets some of the environments only, but not at
                 first; "song", one of the environment's songs by index, by title or as it was given,
                 or a list with one for each environment, is what they play in this episode, drawn
-                where it is None.
+                where it is None; "score", a `Score`, what JSON makes of a `WrittenScore`, or a list
+                with one for each environment, is played instead, exactly as it is; "start", (J,) or
+                a list with one for each environment, is where their hands begin [m, rad], as the
+                task has it where it is None.
 
         Raises:
             CadenzaError: a seed or an option makes no sense.
@@ -231,21 +244,46 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
         if not (self._rngs or mask.all()):
             raise CadenzaError("reset_mask: the first reset is of all environments; leave it out")
-        songs = self._assigned(options.get("song"))
+        songs = self._assigned(options.get("song"), options.get("score"))
+        starts = self._starts(options.get("start"))
         self._seed(seed, mask)
-        self._restart(np.flatnonzero(mask), songs)
+        self._restart(np.flatnonzero(mask), songs, starts)
         self._finished = self._finished & ~mask
         return self._observe(), self._songs(mask) | self._drawn(mask)
 
-    def _assigned(self, song: Any) -> list[int | None]:
-        """(N,) indices of songs, None where they are drawn."""
-        several = isinstance(song, list | tuple | np.ndarray)
-        songs = list(song) if several else [song] * self.num_envs
-        if len(songs) != self.num_envs:
+    def _assigned(self, song: Any, score: Any) -> list[int | GoalTrack | None]:
+        """(N,) indices of songs or what is played instead, None where they are drawn."""
+        songs, scores = (
+            self._each(what, given, isinstance(given, list | tuple | np.ndarray))
+            for what, given in (("songs", song), ("scores", score))
+        )
+        return [self._song(*each) for each in zip(songs, scores, strict=True)]
+
+    def _song(self, song: Any, score: Any) -> int | GoalTrack | None:
+        if score is None:
+            return None if song is None else self._index(song)
+        if song is not None:
+            raise CadenzaError("song and score: give one of them, as an episode plays one")
+        if (played := _score(score)) is None:
+            raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
+        return self.task.as_written(played)
+
+    def _starts(self, start: Any) -> list[NDArray[np.float64] | None]:
+        """(N,) joint positions (J,) of the hands, None where they begin as the task has it."""
+        rows = isinstance(start, list | tuple | np.ndarray)
+        several = rows and any(each is None or np.ndim(each) for each in start)
+        joints = len(self.task.scene.hand_start)
+        starts = self._each("starts", start, several)
+        return [None if each is None else _joints(each, joints) for each in starts]
+
+    def _each(self, what: str, given: Any, several: bool) -> list[Any]:
+        """(N,) what is given, to all or, if `several` are, to each."""
+        values = list(given) if several else [given] * self.num_envs
+        if len(values) != self.num_envs:
             raise CadenzaError(
-                f"{len(songs)} songs for {self.num_envs} environments: give one for each"
+                f"{len(values)} {what} for {self.num_envs} environments: give one for each"
             )
-        return [None if each is None else self._index(each) for each in songs]
+        return values
 
     def _index(self, song: Any) -> int:
         as_given = isinstance(song, str | Path) and song in self._given
@@ -286,12 +324,15 @@ class PianoVectorEnv(VectorEnv):
         ]
 
     def _restart(
-        self, env_ids: NDArray[np.intp], songs: Sequence[int | None] | None = None
+        self,
+        env_ids: NDArray[np.intp],
+        songs: Sequence[int | GoalTrack | None] | None = None,
+        starts: Sequence[NDArray[np.float64] | None] | None = None,
     ) -> None:
         if len(env_ids):
             rngs = [self._rngs[i] for i in env_ids]
-            assigned = [songs[i] for i in env_ids] if songs else None
-            self.task.reset(rngs, env_ids.tolist(), assigned)
+            songs, starts = ([of[i] for i in env_ids] if of else None for of in (songs, starts))
+            self.task.reset(rngs, env_ids.tolist(), songs, starts)
 
     @one_at_a_time
     def step(
@@ -432,15 +473,15 @@ class PianoEnv(gymnasium.Env):
 
         Args:
             seed: what is random follows from it.
-            options: "song", one of the environment's songs by index, by title or as it was given,
-                is what it plays.
+            options: "song", "score" and "start", see `PianoVectorEnv.reset`.
 
         Raises:
             CadenzaError: there is no such song or option.
         """
         super().reset(seed=seed)
         self._batch._rngs = [self.np_random]
-        observation, infos = self._batch.reset(options={"song": _known(options).get("song")})
+        options = {n: value for n, value in _known(options).items() if n != "reset_mask"}
+        observation, infos = self._batch.reset(options=options)
         return _row(observation), _first(infos)
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -473,6 +514,24 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
             f"no option {unknown[0]!r} of reset: choose from {', '.join(sorted(_RESET_OPTIONS))}"
         )
     return options or {}
+
+
+def _joints(start: Any, count: int) -> NDArray[np.float64]:
+    """(J,) where hands begin.
+
+    Raises:
+        CadenzaError: it is not so many finite numbers.
+    """
+    wanted = f"give a finite number for each of the hands' joints, ({count},)"
+    try:
+        joints = np.asarray(start, np.float64)
+    except (TypeError, ValueError) as error:
+        raise CadenzaError(f"start {start!r:.100}: {wanted}") from error
+    if joints.shape != (count,):
+        raise CadenzaError(f"start of shape {joints.shape}: {wanted}")
+    if not np.isfinite(joints).all():
+        raise CadenzaError(f"start is not finite: {wanted}")
+    return joints
 
 
 def _check_shape(what: str, given: Any, space: spaces.Space) -> None:

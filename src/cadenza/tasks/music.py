@@ -47,17 +47,43 @@ def prepare(
     """
     if not scores:
         raise CadenzaError("no song to play: give at least one score")
-    if empty := [score.title for score in scores if not score.notes]:
-        raise CadenzaError(f"nothing to play: {empty[0] or 'the score'} has no notes")
+    for score in scores:
+        _check_notes(score)
     _check(config)
     scores = [_arranged(score, config) for score in scores]
     _check_longest(max(score.total_time for score in scores), config)
     for score in scores:
         check_pitches(score, scene.keyboard.pitches)
     tracks = [GoalTrack(score, None, config, scene) for score in scores]
-    if config.fingering == "auto" and scene.sides:
+    if _shows_fingers(config, scene):
         tracks = [track.fingered(progress) for track in tracks]
     return tuple(tracks)
+
+
+def as_written(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack:
+    """A score as an episode plays it to which nothing is done: in its tempo, its key, its fingers.
+
+    Only where it gives no fingers at all are they looked for, if the task shows any.
+
+    Raises:
+        CadenzaError: it has no notes, or some that the keyboard has not, or lasts too long.
+    """
+    _check_notes(score)
+    _check_longest(score.total_time, replace(config, random_stretch=0.0))
+    check_pitches(score, scene.keyboard.pitches)
+    track = GoalTrack(score, None, config, scene)
+    if not _shows_fingers(config, scene):
+        return track
+    return replace(track, dropped=()) if score.has_fingering else track.fingered()
+
+
+def _shows_fingers(config: TaskConfig, scene: Scene) -> bool:
+    return config.fingering == "auto" and len(scene.sides) > 0
+
+
+def _check_notes(score: Score) -> None:
+    if not score.notes:
+        raise CadenzaError(f"nothing to play: {score.title or 'the score'} has no notes")
 
 
 def _arranged(score: Score, config: TaskConfig) -> Score:

@@ -24,6 +24,7 @@ from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
 from cadenza.tasks import music, reward
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 from cadenza.tasks.randomization import Randomization
 from cadenza.tasks.view import TaskSpec, View
@@ -240,22 +241,29 @@ class PianoTask:
         self,
         rngs: Sequence[np.random.Generator],
         env_ids: Sequence[int],
-        songs: Sequence[int | None] | None = None,
+        songs: Sequence[int | GoalTrack | None] | None = None,
+        starts: Sequence[Array | None] | None = None,
     ) -> None:
         """Starts new episodes.
 
         Args:
             rngs: a generator for each of `env_ids`.
             env_ids: which environments.
-            songs: the index of each one's song among `scores`, None where it is drawn; all are
-                drawn by default.
+            songs: the index of each one's song among `scores`, None where it is drawn, or what is
+                played as it is, see `as_written`; all are drawn by default.
+            starts: (J,) where each one's hands begin [m, rad], None where that is as the task has
+                it, as are all by default.
         """
         start = np.tile(self.scene.hand_start, (len(env_ids), 1))
         songs = [None] * len(env_ids) if songs is None else songs
-        pitches = self.scene.keyboard.pitches
-        for row, (env, rng, song) in enumerate(zip(env_ids, rngs, songs, strict=True)):
-            self.sheets.put(env, music.draw(self.tracks, self.config, pitches, rng, song))
-            if most := self.config.random_hand_position:
+        starts = [None] * len(env_ids) if starts is None else starts
+        for row, (env, rng, song, given) in enumerate(
+            zip(env_ids, rngs, songs, starts, strict=True)
+        ):
+            self.sheets.put(env, self._track(song, rng))
+            if given is not None:
+                start[row] = given
+            elif most := self.config.random_hand_position:
                 start[row, self._offset_joints] = rng.uniform(-most, most)
         if (missing := int(self.sheets.num_steps.max()) - self._played.shape[1]) > 0:
             self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
@@ -265,6 +273,15 @@ class PianoTask:
         self._pedal[list(env_ids)], self._lost[list(env_ids)] = 0.0, False
         self.reward[list(env_ids)] = 0.0
         self._look()
+
+    def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
+        if isinstance(song, GoalTrack):
+            return song
+        return music.draw(self.tracks, self.config, self.scene.keyboard.pitches, rng, song)
+
+    def as_written(self, score: Score) -> GoalTrack:
+        """What is played of a score to which nothing is done, see `music.as_written`."""
+        return music.as_written(score, self.config, self.scene)
 
     def _look(self) -> None:
         self.state = self.simulation.state

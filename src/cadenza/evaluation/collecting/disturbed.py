@@ -26,7 +26,8 @@ class Disturbed(Agent):
     of Imitation Learning and Structured Prediction to No-Regret Online Learning, 2011).
 
     Attributes:
-        chosen: (A + 1,) of each step, without noise, as float32.
+        chosen: (A + 1,) of each step, without noise, in actuator units, as float32.
+        played: (A + 1,) of each step, with noise, from -1 to 1, as float32.
         start: the state before the first step.
     """
 
@@ -37,6 +38,7 @@ class Disturbed(Agent):
         self._agent, self._student = agent, student
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
+        self.played: list[NDArray[np.float32]] = []
         self.start: State | None = None
         self._students_turn = False
 
@@ -50,6 +52,7 @@ class Disturbed(Agent):
             self._students_turn = self._rng.random() < _STUDENTS
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
+        self.played.clear()
         self.start = None
 
     def act(self, view: View) -> Array:
@@ -66,8 +69,9 @@ class Disturbed(Agent):
         )
         within = np.clip(chosen, task.action_low, task.action_high)
         self.chosen.append(within.astype(np.float32))
-        # What is recorded is exactly what is played, so that it can be played again.
-        return played.astype(np.float32).astype(np.float64)[None]
+        # What is recorded is what environments take, so that they can play exactly that again.
+        self.played.append(task.unscale_action(played).astype(np.float32))
+        return task.scale_action(self.played[-1])[None]
 
     def close(self) -> None:
         """Closes the student; the agent is whose it was."""

@@ -45,6 +45,7 @@ from cadenza.performing.setup import Setup, select, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.reward import key_state
 
 Array = NDArray[Any]
 
@@ -138,9 +139,10 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     seed, rng = _randomness(spec)
     configs = {spec.agent: spec.config}
     selection = select(spec.song, spec.agent, arrangement=spec.arrangement, configs=configs)
-    score, drawn = _drawn(selection.score, spec.variation, _playable(spec), rng)
+    song = selection.score
     if getattr(spec.config, "fingering", "found") == "found":  # so that the task has those, too
-        score = score.without_fingers()
+        song = song.without_fingers()
+    score, drawn = _drawn(song, spec.variation, _playable(spec), rng)
     selection = replace(selection, score=score)
     with (
         set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup,
@@ -166,7 +168,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     if plan is None:
         write_about(folder, made)
     else:
-        write(folder, made, plan.track.score, _arrays(result, disturbed, plan))
+        write(folder, made, song, _asked_for(setup, plan), _arrays(result, disturbed, plan))
 
 
 def _disturbed(setup: Setup, noise: float, spec: EpisodeSpec) -> Disturbed:
@@ -229,6 +231,12 @@ def _plan(setup: Setup, disturbed: Disturbed) -> SongPlan:
     return plan_song(track, disturbed.start.hand_qpos[0])
 
 
+def _asked_for(setup: Setup, plan: SongPlan) -> Score:
+    """With the fingers that the task showed and rewarded; where it showed none, the plan's."""
+    (track,) = setup.task.sheets.tracks
+    return plan.track.score if track.dropped is None else track.score
+
+
 def _nothing_drawn(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
     """For a score that has been trimmed, stretched and transposed.
 
@@ -255,10 +263,13 @@ def _arrays(result: EpisodeResult, disturbed: Disturbed, plan: SongPlan) -> dict
     assert start is not None
     count = episode.num_steps
     steps = np.zeros(count + 1, steps_type(scene))
-    for name in ("hand_qpos", "hand_qvel", "key_qpos", "fingertip_xpos"):
+    for name in ("hand_qpos", "hand_qvel", "fingertip_xpos"):
         steps[name][0], steps[name][1:] = getattr(start, name)[0], episode[name]
+    travel = scene.keyboard.travel
+    steps["key_state"][0] = key_state(start.key_qpos[0], travel)
+    steps["key_state"][1:] = key_state(episode["key_qpos"], travel)
     steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
-    steps["previous_action"][1:] = episode["action"]
+    steps["played"][1:] = disturbed.played
     steps["previous_reward"][1:] = episode["reward_total"]
     steps["action"][:-1] = disturbed.chosen
     states = State.zeros(scene, 0)._replace(

@@ -1,0 +1,152 @@
+"""Pictures of demonstrations as the videos of a LeRobot dataset: H.264, many episodes a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.demonstrations.dataset import Dataset
+from cadenza.errors import CadenzaError
+from cadenza.sim.render import Picture, Renderer
+
+PLACE = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+FILE_BYTES = 200 * 2**20  # after which another file is begun
+FILES_PER_CHUNK = 1000
+_SMALLEST = 16  # [px] that the encoder takes
+_ENCODER = "libx264"
+_KEPT_WHOLE = 2  # every so many pictures, as LeRobot does: its learners read them in any order
+_OPTIONS = {"crf": "20", "g": str(_KEPT_WHOLE), "bf": "0"}
+_THREADS = 2  # that encode; by default, x264 takes all cores
+_BRIGHTEST = 255  # which LeRobot calls 1
+
+
+class Video:
+    """What one camera sees of all episodes, the feature `name`.
+
+    The pictures are those that environments show before each step, see `PianoVectorEnv`.
+    """
+
+    def __init__(self, dataset: Dataset, picture: Picture, fps: int, folder: Path) -> None:
+        """Raises:
+        CadenzaError: this machine cannot draw, or a video cannot have this size.
+        """
+        if (
+            picture.width % 2
+            or picture.height % 2
+            or min(picture.width, picture.height) < _SMALLEST
+        ):
+            raise CadenzaError(
+                f"a video of {picture.width} x {picture.height} pixels cannot be encoded: choose "
+                f"even numbers, {_SMALLEST} or more"
+            )
+        self.name = f"observation.images.{picture.camera}"
+        self._dataset, self._picture, self._fps, self._folder = dataset, picture, fps, folder
+        self._renderer = Renderer(dataset.scene, picture)
+        self._file, self._frames = -1, 0
+        self._output: Any = None
+        self._stream: Any = None
+
+    @property
+    def feature(self) -> dict[str, Any]:
+        """What the format has to say of it."""
+        picture = self._picture
+        return {
+            "dtype": "video",
+            "shape": [picture.height, picture.width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": picture.height,
+                "video.width": picture.width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": self._fps,
+                "video.channels": 3,
+                "has_audio": False,
+            },
+        }
+
+    def add(self, number: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Adds an episode; returns where it is, and the statistics of its pictures."""
+        if self._output is None or self._path.stat().st_size > FILE_BYTES:
+            self._begin()
+        first, seen = self._frames, _Seen()
+        for pixels in self._pictures(number):
+            seen.add(pixels)
+            self._encode(av.VideoFrame.from_ndarray(pixels, format="rgb24"))
+            self._frames += 1
+        chunk, file = divmod(self._file, FILES_PER_CHUNK)
+        place = {
+            "chunk_index": chunk,
+            "file_index": file,
+            "from_timestamp": first / self._fps,
+            "to_timestamp": self._frames / self._fps,
+        }
+        return {f"videos/{self.name}/{what}": of for what, of in place.items()}, seen.statistics
+
+    def close(self) -> None:
+        """Ends the last file, and frees graphics."""
+        self._end()
+        self._renderer.close()
+
+    def _pictures(self, number: int) -> Iterator[NDArray[np.uint8]]:
+        episode, keyboard = self._dataset.episodes[number], self._dataset.scene.keyboard
+        steps, count = episode.steps, episode.about.num_steps
+        sounding = np.unpackbits(steps["sounding"], axis=1, count=keyboard.num_keys).view(bool)
+        wanted = np.pad(self._dataset.goals(number).keys, [(1, 0), (0, 0)])
+        depth = steps["key_state"] * keyboard.travel
+        for t in range(count):
+            frame = self._renderer.frame(steps["hand_qpos"][t], depth[t], sounding[t], wanted[t])
+            yield np.ascontiguousarray(frame)
+
+    @property
+    def _path(self) -> Path:
+        chunk, file = divmod(self._file, FILES_PER_CHUNK)
+        return self._folder / PLACE.format(video_key=self.name, chunk_index=chunk, file_index=file)
+
+    def _begin(self) -> None:
+        self._end()
+        self._file, self._frames = self._file + 1, 0
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._output = av.open(self._path, "w")
+        self._stream = self._output.add_stream(_ENCODER, rate=self._fps, options=_OPTIONS)
+        self._stream.width, self._stream.height = self._picture.width, self._picture.height
+        self._stream.pix_fmt, self._stream.thread_count = "yuv420p", _THREADS
+
+    def _encode(self, frame: av.VideoFrame | None) -> None:
+        self._output.mux(self._stream.encode(frame))
+
+    def _end(self) -> None:
+        if self._output is not None:
+            self._encode(None)
+            self._output.close()
+            self._output = None
+
+
+class _Seen:
+    """The least, greatest, mean and deviation of each colour in pictures, from 0 to 1."""
+
+    def __init__(self) -> None:
+        self._count, self._least, self._most = 0, np.ones(3), np.zeros(3)
+        self._mean, self._square = np.zeros(3), np.zeros(3)
+
+    def add(self, pixels: NDArray[np.uint8]) -> None:
+        colours = pixels.reshape(-1, 3) / _BRIGHTEST
+        self._count += 1
+        self._least = np.minimum(self._least, colours.min(axis=0))
+        self._most = np.maximum(self._most, colours.max(axis=0))
+        self._mean += (colours.mean(axis=0) - self._mean) / self._count
+        self._square += ((colours**2).mean(axis=0) - self._square) / self._count
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """By name, each (3, 1, 1), and of how many pictures."""
+        deviation = np.sqrt(np.maximum(self._square - self._mean**2, 0.0))
+        found = {"min": self._least, "max": self._most, "mean": self._mean, "std": deviation}
+        shaped = {name: values[:, None, None].tolist() for name, values in found.items()}
+        return {**shaped, "count": [self._count]}
