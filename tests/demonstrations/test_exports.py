@@ -25,6 +25,7 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.render import Picture
+from cadenza.tasks.config import DomainRandomization
 from cadenza.tasks.env import PianoEnv
 from cadenza.tasks.view import View
 from demonstrations.made import SCORE, collected
@@ -33,6 +34,9 @@ minari = pytest.importorskip("minari")
 pq = pytest.importorskip("pyarrow.parquet")
 
 
+RANDOM = DomainRandomization(
+    mass=(0.8, 1.2), latency=(0.0, 0.08), control_noise=0.02, joint_noise=0.01, key_noise=0.1
+)
 OTHER = Score(tuple(Note(i / 3, (i + 1) / 3, 55 + 2 * i) for i in range(5)))
 
 
@@ -116,10 +120,11 @@ def test_minari_recovers_the_task_that_was_recorded(
     [
         (Variation(), {"random_octave_shift": 1, "control_timestep": 0.04}, {}),
         (Variation(noise=1.0, excerpt=1.0), {"stretch": 1.5, "transpose": 2}, {}),
+        (Variation(), {"randomization": RANDOM}, {}),
         (Variation(student="zero"), {"sustain_term": True, "forearm_term": True}, {}),
         (Variation(), {"fingering": "transport", "key_press": "graded"}, {"hands": "right"}),
     ],
-    ids=["varied", "noisy excerpts", "with a student", "one hand"],
+    ids=["varied", "noisy excerpts", "randomized", "with a student", "one hand"],
 )
 def test_minari_plays_every_episode_again_to_the_bit_wherever_it_is(
     variation: Variation,

@@ -429,7 +429,7 @@ def test_gymnasium_s_own_vector_environments(mode: str) -> None:
         ),
         (
             lambda: PianoVectorEnv(SHORT).reset(options={"songs": 0}),
-            "no option 'songs' of reset: choose from reset_mask, score, song, start",
+            "no option 'songs' of reset: choose from randomization, reset_mask, score, song, start",
         ),
         (lambda: PianoEnv(SHORT).reset(options={"songs": 0}), "no option 'songs' of reset"),
         (

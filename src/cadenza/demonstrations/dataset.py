@@ -55,6 +55,8 @@ class Batch(NamedTuple):
     """(B, F, 3) [m]"""
     key_state: Floats
     """(B, K) how far the keys are down, from 0 to 1."""
+    pedal: Floats
+    """(B,) how far the pedal is down, from 0 to 1."""
     sounding: NDArray[np.bool_]
     """(B, K) which keys sound."""
     previous_action: Floats
@@ -162,6 +164,7 @@ class Dataset:
             hand_qvel=rows["hand_qvel"],
             fingertip_xpos=rows["fingertip_xpos"],
             key_state=rows["key_state"],
+            pedal=rows["pedal"],
             sounding=np.unpackbits(rows["sounding"], axis=-1, count=keys).view(bool),
             previous_action=self._in_units(rows["played"], step),
             previous_reward=rows["previous_reward"].astype(np.float32),

@@ -7,6 +7,7 @@ stands beside them, as the info `chosen_action`.
 The dataset holds all that its environment plays: the songs, and as the options of each episode its
 score and where the hands began. Reset with these options, the environment that Minari recovers
 answers the episode's actions with its observations and rewards, to the bit on the same machine.
+Observations are of the true state, and so the environment has no noise on them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from cadenza.demonstrations.recorded import About, Recorded, written
 from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import extra_packages
 from cadenza.files import new_folder, plain
+from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 
 NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
@@ -79,13 +81,17 @@ def _environment(dataset: Dataset) -> EnvSpec:
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
     lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
     task = asdict(about.task) | about.job["task"] | lookahead
+    randomization = task["randomization"] | dict.fromkeys(NOISE_ON_OBSERVATIONS, 0.0)
+    task |= {"randomization": randomization}
     songs = dict.fromkeys(episode.song for episode in dataset.episodes)
     spec.kwargs = plain({"song": [written(song) for song in songs]} | task | asdict(about.scene))
     return spec
 
 
 def _buffer(kind: Any, made: Transitions, episode: Recorded) -> Any:
-    count = len(made.chosen)
+    count, about = len(made.chosen), episode.about
+    drawn = about.task.randomization.seed
+    options = {"score": written(episode.score), "start": about.start}
     # Minari has as many infos as observations.
     chosen = np.concatenate([made.chosen, np.zeros_like(made.chosen[:1])])
     return kind(
@@ -95,8 +101,8 @@ def _buffer(kind: Any, made: Transitions, episode: Recorded) -> Any:
         terminations=np.zeros(count, bool),
         truncations=np.arange(count) == count - 1,
         infos={"chosen_action": chosen},
-        seed=episode.about.job["seed"],
-        options={"score": written(episode.score), "start": episode.about.start},
+        seed=about.job["seed"],
+        options=options if drawn is None else {**options, "randomization": drawn},
     )
 
 

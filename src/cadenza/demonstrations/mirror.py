@@ -53,6 +53,7 @@ class Mirror:
             hand_qvel=self.joints.speed(batch.hand_qvel),
             fingertip_xpos=self._points(batch.fingertip_xpos),
             key_state=np.where(self._has_key, self._of_keys(batch.key_state), batch.key_state),
+            pedal=batch.pedal,
             sounding=self._of_keys(batch.sounding),
             previous_action=self.actions(batch.previous_action),
             previous_reward=batch.previous_reward,

@@ -65,6 +65,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
     - `key_state` (K,) how far the keys are down, from 0 to 1, as environments show it
     - `played` (A + 1,) the action of the step before, from -1 to 1, as environments take it, the
       pedal last: with the noise; 0 before the first
+    - `pedal` () how far the pedal is down, from 0 to 1, as environments show it
     - `previous_reward` () that it got, 0 before the first
     - `sounding` the keys that sound, as bits
 
@@ -82,6 +83,7 @@ def steps_type(scene: Scene) -> np.dtype[np.void]:
             ("fingertip_xpos", np.float32, (scene.fingers.count, 3)),
             ("played", np.float32, (servos + 1,)),
             ("previous_reward", np.float64),
+            ("pedal", np.float32),
             ("action", np.float32, (servos + 1,)),
             ("tracked", np.float32, (servos,)),
             ("key_state", np.float32, (keys,)),

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset, Floats, check_values
-from cadenza.demonstrations.recorded import played_actions
 from cadenza.tasks.view import from_range
 
 
@@ -64,7 +63,7 @@ def transitions(dataset: Dataset, number: int) -> Transitions:
         goal=batch.goal[here].reshape(count + 1, -1).astype(np.float32),
         fingering=fingering if dataset.shows_fingers else fingering[:, :0],
         key_state=steps["key_state"],
-        pedal=np.pad(played_actions(steps, scene)[:, -1:], [(1, 0), (0, 0)]).astype(np.float32),
+        pedal=steps["pedal"][:, None],
         joints=steps["hand_qpos"],
         velocities=steps["hand_qvel"],
         chosen=from_range(steps["action"][:-1], *limits).astype(np.float32),

@@ -267,7 +267,7 @@ def observed(batch: Batch, ranges: Ranges) -> Floats:
         batch.goal.reshape(count, -1),
         batch.fingering[:, 0],
         batch.key_state,
-        batch.previous_action[:, -1:],  # the pedal
+        batch.pedal[:, None],
         ranges.scaled(batch.hand_qpos),
         played,
         batch.previous_reward[:, None],

@@ -20,6 +20,7 @@ Range = tuple[float, float]
 """The least and the greatest value."""
 
 SAME: Range = (1.0, 1.0)
+NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise"  # of `DomainRandomization`
 
 
 @dataclass(frozen=True)

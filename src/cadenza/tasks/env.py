@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from cadenza.configs import as_config
+from cadenza.configs import MOST_COUNT, as_config, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
 from cadenza.music.formats.written_score import WrittenScore
@@ -33,7 +33,7 @@ from cadenza.tasks.setups import setup_named
 Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
 
-_RESET_OPTIONS = {"reset_mask", "song", "score", "start"}
+_RESET_OPTIONS = {"reset_mask", "song", "score", "start", "randomization"}
 
 
 def configure(
@@ -233,7 +233,9 @@ class PianoVectorEnv(VectorEnv):
                 where it is None; "score", a `Score`, what JSON makes of a `WrittenScore`, or a list
                 with one for each environment, is played instead, exactly as it is; "start", (J,) or
                 a list with one for each environment, is where their hands begin [m, rad], as the
-                task has it where it is None.
+                task has it where it is None; "randomization", an int or a list with one for each
+                environment, is the number from which all that `DomainRandomization` draws follows,
+                as infos give it, drawn where it is None.
 
         Raises:
             CadenzaError: a seed or an option makes no sense.
@@ -246,8 +248,9 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError("reset_mask: the first reset is of all environments; leave it out")
         songs = self._assigned(options.get("song"), options.get("score"))
         starts = self._starts(options.get("start"))
+        seeds = self._seeds(options.get("randomization"))
         self._seed(seed, mask)
-        self._restart(np.flatnonzero(mask), songs, starts)
+        self._restart(np.flatnonzero(mask), songs, starts, seeds)
         self._finished = self._finished & ~mask
         return self._observe(), self._songs(mask) | self._drawn(mask)
 
@@ -275,6 +278,14 @@ class PianoVectorEnv(VectorEnv):
         joints = len(self.task.scene.hand_start)
         starts = self._each("starts", start, several)
         return [None if each is None else _joints(each, joints) for each in starts]
+
+    def _seeds(self, given: Any) -> list[int | None]:
+        """(N,) from which randomization follows, None where that is drawn."""
+        seeds = self._each("randomizations", given, isinstance(given, list | tuple | np.ndarray))
+        return [
+            None if each is None else whole_number(each, "randomization", 0, MOST_COUNT)
+            for each in seeds
+        ]
 
     def _each(self, what: str, given: Any, several: bool) -> list[Any]:
         """(N,) what is given, to all or, if `several` are, to each."""
@@ -328,11 +339,14 @@ class PianoVectorEnv(VectorEnv):
         env_ids: NDArray[np.intp],
         songs: Sequence[int | GoalTrack | None] | None = None,
         starts: Sequence[NDArray[np.float64] | None] | None = None,
+        seeds: Sequence[int | None] | None = None,
     ) -> None:
         if len(env_ids):
             rngs = [self._rngs[i] for i in env_ids]
-            songs, starts = ([of[i] for i in env_ids] if of else None for of in (songs, starts))
-            self.task.reset(rngs, env_ids.tolist(), songs, starts)
+            songs, starts, seeds = (
+                [of[i] for i in env_ids] if of else None for of in (songs, starts, seeds)
+            )
+            self.task.reset(rngs, env_ids.tolist(), songs, starts, seeds)
 
     @one_at_a_time
     def step(
@@ -473,7 +487,7 @@ class PianoEnv(gymnasium.Env):
 
         Args:
             seed: what is random follows from it.
-            options: "song", "score" and "start", see `PianoVectorEnv.reset`.
+            options: "song", "score", "start" and "randomization", see `PianoVectorEnv.reset`.
 
         Raises:
             CadenzaError: there is no such song or option.

@@ -243,6 +243,7 @@ class PianoTask:
         env_ids: Sequence[int],
         songs: Sequence[int | GoalTrack | None] | None = None,
         starts: Sequence[Array | None] | None = None,
+        seeds: Sequence[int | None] | None = None,
     ) -> None:
         """Starts new episodes.
 
@@ -253,6 +254,8 @@ class PianoTask:
                 played as it is, see `as_written`; all are drawn by default.
             starts: (J,) where each one's hands begin [m, rad], None where that is as the task has
                 it, as are all by default.
+            seeds: the number from which each one's `DomainRandomization` follows, None where it is
+                drawn, as are all by default.
         """
         start = np.tile(self.scene.hand_start, (len(env_ids), 1))
         songs = [None] * len(env_ids) if songs is None else songs
@@ -268,7 +271,8 @@ class PianoTask:
         if (missing := int(self.sheets.num_steps.max()) - self._played.shape[1]) > 0:
             self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
         self.wanted[list(env_ids)] = False
-        self._randomization.begin(env_ids, rngs, start)
+        seeds = [None] * len(env_ids) if seeds is None else seeds
+        self._randomization.begin(env_ids, rngs, start, seeds)
         self.simulation.reset(env_ids, start)
         self._pedal[list(env_ids)], self._lost[list(env_ids)] = 0.0, False
         self.reward[list(env_ids)] = 0.0

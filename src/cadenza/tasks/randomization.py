@@ -99,7 +99,11 @@ class Randomization:
     # At the beginning of episodes
 
     def begin(
-        self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator], start: Array
+        self,
+        env_ids: Sequence[int],
+        rngs: Sequence[np.random.Generator],
+        start: Array,
+        seeds: Sequence[int | None],
     ) -> None:
         """Draws what holds in the episodes that begin, before their simulations are reset.
 
@@ -107,11 +111,12 @@ class Randomization:
             env_ids: where they begin.
             rngs: a generator for each of `env_ids`.
             start: (len(env_ids), J) where the hands will be [m, rad].
+            seeds: the number from which each episode's follows, None where it is drawn.
         """
         if not self.drawn:
             return
-        for env, rng in zip(env_ids, rngs, strict=True):
-            factors = self._draw(env, rng)
+        for env, rng, seed in zip(env_ids, rngs, seeds, strict=True):
+            factors = self._draw(env, self._seed(rng) if seed is None else seed)
             if factors and isinstance(self._simulation, RandomizableSimulation):
                 self._simulation.randomize(env, factors)
         if _LATENCY in self.drawn:
@@ -119,9 +124,12 @@ class Randomization:
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
         self._look(np.asarray(env_ids, np.intp))
 
-    def _draw(self, env: int, rng: np.random.Generator) -> Factors:
+    def _seed(self, rng: np.random.Generator) -> int:
+        seed = self._config.seed
+        return int(rng.integers(MOST_COUNT)) if seed is None else seed
+
+    def _draw(self, env: int, seed: int) -> Factors:
         config = self._config
-        seed = int(rng.integers(MOST_COUNT)) if config.seed is None else config.seed
 
         def generator(name: str) -> np.random.Generator:
             return np.random.default_rng([seed, self._streams[name]])

@@ -18,6 +18,11 @@ _STRETCH = 1.0  # [s] on average, after which it is drawn anew who plays
 _STUDENTS = 0.5  # share of the stretches that the student plays
 
 
+def observed_pedal(view: View) -> float:
+    """How far the pedal is down in the one environment, as float32: actions may arrive late."""
+    return float(view.observation[0, view.task.observation_layout["pedal"]][0])
+
+
 class Disturbed(Agent):
     """Plays in one environment what another agent would, with noise, and keeps what that was.
 
@@ -28,6 +33,7 @@ class Disturbed(Agent):
     Attributes:
         chosen: (A + 1,) of each step, without noise, in actuator units, as float32.
         played: (A + 1,) of each step, with noise, from -1 to 1, as float32.
+        pedal: () how far it was down before each step, as observed.
         start: the state before the first step.
     """
 
@@ -39,6 +45,7 @@ class Disturbed(Agent):
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
         self.played: list[NDArray[np.float32]] = []
+        self.pedal: list[float] = []
         self.start: State | None = None
         self._students_turn = False
 
@@ -53,12 +60,14 @@ class Disturbed(Agent):
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
         self.played.clear()
+        self.pedal.clear()
         self.start = None
 
     def act(self, view: View) -> Array:
         task = view.task
         if self.start is None:
             self.start = view.state.copy()
+        self.pedal.append(observed_pedal(view))
         chosen = self._agent.act(view)[0]
         # A first-order autoregressive process, whose standard deviation is sigma.
         kept = np.exp(-task.config.control_timestep / _LASTS)

@@ -32,7 +32,7 @@ from cadenza.demonstrations.recorded import (
     write_about,
 )
 from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
-from cadenza.evaluation.collecting.disturbed import Disturbed
+from cadenza.evaluation.collecting.disturbed import Disturbed, observed_pedal
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.job import Job, JobSpec, digest_of_files
 from cadenza.evaluation.songs import digest_of, facts_of
@@ -46,6 +46,7 @@ from cadenza.scene.config import SceneConfig
 from cadenza.sim.protocol import State
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.reward import key_state
+from cadenza.tasks.view import View
 
 Array = NDArray[Any]
 
@@ -151,6 +152,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
         result = play_episode(setup.task, disturbed, seed, tell)
         kept = _good(result.metrics, job)
         plan = _plan(setup, disturbed) if kept else None
+        last = setup.task.view()  # after the last step
     made = About(
         format=FORMAT,
         job=spec.as_json(),
@@ -168,7 +170,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     if plan is None:
         write_about(folder, made)
     else:
-        write(folder, made, song, _asked_for(setup, plan), _arrays(result, disturbed, plan))
+        write(folder, made, song, _asked_for(setup, plan), _arrays(result, disturbed, last, plan))
 
 
 def _disturbed(setup: Setup, noise: float, spec: EpisodeSpec) -> Disturbed:
@@ -257,7 +259,9 @@ def _nothing_drawn(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
     )
 
 
-def _arrays(result: EpisodeResult, disturbed: Disturbed, plan: SongPlan) -> dict[str, Array]:
+def _arrays(
+    result: EpisodeResult, disturbed: Disturbed, last: View, plan: SongPlan
+) -> dict[str, Array]:
     """What is recorded of an episode, see `cadenza.demonstrations.recorded`."""
     episode, start, scene = result.episode, disturbed.start, plan.scene
     assert start is not None
@@ -270,6 +274,7 @@ def _arrays(result: EpisodeResult, disturbed: Disturbed, plan: SongPlan) -> dict
     steps["key_state"][1:] = key_state(episode["key_qpos"], travel)
     steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
     steps["played"][1:] = disturbed.played
+    steps["pedal"] = [*disturbed.pedal, observed_pedal(last)]
     steps["previous_reward"][1:] = episode["reward_total"]
     steps["action"][:-1] = disturbed.chosen
     states = State.zeros(scene, 0)._replace(
