@@ -1,4 +1,3 @@
-import importlib.util
 import json
 import os
 import re
@@ -140,16 +139,6 @@ def test_some_pieces_use_the_pedal():
     held = [name for name in NAMES if score_to_goals(load_score(name), 0.05).sustain.any()]
     assert {"MoonlightOpening", "GymnopedieOpening", "FurEliseOpening"} <= set(held)
     assert "BachPreludeInCMajor" not in held
-
-
-def test_the_bundled_files_are_what_the_script_writes(tmp_path):
-    spec = importlib.util.spec_from_file_location("write_pieces", ROOT / "tools/write_pieces.py")
-    script = importlib.util.module_from_spec(spec)
-    sys.modules["write_pieces"] = script
-    spec.loader.exec_module(script)
-    script.write_pieces(tmp_path)
-    written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert written == {path.name: path.read_bytes() for path in PIECES.iterdir()}
 
 
 def test_names_may_be_written_in_any_case():
