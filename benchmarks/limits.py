@@ -27,7 +27,7 @@ from cadenza.agents.planner.plan.release_times import let_go_in_time
 from cadenza.errors import errors_in_a_line
 from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
-from cadenza.hands.jump import JumpTimes
+from cadenza.hands.reach import JumpTimes
 from cadenza.music.libraries.library import open_library
 from cadenza.music.metrics import step_metrics
 from cadenza.music.score import Score

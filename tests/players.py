@@ -8,7 +8,7 @@ from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import Dropped, Solution
 from cadenza.fingers import SIDES, Side
 from cadenza.hands.reach import Reach
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Score
 

@@ -447,7 +447,7 @@ def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
 
 @pytest.mark.parametrize("command", ["play", "plan"])
 def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
-    (here / "own.py").write_text("from cadenza.hands.shadow.hand import SHADOW as MINE")
+    (here / "own.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
     write_midi(Score((Note(0.0, 0.2, 60),)), here / "note.mid")
     hand = ["--hand", "own:MINE", "--hands", "right", "-o", f"out{'.npz' * (command == 'plan')}"]
     main([command, "note.mid", *hand, *["--no-video"] * (command == "play")])

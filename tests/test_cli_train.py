@@ -223,7 +223,7 @@ def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
-    Path("own_hand.py").write_text("from cadenza.hands.shadow.hand import SHADOW as MINE")
+    Path("own_hand.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
     hand = ["--hand", "own_hand:MINE"]
     monkeypatch.setattr(train, "asked_to_stop", at_once)
     go_on = ["train", "--resume", "run", *hand]

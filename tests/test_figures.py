@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 import cadenza
-from cadenza.hands.named import HANDS
-from cadenza.keyboards.named import KEYBOARDS, keyboard_named
+from cadenza.hands.registry import HANDS
 from cadenza.keyboards.piano import PIANO
+from cadenza.keyboards.registry import KEYBOARDS, keyboard_named
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 

@@ -1,4 +1,4 @@
-"""Fits `cadenza.hands.jump.JumpTimes` to how the jumps of a hand go in simulation.
+"""Fits `cadenza.hands.reach.JumpTimes` to how the jumps of a hand go in simulation.
 
     python tools/fit_jumps.py play jumps.jsonl --hand shadow
     python tools/fit_jumps.py fit jumps.jsonl
@@ -31,8 +31,8 @@ from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import parsed_json
 from cadenza.fingers import Finger
 from cadenza.hands.hand import Hand
-from cadenza.hands.jump import JumpTimes
-from cadenza.hands.named import hand_named
+from cadenza.hands.reach import JumpTimes
+from cadenza.hands.registry import hand_named
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig

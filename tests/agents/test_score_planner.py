@@ -44,7 +44,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import SIDES
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score

@@ -213,7 +213,7 @@ def test_no_file_makes_it_import_a_module(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "stranger.py").write_text(
-        "from pathlib import Path\nfrom cadenza.hands.shadow.hand import SHADOW as HAND\n"
+        "from pathlib import Path\nfrom cadenza.hands.shadow import SHADOW as HAND\n"
         f"Path({str(tmp_path / 'imported')!r}).touch()\n"
     )
     monkeypatch.syspath_prepend(tmp_path)

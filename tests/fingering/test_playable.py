@@ -14,7 +14,7 @@ from cadenza.fingering.players import Forearm, Players, seated
 from cadenza.fingering.search import solve
 from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.score import LETTING_GO, Note, Score
 from music_strategies import monophonic_per_key, scores

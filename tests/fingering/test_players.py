@@ -11,7 +11,7 @@ from cadenza.fingering.players import Players, seated
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, Score

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.keyboard import is_black
 from cadenza.music.libraries.library import load_score, songs

@@ -18,8 +18,7 @@ from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.fingers import Side
-from cadenza.hands.arm_allegro.figures import SPEED, TORQUE
-from cadenza.hands.arm_allegro.hand import ARM_ALLEGRO
+from cadenza.hands.arm_allegro import ARM_ALLEGRO, SPEED, TORQUE
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
 from cadenza.performing.parts import parts_of

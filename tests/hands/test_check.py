@@ -11,7 +11,7 @@ import pytest
 from cadenza import CadenzaError, SceneConfig
 from cadenza.hands.body import Actuator, Body, Coupling, Geom
 from cadenza.hands.servo import Servo
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.scene.scene import build_scene
 
 BODY, THUMB = SHADOW.body, SHADOW.fingers[0]

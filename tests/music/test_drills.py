@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.fingering.players import seated
 from cadenza.fingering.search import find_fingering
-from cadenza.hands.allegro.hand import ALLEGRO
+from cadenza.hands.allegro import ALLEGRO
 from cadenza.keyboards.mini import MINI
 from cadenza.music.etudes import DRILLS, make_etude
 from cadenza.music.libraries.library import load_score

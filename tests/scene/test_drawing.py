@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cadenza.hands.body import Geom, Link
-from cadenza.hands.shadow.hand import SHADOW
+from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing

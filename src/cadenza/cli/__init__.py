@@ -145,11 +145,11 @@ def _load_chosen(words: Sequence[str]) -> None:
         if module_of(name) is None:
             continue
         if option == "--hand":
-            from cadenza.hands.named import hand_named
+            from cadenza.hands.registry import hand_named
 
             hand_named(name)
         elif option == "--keyboard":
-            from cadenza.keyboards.named import keyboard_named
+            from cadenza.keyboards.registry import keyboard_named
 
             keyboard_named(name)
         elif option == "--learner":

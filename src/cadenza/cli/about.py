@@ -120,8 +120,8 @@ def usual_players() -> Players:
     """The hands that play unless others are chosen."""
     from cadenza.fingering.players import seated
     from cadenza.fingers import SIDES
-    from cadenza.hands.named import hand_named
-    from cadenza.keyboards.named import keyboard_named
+    from cadenza.hands.registry import hand_named
+    from cadenza.keyboards.registry import keyboard_named
 
     scene = SceneConfig()
     hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
@@ -134,8 +134,8 @@ def _installation_facts() -> dict[str, Any]:
 
     import mujoco
 
-    from cadenza.hands.named import HANDS
-    from cadenza.keyboards.named import KEYBOARDS
+    from cadenza.hands.registry import HANDS
+    from cadenza.keyboards.registry import KEYBOARDS
     from cadenza.scene.scene import build_scene
     from cadenza.sim.render import Renderer
     from cadenza.sim.threads import available_cores

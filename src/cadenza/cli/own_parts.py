@@ -18,8 +18,8 @@ class OwnParts:
 
     def import_them(self) -> None:
         """Raises: CadenzaError: there is no such hand or keyboard."""
-        from cadenza.hands.named import hand_named
-        from cadenza.keyboards.named import keyboard_named
+        from cadenza.hands.registry import hand_named
+        from cadenza.keyboards.registry import keyboard_named
 
         if self.hand is not None:
             hand_named(self.hand)

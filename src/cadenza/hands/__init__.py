@@ -1,1 +1,1 @@
-"""Hands as values: bodies, fingers, servos, what they reach. A folder for each."""
+"""Hands as values: bodies, fingers, servos, reach; a module for each."""

@@ -1,4 +1,4 @@
-"""The body of a hand as tables of links, joints and servos, and how it gets into a scene.
+"""The body of a hand as tables of links, joints and servos, and its builder for MuJoCo.
 
 The tables are the right hand's; the left hand is their mirror image in the plane x = 0 of the palm,
 but for the few figures that are given for it. Lengths in [m], masses in [kg], angles in [rad],
@@ -24,10 +24,10 @@ Colour = tuple[float, float, float, float]
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 FOREARM_RGBA = (0.27, 0.30, 0.35, 1.0)
 LINK_RGBA = (0.80, 0.82, 0.85, 1.0)
-FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey: colours are for what became of a key
+FINGERTIP_RGBA = (0.36, 0.39, 0.45, 1.0)  # grey, as pages colour keys by hits and misses
 DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
 _SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
-_TOUCHED = 1.1  # radius of the sphere in which contacts count, in radii of the tip
+_TOUCH_RADIUS = 1.1  # of the sphere in which contacts count, in radii of the tip
 
 _GEOM_TYPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -39,11 +39,11 @@ _GEOM_TYPES = {
 
 
 SERVO = "A_"
-"""What the name of a servo begins with, before that of what it moves."""
+"""Prefix of the names of servos, before the name of the joint or tendon that they move."""
 
 
 def prefix(side: Side) -> str:
-    """What the names of one hand's bodies, joints, sites and actuators begin with."""
+    """The prefix of the names of one hand's bodies, joints, sites and actuators."""
     return "rh_" if side == "right" else "lh_"
 
 
@@ -91,14 +91,14 @@ class Link:
     left_quat: Quaternion | None = None
     joint: Joint | None = None
     geoms: tuple[Geom, ...] = ()
-    """What collides."""
+    """The shapes that collide."""
     round_geoms: tuple[Geom, ...] = ()
-    """What collides instead where the fingertips are not to be primitive."""
+    """The shapes that collide instead if the fingertips are not to be primitive."""
     drawn: tuple[Geom, ...] = ()
-    """What is drawn in place of what collides."""
+    """The shapes that are drawn in place of those that collide."""
     rgba: Colour = LINK_RGBA
     hides_keys: bool = False
-    """Drawn so that one sees the keys through it."""
+    """Whether pages draw it transparent, so that one sees the keys."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Actuator:
     kp: float
     force: float
     kv: float = 0.0
-    """What of its force it takes back for each unit of speed [N m s/rad]."""
+    """Its damping [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Options:
-    """What can be chosen about the hands of a scene, as `SceneConfig` has it."""
+    """Those options of a `SceneConfig` that concern the hands."""
 
     reduced_action_space: bool
     forearm_dofs: tuple[str, ...]
@@ -137,12 +137,12 @@ class Options:
     dry_friction: bool
     touch: bool
     keyboard_half_length: float
-    """[m]"""
+    """Half the length of the keyboard [m]."""
 
 
 @dataclass(frozen=True)
 class Mount:
-    """Where the first link of an arm stands, which does not slide. Of the right arm.
+    """The place of the first link of a right arm, which does not slide.
 
     The left arm stands at the mirrored place with the same `quat`. It is a true mirror image only
     if the frame's x axis runs along the keyboard.
@@ -151,16 +151,16 @@ class Mount:
     pos: Vector
     quat: Quaternion
     home: float
-    """Where along the keyboard the hand is while all servos are at rest [m]."""
+    """The hand's place along the keyboard while all servos are at rest [m]."""
     low: float
-    """The least such place that the arm brings its hand to, in the same posture [m]."""
+    """The lowest place that the arm brings its hand to, in the same posture [m]."""
     high: float
-    """The greatest [m]."""
+    """The highest such place [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """All of a right hand with its forearm, the first link; or with an arm on a `mount`."""
+    """A right hand with its forearm, the first link; or with an arm on a `mount`."""
 
     links: tuple[Link, ...]
     actuators: tuple[Actuator, ...]
@@ -168,17 +168,17 @@ class Body:
     excluded: tuple[tuple[str, str], ...] = ()
     """Pairs of links that do not collide, beside those that are parent and child."""
     locked: tuple[str, ...] = ()
-    """Joints that the reduced action space is without."""
+    """The joints that the reduced action space leaves out."""
     reduced_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Of joints, in the reduced action space."""
+    """Ranges of joints in the reduced action space, where they differ."""
     mount: Mount | None = None
-    """Where an arm stands; None for a forearm that slides."""
+    """The mount of an arm; None for a forearm that slides."""
     mirrored_masses: bool = False
-    """Whether the left hand's masses lie as in a mirror. Those of the published hands do not."""
+    """Whether the left hand's masses are mirrored. Those of the published hands are not."""
     armature: float = 0.0002
-    """Of every joint [kg m^2], of the forearm's slides [kg]."""
+    """Rotor inertia of every joint [kg m^2], and of the forearm's slides [kg]."""
     friction_loss: float = 0.01
-    """Of every joint [N m], of the forearm's slides [N]."""
+    """Dry friction of every joint [N m], and of the forearm's slides [N]."""
     contact_solref: tuple[float, float] = (0.005, 1.0)
     contact_solimp: tuple[float, float, float, float, float] = (0.5, 0.99, 0.0001, 0.5, 2.0)
 
@@ -197,17 +197,17 @@ def add_fingertip_site(spec: mujoco.MjSpec, side: Side, finger: str, link: str, 
 
 
 def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None:
-    """Measures the normal force on a round fingertip [N].
+    """Adds a sensor of the normal force on a round fingertip [N].
 
-    What touches its link counts in and behind a sphere that is a little larger than the tip.
+    It counts contacts of the tip's link within a sphere that is a little larger than the tip.
 
     Args:
-        spec: with the hand.
-        fingertip: the name of its site.
-        radius: of the tip [m].
+        spec: the scene, with the hand.
+        fingertip: the name of the fingertip's site.
+        radius: the radius of the tip [m].
     """
     site = spec.site(fingertip)
-    site.size = np.full(3, _TOUCHED * radius)
+    site.size = np.full(3, _TOUCH_RADIUS * radius)
     spec.add_sensor(
         name=f"{fingertip}_touch",
         type=mujoco.mjtSensor.mjSENS_TOUCH,
@@ -217,12 +217,12 @@ def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None
 
 
 def mount_y(side: Side, options: Options) -> float:
-    """Where the forearm of one side is mounted along the keyboard [m]."""
+    """The place along the keyboard at which the forearm of one side is mounted [m]."""
     sign = 1.0 if side == "right" else -1.0
     return sign * options.hand_spacing / 2
 
 
-_ONE_HAND: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
+_CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
 
 
 class _Builder:
@@ -232,8 +232,8 @@ class _Builder:
         self._body, self._spec, self._side, self._options = body, spec, side, options
         self._prefix = prefix(side)
         self._locked = body.locked if options.reduced_action_space else ()
-        # Hands that play apart collide with themselves and with keys.
-        self._own = _ONE_HAND[side] if options.apart and options.hand_collisions else 0
+        # Hands that play apart collide with themselves and with keys, but not with each other.
+        self._own_bits = _CONTACT_BITS[side] if options.apart and options.hand_collisions else 0
         self._forearm_dofs = () if body.mount else options.forearm_dofs
 
     def build(self) -> None:
@@ -331,8 +331,8 @@ class _Builder:
                 body, geom,
                 group=COLLIDING_GROUP if link.drawn else DRAWN_GROUP,
                 rgba=link.rgba,
-                contype=1 | self._own,
-                conaffinity=self._own or int(self._options.hand_collisions),
+                contype=1 | self._own_bits,
+                conaffinity=self._own_bits or int(self._options.hand_collisions),
                 solref=self._body.contact_solref,
                 solimp=self._body.contact_solimp,
             )  # fmt: skip

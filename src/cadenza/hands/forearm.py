@@ -25,7 +25,7 @@ MOUNT_QUAT = (-0.5, -0.5, 0.5, 0.5)
 class ForearmJoint:
     """A slide or hinge between world and forearm with a critically damped servo of gain `kp`.
 
-    The axis is given in the forearm's frame; `mirrored` ones turn the other way on the left.
+    The axis is given in the forearm's frame; `mirrored` hinges turn the other way on the left.
     """
 
     hinge: bool
@@ -52,11 +52,11 @@ SERVOS: dict[str, Servo] = {
 
 
 def joint_range(name: str, y: float, half_length: float) -> tuple[float, float]:
-    """Range of a forearm's joint [m, rad].
+    """The range of a forearm's joint [m, rad]; "tx" reaches all of the keyboard.
 
     Args:
-        name: of `JOINTS`.
-        y: where the forearm is mounted along the keyboard [m]; it reaches all of it.
-        half_length: of the keyboard [m].
+        name: a key of `JOINTS`.
+        y: the place along the keyboard at which the forearm is mounted [m].
+        half_length: half the length of the keyboard [m].
     """
     return (-half_length - y, half_length - y) if name == "tx" else JOINTS[name].range

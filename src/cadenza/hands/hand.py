@@ -1,10 +1,13 @@
-"""What a hand is, to all that builds, simulates, fingers and plans with it."""
+"""What a hand is, to all that builds, simulates, fingers and plans with it; and its checks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import inf
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,14 +15,23 @@ import numpy as np
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
-from cadenza.hands.body import Body, Options, add_fingertip_site, add_touch_sensor
-from cadenza.hands.faults import faults_of_body, repeated, wrong_numbers
-from cadenza.hands.jump import JumpTimes
-from cadenza.hands.reach import Reach
+from cadenza.hands.body import (
+    Body,
+    Geom,
+    Link,
+    Options,
+    add_fingertip_site,
+    add_touch_sensor,
+)
+from cadenza.hands.reach import JumpTimes, Reach
 from cadenza.hands.servo import Servo
 
-MOST_FINGERS = 8
-"""The search for fingers goes through all sets of them."""
+MAX_FINGERS = 8
+"""The search for fingers enumerates all sets of them."""
+
+# Of links and geoms, how many numbers a field has.
+_LINK_NUMBERS = {"pos": 3, "com": 3, "inertia": 3, "quat": 4, "inertia_quat": 4}
+_GEOM_NUMBERS = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 
 
 @dataclass(frozen=True)
@@ -31,7 +43,7 @@ class FingerChain:
     """The rigid links, the nearest to the palm first; as many for every finger of a hand. From the
     origin of each to that of the next, and from the last to the tip, runs a capsule."""
     radii: tuple[float, ...]
-    """Of these capsules [m]; the last is that of the tip."""
+    """The radii of these capsules [m]; the last is that of the tip."""
     tip: tuple[float, float, float]
     """The centre of the end that presses, in the frame of the last link [m]."""
     on_white: float
@@ -39,7 +51,7 @@ class FingerChain:
 
     @property
     def tip_radius(self) -> float:
-        """[m]"""
+        """The radius of the tip [m]."""
         return self.radii[-1]
 
 
@@ -51,26 +63,30 @@ class Hand:
     body: Body
     """What is built into the scene."""
     fingers: tuple[FingerChain, ...]
-    """The thumb first, then its neighbours in their order; up to `MOST_FINGERS`."""
+    """The thumb first, then its neighbours in their order; up to `MAX_FINGERS`."""
     servos: Mapping[str, Servo]
     """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
     reach: Reach
     jump_times: JumpTimes = field(default_factory=JumpTimes)
     thumb_meets: int = 2
-    """How many of the fingers next to the thumb it can run into."""
+    """Number of fingers next to the thumb that it can run into."""
     start: Mapping[str, float] = field(default_factory=dict)
-    """Where joints are when an episode begins [rad]; 0 where nothing is said."""
+    """Positions of joints when an episode begins [m, rad]; 0 for those that are left out."""
     kept_apart: tuple[str, ...] = (forearm.FOREARM,)
     """The links that the reward for forearms wants to keep from those of the other hand."""
 
     def __post_init__(self) -> None:
-        """Raises: CadenzaError: its parts do not go together."""
+        """Checks that the parts go together.
+
+        Raises:
+            CadenzaError: they do not.
+        """
         for fault in _faults(self):
             raise CadenzaError(f"hand {self.name}: {fault}")
 
     @property
     def palm_links(self) -> tuple[str, ...]:
-        """What hides keys from above."""
+        """The links that hide keys from above."""
         return tuple(link.name for link in self.body.links if link.hides_keys)
 
     def add_to(self, spec: mujoco.MjSpec, side: Side, options: Options) -> tuple[str, ...]:
@@ -86,16 +102,17 @@ class Hand:
         return sites
 
     def servo(self, name: str) -> Servo:
-        """Of the hand or of its forearm, such as "FFJ3" or "forearm_tx"."""
+        """The servo of the hand or of its forearm with a name such as "FFJ3" or "forearm_tx"."""
         return self.servos[name] if name in self.servos else forearm.SERVOS[name]
 
 
 def _faults(hand: Hand) -> Iterator[str]:
-    yield from faults_of_body(hand.body)
+    """What is wrong with a hand, in a line each: what, where, and what to do."""
+    yield from _faults_of_body(hand.body)
     count = len(hand.fingers)
-    if not 0 < count <= MOST_FINGERS:
-        yield f"has {count} fingers; give 1 to {MOST_FINGERS}"
-    for name in repeated(finger.name for finger in hand.fingers):
+    if not 0 < count <= MAX_FINGERS:
+        yield f"has {count} fingers; give 1 to {MAX_FINGERS}"
+    for name in _repeated(finger.name for finger in hand.fingers):
         yield f"two fingers are named {name!r}; give each a name of its own"
     parents = {link.name: link.parent for link in hand.body.links}
     for finger in hand.fingers:
@@ -106,8 +123,7 @@ def _faults(hand: Hand) -> Iterator[str]:
         shape = {"least": (count, count), "most": (count, count)}.get(name, (count,))
         if isinstance(given, np.ndarray) and given.shape != shape:
             yield f"reach.{name} has shape {given.shape}; give {shape}"
-    if strange := [name for name in hand.kept_apart if name not in parents]:
-        yield f"kept_apart: there is no link {strange[0]!r}"
+    yield from _unknown("kept_apart", "link", hand.kept_apart, parents)
     yield from _faults_of_servos(hand)
     yield from _faults_of_start(hand)
 
@@ -132,10 +148,9 @@ def _faults_of_servos(hand: Hand) -> Iterator[str]:
 
 def _faults_of_start(hand: Hand) -> Iterator[str]:
     ranges = {link.joint.name: link.joint.range for link in hand.body.links if link.joint}
+    yield from _unknown("start", "joint", hand.start, ranges)
     for name, position in hand.start.items():
-        if name not in ranges:
-            yield f"start: there is no joint {name!r}"
-        elif not _within(position, ranges[name]):
+        if not _within(position, ranges[name]):
             yield f"start: joint {name} begins at {position}, outside its range {ranges[name]}"
     for name, limits in ranges.items():
         if name not in hand.start and not _within(0.0, limits):
@@ -149,8 +164,7 @@ def _within(position: float, limits: tuple[float, float]) -> bool:
 def _faults_of_finger(
     finger: FingerChain, thumb: FingerChain, parents: Mapping[str, str]
 ) -> Iterator[str]:
-    if unknown := [link for link in finger.links if link not in parents]:
-        yield f"finger {finger.name}: there is no link {unknown[0]!r}"
+    yield from _unknown(f"finger {finger.name}", "link", finger.links, parents)
     if len(finger.links) != len(thumb.links) or not finger.links:
         yield (
             f"finger {finger.name} has {len(finger.links)} links and {thumb.name} "
@@ -164,9 +178,109 @@ def _faults_of_finger(
             )
     if len(finger.radii) != len(finger.links):
         yield f"finger {finger.name}: give a radius for each of its {len(finger.links)} links"
-    yield from wrong_numbers(f"finger {finger.name}: tip", finger.tip, 3)
+    yield from _wrong_numbers(f"finger {finger.name}: tip", finger.tip, 3)
 
 
 def _ancestors(link: str, parents: Mapping[str, str]) -> Iterator[str]:
     while link := parents[link]:
         yield link
+
+
+def _faults_of_body(body: Body) -> Iterator[str]:
+    if not body.links:
+        yield "has no links; begin with the forearm"
+        return
+    links = [link.name for link in body.links]
+    if (body.mount is None and links[:1] != [forearm.FOREARM]) or body.links[0].parent:
+        yield f"the first link must be {forearm.FOREARM!r}, and have no parent"
+    if forearm.FOREARM not in links:
+        yield f"the link of the arm that carries the hand must be named {forearm.FOREARM!r}"
+    for name in _repeated(links):
+        yield f"two links are named {name!r}; give each a name of its own"
+    for place, link in enumerate(body.links):
+        if place and link.parent not in links[:place]:
+            yield f"link {link.name}: no link before it is named {link.parent!r}, its parent"
+        yield from _faults_of_link(link)
+    joints = [link.joint.name for link in body.links if link.joint]
+    couplings = [coupling.name for coupling in body.couplings]
+    targets = [actuator.target for actuator in body.actuators]
+    for name in _repeated([*joints, *couplings]):
+        yield f"two joints or couplings are named {name!r}; give each a name of its own"
+    for name in _repeated(targets):
+        yield f"two actuators move {name!r}; keep one"
+    moved = [target for target in targets if target in joints]
+    moved += [joint for each in body.couplings if each.name in targets for joint in each.joints]
+    for name in _repeated(moved):
+        yield f"joint {name} is moved by two actuators; keep one"
+    for coupling in body.couplings:
+        yield from _unknown(f"coupling {coupling.name}", "joint", coupling.joints, joints)
+        yield from _wrong_range(f"coupling {coupling.name}", coupling.control_range)
+    yield from _faults_of_actuators(body, {*joints, *couplings})
+    for pair in body.excluded:
+        yield from _unknown("excluded", "link", pair, links)
+    yield from _unknown("locked", "joint", body.locked, joints)
+    yield from _unknown("reduced_ranges", "joint", body.reduced_ranges, joints)
+    for name, limits in body.reduced_ranges.items():
+        yield from _wrong_range(f"reduced_ranges: joint {name}", limits)
+
+
+def _wrong_range(of: str, limits: Any) -> Iterator[str]:
+    """Says so if `limits` are anything but a smaller and a larger number."""
+    if not _are_numbers(limits, 2) or limits[0] >= limits[1]:
+        yield f"{of} has the range {limits}; give two numbers, the smaller one first"
+
+
+def _faults_of_link(link: Link) -> Iterator[str]:
+    for name, count in _LINK_NUMBERS.items():
+        yield from _wrong_numbers(f"link {link.name}: {name}", getattr(link, name), count)
+    if not 0 <= link.mass < inf:
+        yield f"link {link.name}: its mass is {link.mass}; give 0 or more"
+    if joint := link.joint:
+        yield from _wrong_numbers(f"joint {joint.name}: axis", joint.axis, 3)
+        yield from _wrong_range(f"joint {joint.name}", joint.range)
+    for geom in (*link.geoms, *link.round_geoms, *link.drawn):
+        yield from _faults_of_geom(f"link {link.name}", geom)
+
+
+def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:
+    if geom.type not in _GEOM_NUMBERS:
+        yield f"{of}: no geom of type {geom.type!r}; choose from {', '.join(_GEOM_NUMBERS)}"
+        return
+    count = _GEOM_NUMBERS[geom.type]
+    for size in (geom.size, geom.left_size):
+        if size is not None and (not _are_numbers(size, count) or min(size) <= 0):
+            numbers = "number" if count == 1 else "numbers"
+            yield f"{of}: the size of its {geom.type} is {size}; give {count} positive {numbers}"
+    yield from _wrong_numbers(f"{of}: pos of its {geom.type}", geom.pos, 3)
+    yield from _wrong_numbers(f"{of}: quat of its {geom.type}", geom.quat, 4)
+    if geom.left_quat is not None:
+        yield from _wrong_numbers(f"{of}: left_quat of its {geom.type}", geom.left_quat, 4)
+
+
+def _faults_of_actuators(body: Body, targets: set[str]) -> Iterator[str]:
+    for actuator in body.actuators:
+        if actuator.target not in targets:
+            yield f"there is no joint or coupling {actuator.target!r} for an actuator to move"
+        for name in ("kp", "force"):
+            if not (given := getattr(actuator, name)) > 0:
+                yield f"actuator of {actuator.target}: {name} is {given}; give more than 0"
+
+
+def _wrong_numbers(of: str, numbers: Any, count: int) -> Iterator[str]:
+    if not _are_numbers(numbers, count):
+        yield f"{of} is {numbers}; give {count} finite numbers"
+    elif count == 4 and not np.any(numbers):
+        yield f"{of} is {numbers}; give a quaternion (w, x, y, z), (1, 0, 0, 0) for no rotation"
+
+
+def _are_numbers(numbers: Any, count: int) -> bool:
+    return np.shape(numbers) == (count,) and bool(np.isfinite(numbers).all())
+
+
+def _unknown(of: str, kind: str, names: Iterable[str], known: Collection[str]) -> Iterator[str]:
+    if missing := sorted(set(names).difference(known)):
+        yield f"{of}: there is no {kind} {missing[0]!r}"
+
+
+def _repeated(names: Iterable[str]) -> Iterator[str]:
+    return (name for name, count in Counter(names).items() if count > 1)

@@ -1,8 +1,8 @@
-"""What the fingers of a hand reach, for whoever chooses fingers without simulating them."""
+"""What the fingers of a hand reach, and how fast it moves, for those who do not simulate it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,27 +12,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Of the F fingers of a right hand on white keys, thumb first; `tools/measure_reach.py`.
+    """The reach of the F fingers of a right hand on white keys, the thumb first.
 
     All lengths are along the keyboard [m], to the right. A left hand is its mirror image.
+    `tools/measure_reach.py` measures it.
     """
 
     rest: Array
-    """(F,) where the fingertips are when all press, from the forearm."""
+    """(F,) places of the fingertips when all press, relative to the forearm."""
     least: Array
-    """(F, F) least distances of two fingers that press; row the finger nearer the thumb."""
+    """(F, F) least distances of two fingers that press; rows are the finger nearer the thumb."""
     most: Array
     """(F, F) greatest distances."""
     outward: Array
-    """(F,) how far to the right of a fingertip that presses the forearm can be."""
+    """(F,) greatest distance of the forearm to the right of a fingertip that presses."""
     inward: Array
-    """(F,) how far to its left."""
+    """(F,) greatest distance of the forearm to the left of a fingertip that presses."""
     forearm_width: float
-    """Two forearms touch when they are nearer than this."""
+    """Distance below which two forearms touch."""
     effort: Array | float = 0.0
-    """(F,) what it costs to press with a finger, 1 for something worth avoiding once."""
+    """(F,) cost of pressing with each finger, 1 for something worth avoiding once."""
     effort_on_black: Array | float = 0.0
-    """(F,) what it costs beyond that on black keys."""
+    """(F,) additional cost of pressing black keys with each finger."""
 
     def spans(self, finger: ArrayLike, other: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
         """Whether two fingers can press two keys at once.
@@ -40,9 +41,9 @@ class Reach:
         All arguments broadcast.
 
         Args:
-            finger: that presses one key, 0 for the thumb.
-            other: that presses the other key.
-            distance: of the other key from the one, outwards: to the right for a right hand [m].
+            finger: the finger that presses one key, 0 for the thumb.
+            other: the finger that presses the other key.
+            distance: from the one key to the other, outwards: to the right for a right hand [m].
         """
         finger, other, distance = np.asarray(finger), np.asarray(other), np.asarray(distance)
         outer, inner = np.maximum(finger, other), np.minimum(finger, other)
@@ -51,5 +52,52 @@ class Reach:
 
     @property
     def num_fingers(self) -> int:
-        """F"""
+        """F, the number of fingers."""
         return len(self.rest)
+
+
+@dataclass(frozen=True)
+class JumpTimes:
+    """A model of how long a hand takes from keys to the next.
+
+    Within reach the fingers get there without it. To keys further away the hand glides: it speeds
+    up over half the way and slows down over the other half. On a chord it then comes straight down.
+    """
+
+    within_reach: float = 0.05
+    """Way that fingers cover without the hand, from keys that are released [m]."""
+    while_holding: float = 0.06
+    """Way that fingers cover without the hand, from keys that stay held [m]."""
+    glide: float = 80.0
+    """Acceleration from a single key to a single key [m/s^2]."""
+    glide_of_chord: float = 50.0
+    """Acceleration from or to a chord [m/s^2]."""
+    descent: float = 0.05
+    """Time to come down on a chord [s]."""
+    climb: float = 0.1
+    """Time in which a finger gets from a white key onto a black one [s]."""
+
+    def hurried(self, haste: float) -> JumpTimes:
+        """The same hand with `haste` times the acceleration."""
+        return replace(self, glide=haste * self.glide, glide_of_chord=haste * self.glide_of_chord)
+
+    def seconds(
+        self, way: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False
+    ) -> Array:
+        """How long before the next keys are struck the keys before have to be released [s].
+
+        0 where the fingers get there without the hand. All arguments broadcast. From rest to rest
+        over x at acceleration a takes sqrt(4 x / a).
+
+        Args:
+            way: how far the hand moves along the keyboard [m].
+            left: number of keys that it leaves together, 1 or more.
+            struck: number of keys that it strikes together, 1 or more.
+            holding: whether the keys left should be held until after the next are struck.
+        """
+        reach = np.where(holding, self.while_holding, self.within_reach)
+        beyond = np.maximum(np.asarray(way) - reach, 0.0)
+        single = (np.asarray(left) == 1) & (np.asarray(struck) == 1)
+        glide = np.where(single, self.glide, self.glide_of_chord)
+        descent = np.where(np.asarray(struck) > 1, self.descent, 0.0)
+        return np.where(beyond > 0, np.sqrt(4 * beyond / glide) + descent, 0.0)

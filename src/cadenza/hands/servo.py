@@ -11,20 +11,20 @@ class Servo:
     """A servo as inverse kinematics, sampling and learning see it; in its own units [m, rad]."""
 
     rest: float = 0.0
-    """Where it is while its hand is at ease over the keys."""
+    """Its position while its hand is at ease over the keys."""
     ease: float = 0.5
-    """How far from rest counts as one."""
+    """Scale of its distance from rest: the distance that costs 1."""
     acceleration: float = 160.0
-    """Which acceleration counts as one [m/s^2, rad/s^2]."""
+    """Scale of its acceleration: the acceleration that costs 1 [m/s^2, rad/s^2]."""
     stride: float = 0.4
-    """The most that an iteration of inverse kinematics moves it."""
+    """Largest step of an iteration of inverse kinematics."""
     noise: float = 0.08
-    """Standard deviation of the candidates that a planner tries around its plan."""
+    """Standard deviation of the candidates that a planner samples around its plan."""
     travel: float = math.inf
-    """The most that a policy without a plan moves it from rest."""
+    """Largest distance from rest to which a policy without a plan moves it."""
     correction: float = 0.25
-    """The most that a residual policy corrects it."""
+    """Largest correction by a residual policy."""
     lift: float = 0.0
-    """What frees a hand that is caught between keys, if it is added for a moment."""
+    """Motion that frees a hand caught between keys, if it is added for a moment."""
     finger: int | None = None
-    """The finger that it moves, 0 for the thumb; None if it moves the whole hand."""
+    """Index of the finger that it moves, 0 for the thumb; None if it moves the whole hand."""

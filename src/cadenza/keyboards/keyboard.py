@@ -22,7 +22,7 @@ Colour = tuple[float, float, float, float]
 
 _BLACK_IN_OCTAVE = (1, 3, 6, 8, 10)  # counted from C
 _WHITE_FROM_A = {9: 0, 11: 1, 0: 2, 2: 3, 4: 4, 5: 5, 7: 6}  # by place in the octave from C
-# Of white keys A B C D E F G: how many white keys of its group of black keys came before.
+# For white keys A to G: the number of white keys before it in its group of black keys.
 _FROM_GROUP_START = np.array([2, 0, 0, 1, 0, 0, 1])
 
 
@@ -35,42 +35,42 @@ class KeyShape:
     centre_z: float
     mass: float
     dip: float
-    """How far the player's end goes down."""
+    """Depth to which the player's end goes down [m]."""
     rgba: Colour
 
     @property
     def travel(self) -> float:
-        """Angle from rest to stop [rad]."""
+        """The angle from rest to stop [rad]."""
         return float(np.arctan2(self.dip, 2 * self.half_size[0]))
 
     @property
     def top(self) -> float:
-        """Height of its upper face [m]."""
+        """The height of its upper face [m]."""
         return self.centre_z + self.half_size[2]
 
 
 @dataclass(frozen=True)
 class KeySpring:
-    """What brings a key back up."""
+    """The spring that brings a key back up."""
 
     stiffness: float
-    """[N m/rad]"""
+    """Torque per angle [N m/rad]."""
     reference: float
-    """Angle at which it would be slack [rad]."""
+    """Angle at which the spring would be slack [rad]."""
     damping: float
-    """[N m s/rad]"""
+    """Torque per speed [N m s/rad]."""
     armature: float
-    """[kg m^2]"""
+    """Additional inertia of the hinge [kg m^2]."""
 
 
 @dataclass(frozen=True)
 class KeyServo:
-    """What moves a key of a piano that plays itself."""
+    """The servo of a key of a piano that plays itself."""
 
     stiffness: float
-    """[N m/rad]"""
+    """Torque per angle [N m/rad]."""
     damping: float
-    """[N m s/rad]"""
+    """Torque per speed [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +92,11 @@ class Keyboard:
     lowest_pitch: int
     """MIDI number of key 0, which is white."""
     num_keys: int
-    """K"""
+    """K, the number of keys."""
     white: KeyShape
     black: KeyShape
     gap: float
-    """Between white keys [m]."""
+    """Gap between white keys [m]."""
     spring: KeySpring
     servo: KeyServo
     base: Base
@@ -106,7 +106,11 @@ class Keyboard:
     """MuJoCo's time constant and damping ratio of contacts with keys."""
 
     def __post_init__(self) -> None:
-        """Raises: CadenzaError: there can be no such keyboard."""
+        """Checks the figures.
+
+        Raises:
+            CadenzaError: there can be no such keyboard.
+        """
         for fault in _faults(self):
             raise CadenzaError(f"keyboard {self.name}: {fault}")
 
@@ -114,7 +118,7 @@ class Keyboard:
 
     @property
     def pitches(self) -> range:
-        """MIDI numbers of the keys."""
+        """The MIDI numbers of the keys."""
         return range(self.lowest_pitch, self.lowest_pitch + self.num_keys)
 
     @cached_property
@@ -123,19 +127,19 @@ class Keyboard:
         return np.isin(np.array(self.pitches) % 12, _BLACK_IN_OCTAVE)
 
     def shape(self, key: int) -> KeyShape:
-        """Of one key."""
+        """The shape of one key."""
         return self.black if self.is_black[key] else self.white
 
     # Where the keys lie and how they move
 
     @property
     def spacing(self) -> float:
-        """From one white key's centre to the next [m]."""
+        """The distance from one white key's centre to the next [m]."""
         return 2 * self.white.half_size[1] + self.gap
 
     @property
     def half_length(self) -> float:
-        """From the middle to either end [m]."""
+        """The distance from the middle to either end [m]."""
         whites = self._num_whites
         return (whites * (2 * self.white.half_size[1]) + (whites - 1) * self.gap) / 2
 
@@ -145,18 +149,18 @@ class Keyboard:
 
     @cached_property
     def half_size(self) -> Array:
-        """(K, 3) of the keys' boxes [m]."""
+        """(K, 3) half sizes of the keys' boxes [m]."""
         return np.array([self.shape(k).half_size for k in range(self.num_keys)])
 
     @cached_property
     def centre(self) -> Array:
-        """(K, 3) of the keys' boxes at rest [m]."""
+        """(K, 3) centres of the keys' boxes at rest [m]."""
         shapes = [self.shape(k) for k in range(self.num_keys)]
         x, z = [shape.centre_x for shape in shapes], [shape.centre_z for shape in shapes]
         return np.stack([x, self._y(), z], axis=1)
 
     def _y(self) -> Array:
-        """(K,) where the keys lie along the keyboard [m], summed in the published order.
+        """(K,) places of the keys along the keyboard [m], summed in the published order.
 
         Black keys stand where the white key to their right begins, counted from the first white
         key of their group of two or three; where that is not on the keyboard, in the middle of the
@@ -173,7 +177,7 @@ class Keyboard:
 
     @cached_property
     def grid_y(self) -> Array:
-        """(K,) along the keyboard as if black keys stood halfway between white ones [m]."""
+        """(K,) places along the keyboard as if black keys stood halfway between white ones [m]."""
         place = np.cumsum(~self.is_black) - 1 + 0.5 * self.is_black
         return self.spacing * (place - (self._num_whites - 1) / 2)
 
@@ -189,13 +193,13 @@ class Keyboard:
 
     @cached_property
     def holding_torque(self) -> Array:
-        """(K,) what holds each key at its stop against its spring [N m]."""
+        """(K,) torque that holds each key at its stop against its spring [N m]."""
         return self.spring.stiffness * (self.travel - self.spring.reference)
 
     # The scene
 
     def key_name(self, key: int) -> str:
-        """Name of the key's body; its joint and geom carry the same name."""
+        """The name of the key's body, joint and geom."""
         return f"{'black' if self.is_black[key] else 'white'}_key_{key}"
 
     def add_to(self, spec: mujoco.MjSpec, keys: range, actuated: bool) -> None:

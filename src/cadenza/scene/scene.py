@@ -17,9 +17,9 @@ from cadenza.fingers import SIDES, Fingers, Side
 from cadenza.hands import forearm
 from cadenza.hands.body import Options, prefix
 from cadenza.hands.hand import Hand
-from cadenza.hands.named import hand_named
+from cadenza.hands.registry import hand_named
 from cadenza.keyboards.keyboard import Keyboard
-from cadenza.keyboards.named import keyboard_named
+from cadenza.keyboards.registry import keyboard_named
 from cadenza.scene.cameras import add_cameras
 from cadenza.scene.config import SceneConfig
 

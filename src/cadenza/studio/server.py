@@ -21,7 +21,7 @@ from cadenza.agents.registry import PLANNER
 from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import checked, parsed_json
-from cadenza.hands.named import HANDS
+from cadenza.hands.registry import HANDS
 from cadenza.music.formats.reading import check_format
 from cadenza.studio.jobs import Job, Jobs
 from cadenza.studio.limits import MOST_BYTES

@@ -37,7 +37,7 @@ from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.job import Job, JobSpec, digest_of_files
 from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.files import write_json
-from cadenza.keyboards.named import keyboard_named
+from cadenza.keyboards.registry import keyboard_named
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.songs import Library
 from cadenza.music.score import MIRROR, Score

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.control_steps import steps_in
 from cadenza.fingers import NO_FINGER, SIDES, Fingers, Side
-from cadenza.hands.jump import JumpTimes
+from cadenza.hands.reach import JumpTimes
 
 Ids = NDArray[np.intp]
 Key = int | Ids

@@ -1,9 +1,9 @@
-"""The body of an Allegro Hand on a KUKA LBR iiwa 7 R800.
+"""The Allegro Hand on a seven-joint arm, a KUKA LBR iiwa 7 R800, beside the keyboard.
 
 Figures of the arm from `iiwa7_allegro.urdf` in the PyPI package differentiable-robot-model 0.2.3
 (copyright Facebook, Inc. and its affiliates, MIT License): links, masses, inertias, joint limits,
-speeds, torques, and how the hand sits on the flange. The hand is that of
-`cadenza.hands.allegro.figures`. Shapes, servos and where the arm stands are Cadenza's own.
+speeds, torques, and how the hand sits on the flange. Shapes, servos and where the arm stands are
+Cadenza's own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from cadenza.hands import forearm
-from cadenza.hands.allegro.figures import BODY as ALLEGRO
+from cadenza.hands.allegro import ALLEGRO
 from cadenza.hands.body import (
     FOREARM_RGBA,
     IDENTITY,
@@ -29,11 +29,12 @@ from cadenza.hands.body import (
     Quaternion,
     Vector,
 )
+from cadenza.hands.servo import Servo
 
 SPEED = 10.0
-"""No joint of the arm turns faster [rad/s]."""
+"""Speed limit of the arm's joints [rad/s]."""
 TORQUE = 300.0
-"""No motor of the arm pulls harder [N m]."""
+"""Torque limit of the arm's motors [N m]."""
 
 _DAMPING = 0.5  # [N m s/rad]
 _HALF = float(np.sqrt(0.5))
@@ -108,22 +109,22 @@ _PARTS = (
 
 _FLANGE_TO_PALM: Vector = (0, 0, 0.145)
 # Two arms have room side by side, and either reaches past the middle of the keyboard.
-MOUNT = Mount(pos=(0.72, 0.2, 0.0), quat=(_HALF, 0.0, 0.0, _HALF), home=0.2, low=-0.42, high=0.62)
+_MOUNT = Mount(pos=(0.72, 0.2, 0.0), quat=(_HALF, 0.0, 0.0, _HALF), home=0.2, low=-0.42, high=0.62)
 
-BASE = "arm0"
-NAMES = (*(f"arm{number}" for number in range(1, 7)), forearm.FOREARM)
-JOINTS = tuple(f"armJ{number}" for number in range(1, 8))
+_BASE = "arm0"
+_LINKS = (*(f"arm{number}" for number in range(1, 7)), forearm.FOREARM)
+_JOINTS = tuple(f"armJ{number}" for number in range(1, 8))
 
 
 def _arm() -> tuple[Link, ...]:
     base = Link(
-        BASE, "", (0, 0, 0), 5.0, (-0.1, 0, 0.07), (0.05, 0.06, 0.03),
+        _BASE, "", (0, 0, 0), 5.0, (-0.1, 0, 0.07), (0.05, 0.06, 0.03),
         geoms=(Geom("cylinder", (0.085, 0.07), (0, 0, 0.07)),), rgba=FOREARM_RGBA,
     )  # fmt: skip
     chain = [
         _link(name, parent, joint, part)
         for (parent, name), joint, part in zip(
-            pairwise((BASE, *NAMES)), JOINTS, _PARTS, strict=True
+            pairwise((_BASE, *_LINKS)), _JOINTS, _PARTS, strict=True
         )
     ]
     return base, *chain
@@ -151,9 +152,9 @@ def _principal(moments: Vector, products: Vector) -> tuple[Vector, Quaternion]:
     return (a, b, c), (w, x, y, z)
 
 
-_HAND = [link for link in ALLEGRO.links if link.name != forearm.FOREARM]
+_HAND = [link for link in ALLEGRO.body.links if link.name != forearm.FOREARM]
 
-BODY = Body(
+_BODY = Body(
     links=(
         *_arm(),
         *(
@@ -164,13 +165,35 @@ BODY = Body(
     actuators=(
         *(
             Actuator(joint, part.kp, TORQUE, part.kv)
-            for joint, part in zip(JOINTS, _PARTS, strict=True)
+            for joint, part in zip(_JOINTS, _PARTS, strict=True)
         ),
-        *ALLEGRO.actuators,
+        *ALLEGRO.body.actuators,
     ),
-    excluded=((BASE, NAMES[0]), *ALLEGRO.excluded),
-    mount=MOUNT,
+    excluded=((_BASE, _LINKS[0]), *ALLEGRO.body.excluded),
+    mount=_MOUNT,
     mirrored_masses=True,
-    armature=ALLEGRO.armature,
-    friction_loss=ALLEGRO.friction_loss,
+    armature=ALLEGRO.body.armature,
+    friction_loss=ALLEGRO.body.friction_loss,
+)
+
+
+# What the search for fingers, planners and learners need to know
+
+# The palm where that of a forearm at rest is: 13 cm above the table, fingers 11 degrees down.
+_HOME = (1.5708, 1.0006, 0.0, -1.8316, 0.0, -1.0614, 0.0)
+# Which acceleration of a joint moves the hand by about 3 m/s^2.
+_ACCELERATION = (5.0, 5.0, 8.0, 8.0, 12.0, 12.0, 12.0)
+
+ARM_ALLEGRO = replace(
+    ALLEGRO,
+    name="arm-allegro",
+    body=_BODY,
+    servos={
+        joint: Servo(
+            rest, ease=0.15, acceleration=acceleration, stride=0.1, noise=0.005, correction=0.03
+        )
+        for joint, rest, acceleration in zip(_JOINTS, _HOME, _ACCELERATION, strict=True)
+    }
+    | dict(ALLEGRO.servos),
+    start=dict(ALLEGRO.start) | dict(zip(_JOINTS, _HOME, strict=True)),
 )

@@ -1,4 +1,4 @@
-"""The keyboards that there are, by name."""
+"""Keyboards by name."""
 
 from __future__ import annotations
 
@@ -16,5 +16,9 @@ KEYBOARDS = Registry(
 
 
 def keyboard_named(name: str) -> Keyboard:
-    """Raises: CadenzaError: there is no such keyboard."""
+    """The keyboard called `name`.
+
+    Raises:
+        CadenzaError: there is no such keyboard.
+    """
     return KEYBOARDS.load(name, Keyboard)

@@ -1,0 +1,30 @@
+"""Hands by name."""
+
+from __future__ import annotations
+
+from cadenza.hands.hand import Hand
+from cadenza.registry import Entry, Registry
+
+HANDS = Registry(
+    "hand",
+    "cadenza.hands",
+    {
+        "shadow": Entry("cadenza.hands.shadow:SHADOW", "the Shadow Dexterous Hand"),
+        "allegro": Entry("cadenza.hands.allegro:ALLEGRO", "the Allegro Hand, four fingers"),
+        "allegro-narrow": Entry(
+            "cadenza.hands.allegro:ALLEGRO_NARROW", "the Allegro hand with tips half as wide"
+        ),
+        "arm-allegro": Entry(
+            "cadenza.hands.arm_allegro:ARM_ALLEGRO", "the Allegro Hand on a seven-joint arm"
+        ),
+    },
+)
+
+
+def hand_named(name: str) -> Hand:
+    """The hand called `name`.
+
+    Raises:
+        CadenzaError: there is no such hand.
+    """
+    return HANDS.load(name, Hand)

@@ -1,1 +1,0 @@
-"""The Shadow Dexterous Hand: five fingers, of which four have their last joints coupled."""
