@@ -41,7 +41,7 @@ ALLOWED = {
     ("fingering/difficulty.py", 10): "the hardest grade",
     ("fingering/changes.py", 5): "kinds of changes",
     ("music/etudes/drills.py", 5): "degrees of a sixth",
-    ("music/etudes/etude.py", 10): "grades of difficulty; steps a second",
+    ("music/etudes/library.py", 10): "grades of difficulty; steps a second",
     ("music/etudes/keys.py", 5): "semitones of scales; flats",
     ("music/etudes/keys.py", 10): "semitones of scales",
     ("learning/config.py", 10): "gradient steps",

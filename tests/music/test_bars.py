@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
 from cadenza.music.bars import bar_at, places
-from cadenza.music.etudes.etude import KINDS, make_etude
+from cadenza.music.etudes.library import KINDS, make_etude
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.formats.written_score import WrittenScore

@@ -38,7 +38,7 @@ def etude(command: Etude) -> None:
     import numpy as np
 
     from cadenza.configs import MOST_SEED, whole_number
-    from cadenza.music.etudes.etude import etude_name, make_etude
+    from cadenza.music.etudes.library import etude_name, make_etude
     from cadenza.music.formats.midi import write_midi
 
     if command.output is not None:

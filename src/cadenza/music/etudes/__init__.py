@@ -1,6 +1,6 @@
 """Practice pieces without end, drawn from a seed."""
 
 from cadenza.music.etudes.drills import DRILLS
-from cadenza.music.etudes.etude import KINDS, etude, etude_names, make_etude
+from cadenza.music.etudes.library import KINDS, etude, etude_names, make_etude
 
 __all__ = ["DRILLS", "KINDS", "etude", "etude_names", "make_etude"]

@@ -1,4 +1,4 @@
-"""Two voices against each other: note against note, then two or four notes against one."""
+"""Counterpoint of two voices: first species, then two or four notes against one."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ from itertools import pairwise
 
 import numpy as np
 
-from cadenza.music.etudes.choice import FORBIDDEN, Costs, cheapest, fancy
 from cadenza.music.etudes.keys import STEPS, Form
 from cadenza.music.etudes.sheet import PHRASE, Sheet, Tone
-from cadenza.music.etudes.voices import (
+from cadenza.music.etudes.voice_leading import (
+    FORBIDDEN,
+    Costs,
     Pitches,
     are_hidden,
     are_parallel,
-    is_awkward,
+    cheapest_sequence,
+    is_awkward_leap,
     is_consonant,
     is_perfect,
+    random_costs,
 )
 
 _RANGE = np.arange(-3, 6)  # degrees around the tonics on which both voices end
 _LOW, _HIGH = _RANGE - STEPS, STEPS - _RANGE[::-1]
-_INTERVALS = np.array([60, 0, 15, 40, 80])  # what it costs to move so many degrees
-_SIMILAR = 40  # both voices in one direction
-_REPEATED = 500  # the faster voice stays
-_FANCY = 100
+_INTERVAL_COSTS = np.array([60, 0, 15, 40, 80])  # by degrees: seconds are cheapest
+_SIMILAR = 40  # cost of both voices moving in one direction
+_REPEATED = 500  # cost of a repeated note in the faster voice
+_RANDOM = 100  # largest random cost of a note
+_FIRST_SPECIES, _SECOND_SPECIES = 3, 6  # difficulties up to which there are 1 and 2 notes against 1
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,10 @@ class _Pair:
 
 def counterpoint(sheet: Sheet) -> Iterator[Tone]:
     """The voices take turns to move faster where there are more notes against one."""
-    against = 1 if sheet.difficulty <= 3 else 2 if sheet.difficulty <= 6 else 4
+    easy, moderate = (sheet.difficulty <= at_most for at_most in (_FIRST_SPECIES, _SECOND_SPECIES))
+    against = 1 if easy else 2 if moderate else 4
     per_phrase = PHRASE * sheet.bar // against
-    pairs = _note_against_note(sheet, (sheet.length - sheet.bar) // against + 1, per_phrase)
+    pairs = _first_species(sheet, (sheet.length - sheet.bar) // against + 1, per_phrase)
     *moving, last = pairs
     yield Tone(sheet.length - sheet.bar, sheet.bar, sheet.key.pitch(last.low, last.form))
     yield Tone(sheet.length - sheet.bar, sheet.bar, sheet.key.pitch(last.high, last.form))
@@ -56,14 +61,15 @@ def counterpoint(sheet: Sheet) -> Iterator[Tone]:
             yield Tone(at + i, 1, pitch)
 
 
-def _note_against_note(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
+def _first_species(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]:
+    """Note against note: the pairs on which the faster voice is built."""
     low, high = (grid.ravel() for grid in np.meshgrid(_LOW, _HIGH, indexing="ij"))
     forms: list[Form] = ["natural"] * count
     forms[-2] = "melodic"
     pitches = [(_pitches(sheet, low, form), _pitches(sheet, high, form)) for form in forms]
     costs = []
     for i, (below, above) in enumerate(pitches):
-        cost = fancy(sheet.rng, len(low), _FANCY)
+        cost = random_costs(sheet.rng, len(low), _RANDOM)
         cost[~is_consonant(below, above)] = FORBIDDEN
         if (i + 1) % per_phrase == 0:  # phrases end with an open sound
             cost[~is_perfect(below, above)] = FORBIDDEN
@@ -73,8 +79,8 @@ def _note_against_note(sheet: Sheet, count: int, per_phrase: int) -> list[_Pair]
     into = (low == 1 - STEPS) & (high == STEPS - 1) | (low == -1 - STEPS) & (high == STEPS + 1)
     costs[-2][~into] = FORBIDDEN
     costs[-1][~(tonic & (high == STEPS))] = FORBIDDEN
-    steps = [_moves(low, high, *now, *then) for now, then in pairwise(pitches)]
-    chosen = cheapest(costs, steps)
+    steps = [_pair_costs(low, high, *now, *then) for now, then in pairwise(pitches)]
+    chosen = cheapest_sequence(costs, steps)
     return [_Pair(int(low[c]), int(high[c]), form) for c, form in zip(chosen, forms, strict=True)]
 
 
@@ -82,11 +88,11 @@ def _pitches(sheet: Sheet, degrees: Pitches, form: Form) -> Pitches:
     return np.array([sheet.key.pitch(int(degree), form) for degree in degrees])
 
 
-def _moves(
+def _pair_costs(
     low: Pitches, high: Pitches, below: Pitches, above: Pitches, then_below: Pitches, then: Pitches
 ) -> Costs:
-    """(n, n) from a pair of notes to another, given by degrees and by pitches."""
-    cost = _leading(low, below, then_below) + _leading(high, above, then)
+    """(n, n) costs of going from a pair of notes to another, given by degrees and by pitches."""
+    cost = _melodic_costs(low, below, then_below) + _melodic_costs(high, above, then)
     voices = below[:, None], above[:, None], then_below, then
     cost += _SIMILAR * ((then_below - below[:, None]) * (then - above[:, None]) > 0)
     wrong = are_parallel(*voices) | are_hidden(*voices)
@@ -94,12 +100,12 @@ def _moves(
     return np.where(wrong, FORBIDDEN, cost)
 
 
-def _leading(degrees: Pitches, pitches: Pitches, then: Pitches) -> Costs:
-    """(n, n) of one voice alone."""
+def _melodic_costs(degrees: Pitches, pitches: Pitches, then: Pitches) -> Costs:
+    """(n, n) costs of the intervals of one voice."""
     moved = degrees - degrees[:, None]
-    far = np.abs(moved)
-    cost = _INTERVALS[np.minimum(far, len(_INTERVALS) - 1)]
-    wrong = (far >= len(_INTERVALS)) | is_awkward(moved, then - pitches[:, None])
+    interval = np.abs(moved)
+    cost = _INTERVAL_COSTS[np.minimum(interval, len(_INTERVAL_COSTS) - 1)]
+    wrong = (interval >= len(_INTERVAL_COSTS)) | is_awkward_leap(moved, then - pitches[:, None])
     return np.where(wrong, FORBIDDEN, cost)
 
 
@@ -110,26 +116,26 @@ def _florid(sheet: Sheet, phrase: Sequence[_Pair], upper: bool, against: int) ->
     for i, pair in enumerate(phrase):
         notes = against if pair is not phrase[-1] else 1
         for k in range(notes):
-            cost = fancy(sheet.rng, len(degrees), _FANCY)
+            cost = random_costs(sheet.rng, len(degrees), _RANDOM)
             if k == 0:
                 cost[degrees != (pair.high if upper else pair.low)] = FORBIDDEN
             costs.append(cost)
             then = pair if k + 1 < notes else phrase[min(i + 1, len(phrase) - 1)]
-            steps.append(_florid_moves(sheet, degrees, upper, pair, then))
-    chosen = cheapest(costs, steps[:-1])[:-1]
+            steps.append(_florid_costs(sheet, degrees, upper, pair, then))
+    chosen = cheapest_sequence(costs, steps[:-1])[:-1]
     return [
         sheet.key.pitch(int(degrees[c]), phrase[i // against].form) for i, c in enumerate(chosen)
     ]
 
 
-def _florid_moves(sheet: Sheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair) -> Costs:
-    """(n, n) from a note over (or below) the held one of `now` to one over that of `then`."""
+def _florid_costs(sheet: Sheet, degrees: Pitches, upper: bool, now: _Pair, then: _Pair) -> Costs:
+    """(n, n) costs of going from a note against the held one of `now` to one against `then`'s."""
     pitches, will = _pitches(sheet, degrees, now.form), _pitches(sheet, degrees, then.form)
     held, held_then = (
         _pitches(sheet, np.array([pair.low if upper else pair.high]), pair.form)
         for pair in (now, then)
     )
-    cost = _leading(degrees, pitches, will)
+    cost = _melodic_costs(degrees, pitches, will)
     by_step = np.abs(degrees - degrees[:, None]) == 1
     before, after = _sorted(held, pitches[:, None]), _sorted(held_then, will)
     free = is_consonant(*before) & is_consonant(*after)

@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from cadenza.music.etudes.choice import FORBIDDEN, Costs, cheapest, fancy
 from cadenza.music.etudes.keys import STEPS, Form
+from cadenza.music.etudes.voice_leading import FORBIDDEN, Costs, cheapest_sequence, random_costs
 
 TONIC, SUPERTONIC, MEDIANT, SUBDOMINANT, DOMINANT, SUBMEDIANT, LEADING = range(STEPS)
 _TRIAD = (0, 2, 4)
-# Of functional harmony: tonic, then subdominants, then dominants, then tonic.
-_FOLLOW = {
+# Functional harmony: from the tonic to subdominants, to dominants, to the tonic.
+_SUCCESSORS = {
     TONIC: (SUPERTONIC, MEDIANT, SUBDOMINANT, DOMINANT, SUBMEDIANT),
     SUPERTONIC: (DOMINANT, LEADING),
     MEDIANT: (SUBDOMINANT, SUBMEDIANT),
@@ -22,10 +22,10 @@ _FOLLOW = {
     SUBMEDIANT: (SUPERTONIC, SUBDOMINANT),
     LEADING: (TONIC,),
 }
-_RARE = 60  # cost of the mediant and of the leading note's diminished triad
-_COMMON = 40  # cost of tonic and dominant, which end phrases
+_RARE = 60  # additional cost of the mediant and of the leading note's diminished triad
+_COMMON = 40  # additional cost of tonic and dominant, which end phrases
 _SAME = 150  # cost of staying on a chord
-_FANCY = 100
+_RANDOM = 100  # largest random cost of a chord
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Chord:
 
     @property
     def form(self) -> Form:
-        """Of the minor scale over it: dominants have a leading note."""
+        """The form of the minor scale over it: dominants have a leading note."""
         return "melodic" if self.root in (DOMINANT, LEADING) else "natural"
 
     def has(self, degree: int) -> bool:
@@ -44,27 +44,28 @@ class Chord:
         return (degree - self.root) % STEPS in _TRIAD
 
     def tone(self, index: int) -> int:
-        """The degree of its tones from the lowest: 0 the root, 3 an octave above."""
+        """The degree of one of its tones: `index` 0 is the root, 3 the root an octave above."""
         octave, place = divmod(index, len(_TRIAD))
         return self.root + STEPS * octave + _TRIAD[place]
 
     def nearest(self, degree: int) -> int:
         """The index of the tone nearest to a degree."""
-        around = 3 * ((degree - self.root) // STEPS)
-        return min(range(around, around + 4), key=lambda i: abs(self.tone(i) - degree))
+        below = len(_TRIAD) * ((degree - self.root) // STEPS)
+        return min(range(below, below + len(_TRIAD) + 1), key=lambda i: abs(self.tone(i) - degree))
 
 
 @cache
-def _follow() -> Costs:
+def _transition_costs() -> Costs:
+    """(7, 7) costs of going from a chord to the next."""
     costs = np.full((STEPS, STEPS), FORBIDDEN)
-    for chord, others in _FOLLOW.items():
+    for chord, others in _SUCCESSORS.items():
         costs[chord, list(others)] = 0
         costs[chord, chord] = _SAME
     return costs
 
 
 def progression(rng: np.random.Generator, phrases: int, length: int) -> list[Chord]:
-    """`phrases` of `length` chords: the last ends with V - I, those before it on V or I."""
+    """A progression of phrases of `length` chords; the last ends with V - I, others on V or I."""
     count = phrases * length
     fixed = {0: TONIC}
     for end in range(length - 1, count, length):
@@ -72,10 +73,10 @@ def progression(rng: np.random.Generator, phrases: int, length: int) -> list[Cho
         fixed |= {end: DOMINANT} if half else {end - 1: DOMINANT, end: TONIC}
     costs = []
     for i in range(count):
-        cost = fancy(rng, STEPS, _FANCY)
+        cost = random_costs(rng, STEPS, _RANDOM)
         cost[[MEDIANT, LEADING]] += _RARE
         cost[[TONIC, DOMINANT]] += _COMMON
         if i in fixed:
             cost[np.arange(STEPS) != fixed[i]] = FORBIDDEN
         costs.append(cost)
-    return [Chord(root) for root in cheapest(costs, [_follow()] * (count - 1))]
+    return [Chord(root) for root in cheapest_sequence(costs, [_transition_costs()] * (count - 1))]

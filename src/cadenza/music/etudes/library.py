@@ -1,28 +1,179 @@
-"""Etudes as a song library: `etudes:N`, `etudes:N:SEED`, or `etudes:KIND-DIFFICULTY:N`."""
+"""Etudes by kind, difficulty and seed; also as a song library.
+
+The names of libraries are `etudes:N`, `etudes:N:SEED`, and `etudes:KIND-DIFFICULTY:N`.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+import zlib
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
+import numpy as np
+
+from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError
-from cadenza.music.etudes.etude import (
-    LIBRARY,
-    etude,
-    etude_name,
-    etude_names,
-    kind_difficulty_seed,
+from cadenza.music.etudes.chorale import chorale
+from cadenza.music.etudes.counterpoint import counterpoint
+from cadenza.music.etudes.drills import DRILLS, drill
+from cadenza.music.etudes.homophony import (
+    alberti,
+    arpeggios,
+    broken_chords,
+    leaps,
+    repeated_notes,
+    trills,
 )
+from cadenza.music.etudes.keys import random_key
+from cadenza.music.etudes.scales import hanon, scales
+from cadenza.music.etudes.sheet import Sheet, Tone
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import Score
 
-_SOME = 100
-_WHICH = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
-_ALIKE = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
+HARDEST = 10
+"""The highest difficulty of an etude; the lowest is 1."""
+LIBRARY = "etudes"
+"""The name of the library, with which the names of its etudes begin."""
+_TEMPI = range(50, 141)  # [beats / min] preferred tempi
+_USUAL_TEMPO = 90  # [beats / min] that etudes come near to if none is among the preferred
+_TEMPO_VARIATION = 0.08  # share by which tempi differ at random
+_DEFAULT_COUNT = 100
 
 
-def etude_library(which: str = str(_SOME)) -> Library:
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of etude: how it is written, and its steps a second at difficulties 1 and 10."""
+
+    title: str
+    write: Callable[[Sheet], Iterator[Tone]]
+    slowest: float
+    fastest: float
+    divisions: tuple[int, ...] = (1, 2, 4)
+    metres: tuple[int, ...] = (4,)
+
+
+_KINDS = {
+    "scales": _Kind("Scales", scales, 1.5, 10),
+    "arpeggios": _Kind("Arpeggios", arpeggios, 1.3, 8, (1, 2, 3, 4)),
+    "broken-chords": _Kind("Broken chords", broken_chords, 1.4, 8),
+    "hanon": _Kind("Finger exercise", hanon, 1.5, 9),
+    "alberti": _Kind("Alberti bass", alberti, 1.6, 8),
+    "chorale": _Kind("Chorale", chorale, 1.2, 4, (2,)),
+    "counterpoint": _Kind("Counterpoint", counterpoint, 0.8, 6),
+    "leaps": _Kind("Leaps", leaps, 1, 6, (1, 2), (3, 4)),
+    "trills": _Kind("Trills", trills, 2.5, 11, (2, 4)),
+    "repeated-notes": _Kind("Repeated notes", repeated_notes, 1.5, 8),
+}
+KINDS = tuple(_KINDS)
+"""Kinds of etudes for two hands; those for one are `DRILLS`."""
+_ETUDE_NAME = re.compile(rf"{LIBRARY}/([a-z-]+)-(\d{{1,9}})-(\d{{1,39}})", re.ASCII)
+_COUNT_AND_SEED = re.compile(r"\d{1,9}(:\d{1,9})?", re.ASCII)
+_OF_ONE_KIND = re.compile(r"([a-z-]+-\d{1,9}):([1-9]\d{0,5})", re.ASCII)
+
+
+def make_etude(kind: str, difficulty: int, seed: int) -> Score:
+    """An etude of 15 to 40 s for two hands, or a drill for one; the same for the same arguments.
+
+    No note has a finger.
+
+    Args:
+        kind: one of `KINDS` or `DRILLS`.
+        difficulty: 1 to 10: tempo, range, accidentals, how much the hands do at once; of a drill,
+            how many notes or chords there are.
+        seed: of all that is random: key, tempo, chords, lines.
+
+    Raises:
+        CadenzaError: there is no such kind, difficulty or seed.
+    """
+    kind, difficulty, seed = _checked(kind, difficulty, seed)
+    rng = np.random.default_rng([zlib.crc32(kind.encode()), difficulty, seed])
+    if kind in DRILLS:
+        return drill(kind, difficulty, rng)
+    sheet = _sheet(_KINDS[kind], difficulty, rng)
+    notes = tuple(sheet.note(tone) for tone in _KINDS[kind].write(sheet))
+    title = f"{_KINDS[kind].title} in {sheet.key.name}, {difficulty}"
+    return Score(notes, title=title, bars=sheet.numbered_bars)
+
+
+def _checked(kind: str, difficulty: int, seed: int) -> tuple[str, int, int]:
+    if kind not in (kinds := (*KINDS, *DRILLS)):
+        raise CadenzaError(f"no etudes of kind {kind!r:.100}: choose from {', '.join(kinds)}")
+    difficulty = whole_number(difficulty, "difficulty", 1, HARDEST)
+    return kind, difficulty, whole_number(seed, "seed", 0, MOST_SEED)
+
+
+def _sheet(kind: _Kind, difficulty: int, rng: np.random.Generator) -> Sheet:
+    """A sheet with a random key, metre and tempo; steps a second are exponential in difficulty."""
+    key = random_key(rng, difficulty - 1)
+    beats = kind.metres[int(rng.integers(len(kind.metres)))]
+    rise = (difficulty - 1) / (HARDEST - 1)
+    rate = kind.slowest * (kind.fastest / kind.slowest) ** rise
+    rate *= 1 + _TEMPO_VARIATION * (2 * rng.random() - 1)
+    tempi = {division: round(60 * rate / division) for division in kind.divisions}
+    usual = [division for division, tempo in tempi.items() if tempo in _TEMPI]
+    usual = usual or [min(tempi, key=lambda division: abs(tempi[division] - _USUAL_TEMPO))]
+    division = usual[int(rng.integers(len(usual)))]
+    return Sheet(difficulty, rng, key, tempi[division], beats, division)
+
+
+# Names
+
+
+def etude_name(kind: str, difficulty: int, seed: int) -> str:
+    """A name such as "etudes/scales-3-7", which can be given wherever a song can."""
+    return f"{LIBRARY}/{kind}-{difficulty}-{seed}"
+
+
+def etude(name: str) -> Score:
+    """The etude with a name such as "etudes/scales-3-7", of difficulty 3 with seed 7.
+
+    Raises:
+        CadenzaError: no etude is called so.
+    """
+    return make_etude(*_parsed(name))
+
+
+def _parsed(name: str) -> tuple[str, int, int]:
+    """The kind, difficulty and seed in the name of an etude.
+
+    Raises:
+        CadenzaError: no etude is called so.
+    """
+    found = _ETUDE_NAME.fullmatch(name.lower())
+    if not found:
+        raise CadenzaError(
+            f"no etude named {name!r:.100}: give {LIBRARY}/KIND-DIFFICULTY-SEED, "
+            f"such as {LIBRARY}/scales-3-7"
+        )
+    return _checked(found[1], int(found[2]), int(found[3]))
+
+
+def etude_names(count: int, seed: int = 0) -> list[str]:
+    """Names of `count` etudes, spread evenly over kinds and difficulties in a random order.
+
+    The first of a longer list are those of a shorter one with the same seed.
+
+    Raises:
+        CadenzaError: `seed` or `count` is no such number.
+    """
+    count = whole_number(count, "count", 1, 1_000_000)
+    rng = np.random.default_rng(whole_number(seed, "seed", 0, MOST_SEED))
+    names: list[str] = []
+    every = list(product(KINDS, range(1, HARDEST + 1)))
+    while len(names) < count:
+        for i in np.argsort(rng.random(len(every)), kind="stable"):
+            kind, difficulty = every[i]
+            names.append(etude_name(kind, difficulty, int(rng.integers(2**31))))
+    return names[:count]
+
+
+# As a song library
+
+
+def etude_library(which: str = str(_DEFAULT_COUNT)) -> Library:
     """Etudes of all kinds and difficulties, or of one.
 
     Args:
@@ -32,9 +183,9 @@ def etude_library(which: str = str(_SOME)) -> Library:
     Raises:
         CadenzaError: `which` is nothing like this.
     """
-    if alike := _ALIKE.fullmatch(which.lower()):
-        names = [f"{LIBRARY}/{alike[1]}-{seed}" for seed in range(int(alike[2]))]
-    elif _WHICH.fullmatch(which):
+    if of_one_kind := _OF_ONE_KIND.fullmatch(which.lower()):
+        names = [f"{LIBRARY}/{of_one_kind[1]}-{seed}" for seed in range(int(of_one_kind[2]))]
+    elif _COUNT_AND_SEED.fullmatch(which):
         names = etude_names(*map(int, which.split(":")))
     else:
         raise CadenzaError(
@@ -45,12 +196,12 @@ def etude_library(which: str = str(_SOME)) -> Library:
 
 
 def etude_song(name: str) -> Song:
-    """The etude of a name such as "etudes/scales-3-7"; its grade is the difficulty asked for.
+    """The song of a name such as "etudes/scales-3-7"; its grade is the difficulty asked for.
 
     Raises:
         CadenzaError: no etude is called so.
     """
-    kind, difficulty, seed = kind_difficulty_seed(name)
+    kind, difficulty, seed = _parsed(name)
     name = etude_name(kind, difficulty, seed)
     read = partial(_read, name)
     return Song(name, read, source="practice piece", difficulty=float(difficulty))

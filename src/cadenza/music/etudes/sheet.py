@@ -1,4 +1,4 @@
-"""What every etude is written on: key, tempo, bars."""
+"""The sheet that an etude is written on: key, tempo and bars; and its notes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from cadenza.music.etudes.keys import STEPS, Key
 from cadenza.music.score import Bar, Note
 
 PHRASE = 4  # bars
-_TOGETHER = 6  # the difficulty from which both hands play figures at once
-_SHORTEST = 18.0  # [s]
-_RELEASE = 0.05  # [s] that a note ends before it should, or a quarter of it
-_ACCENT = 12
+_BOTH_HANDS = 6  # difficulty from which both hands play figures at once
+_SHORTEST = 18.0  # [s] length of an etude, which is rounded up to whole phrases
+_RELEASE = 0.05  # [s] by which a note ends early, so that its key can come up
+_RELEASE_SHARE = 0.25  # of a note, by which short notes end early instead
+_ACCENT = 12  # additional velocity of notes that begin a bar
 
 
 @dataclass(frozen=True)
 class Tone:
-    """A note: when it begins and how long it is, in steps."""
+    """A note; `at` is when it begins and `length` how long it is, in steps."""
 
     at: float
     length: float
@@ -30,15 +31,15 @@ class Tone:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Key and time of an etude, and what is drawn for it."""
+    """Difficulty, key and time of an etude, and the generator of its random choices."""
 
     difficulty: int
     rng: np.random.Generator
     key: Key
     tempo: int
-    """[beats / min]"""
+    """Beats a minute."""
     beats: int
-    """In a bar."""
+    """Beats in a bar."""
     division: int
     """Steps in a beat. A step is the shortest note in most kinds."""
 
@@ -49,60 +50,64 @@ class Sheet:
 
     @property
     def bars(self) -> int:
-        """Whole phrases."""
+        """Bars of the etude, in whole phrases."""
         phrase = PHRASE * self.beats * 60 / self.tempo
         return PHRASE * -int(-_SHORTEST // phrase)
 
     @property
     def length(self) -> int:
-        """Steps of the whole."""
+        """Steps of the etude."""
         return self.bar * self.bars
 
     @property
     def thickness(self) -> int:
-        """Notes of a chord that one hand plays."""
+        """Number of notes in a chord of one hand."""
         return 1 if self.difficulty <= 2 else 2 if self.difficulty <= 4 else 3
 
     def pitch(self, degree: int, chord: Chord | None = None) -> int:
-        """The pitch of a degree of the scale, over a chord."""
+        """The pitch of a degree of the scale, over a chord if one is given."""
         return self.key.pitch(degree, chord.form if chord else "natural")
 
+    def voicing(self, chord: Chord, lowest: int, count: int) -> list[int]:
+        """Pitches of `count` tones of a chord in close position, from its tone `lowest` upwards."""
+        return [self.pitch(chord.tone(lowest + i), chord) for i in range(count)]
+
     def chords(self) -> list[Chord]:
-        """One for each bar."""
+        """A progression of a chord for each bar."""
         return progression(self.rng, self.bars // PHRASE, PHRASE)
 
     def pick(self, *choices: int) -> int:
-        """One of them."""
+        """One of the choices, at random."""
         return choices[int(self.rng.integers(len(choices)))]
 
     def ending(self, right: int = 0, left: int = -STEPS) -> list[Tone]:
         """A tonic chord for the last bar, upwards from the degree of each hand."""
         at, chord = self.length - self.bar, Chord(TONIC)
-        upper = [chord.tone(chord.nearest(right) + i) for i in range(self.thickness)]
-        degrees = [*upper, chord.tone(3 * (left // STEPS))]
-        return [Tone(at, self.bar, self.pitch(degree)) for degree in degrees]
+        upper = self.voicing(chord, chord.nearest(right), self.thickness)
+        bass = self.pitch(chord.tone(3 * (left // STEPS)))
+        return [Tone(at, self.bar, pitch) for pitch in (*upper, bass)]
 
     def hands(self, bar: int) -> tuple[Side, ...]:
-        """Which have the figure in a bar: one of them by phrases, in harder etudes both."""
-        if self.difficulty >= _TOGETHER:
+        """The hands that have the figure in a bar: one by phrases, in harder etudes both."""
+        if self.difficulty >= _BOTH_HANDS:
             return SIDES
         return (SIDES[(bar // PHRASE) % 2],)
 
     @property
     def numbered_bars(self) -> tuple[Bar, ...]:
-        """In seconds."""
+        """The bars with their times [s]."""
         return tuple(Bar(bar * self.bar * self._step, bar + 1) for bar in range(self.bars))
 
     @property
     def _step(self) -> float:
-        """[s]"""
+        """Length of a step [s]."""
         return 60 / (self.tempo * self.division)
 
     def note(self, tone: Tone) -> Note:
-        """In seconds, louder where a bar begins."""
+        """The note in seconds, louder where a bar begins."""
         step = self._step
         seconds = tone.length * step
         start = tone.at * step
         accent = _ACCENT if tone.at % self.bar == 0 else 0
-        end = start + seconds - min(_RELEASE, seconds / 4)
+        end = start + seconds - min(_RELEASE, _RELEASE_SHARE * seconds)
         return Note(start, end, tone.pitch, tone.velocity + accent)

@@ -1,4 +1,4 @@
-"""Etudes of steps along the scale: scales, and figures that climb it."""
+"""Etudes along the scale: scales, and finger exercises in the manner of Hanon."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from cadenza.music.etudes.keys import STEPS, Key
 from cadenza.music.etudes.sheet import Sheet, Tone
 
-_UNIT = 16  # steps of a scale of one octave up and down, with the last note held
-_TENTH = STEPS + 2
+_OCTAVE_UP_AND_DOWN = 16  # steps of a scale over an octave, with the last note held
+_TENTH = STEPS + 2  # degrees between the hands
+_CONTRARY = 8  # difficulty from which the hands of a finger exercise may move against each other
+_MOST_NOTES = 8  # of a figure
 
 
 def scales(sheet: Sheet) -> Iterator[Tone]:
@@ -17,19 +19,20 @@ def scales(sheet: Sheet) -> Iterator[Tone]:
     while at < sheet.length:
         motion = _motion(sheet, count)
         octaves = 1 if sheet.difficulty <= 3 else 2 if sheet.difficulty <= 7 else 4
-        octaves = min(octaves, (sheet.length - at) // _UNIT)
+        octaves = min(octaves, (sheet.length - at) // _OCTAVE_UP_AND_DOWN)
         if motion == "contrary":
             octaves = min(octaves, 2)
-        last = at + _UNIT * octaves == sheet.length
+        last = at + _OCTAVE_UP_AND_DOWN * octaves == sheet.length
         key = sheet.key.relative if count % 4 == 2 and not last else sheet.key
         if last and motion == "tenths":
             motion = "parallel"  # so that it ends on the tonic
         yield from _scale(key, motion, octaves, at)
-        at += _UNIT * octaves
+        at += _OCTAVE_UP_AND_DOWN * octaves
         count += 1
 
 
 def _motion(sheet: Sheet, count: int) -> str:
+    """The hand that plays the scale of this number, or how both move: alone first."""
     if sheet.difficulty <= 2:
         return ("right", "left")[count % 2]
     if sheet.difficulty == 3:
@@ -40,6 +43,7 @@ def _motion(sheet: Sheet, count: int) -> str:
 
 
 def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
+    """A scale up and down over one to four octaves from step `at` on."""
     top = STEPS * octaves
     degrees = [*range(top), *range(top, -1, -1)]
     low = -STEPS * (octaves // 4)
@@ -56,10 +60,10 @@ def _scale(key: Key, motion: str, octaves: int, at: int) -> Iterator[Tone]:
 
 def hanon(sheet: Sheet) -> Iterator[Tone]:
     """A figure of up to eight notes climbs the scale and, mirrored, comes down again."""
-    size = min(8, sheet.bar)
+    size = min(_MOST_NOTES, sheet.bar)
     figure = _figure(sheet, size)
     count = (sheet.length - sheet.bar) // size
-    contrary = sheet.difficulty >= 8 and sheet.pick(0, 1)
+    contrary = sheet.difficulty >= _CONTRARY and sheet.pick(0, 1)
     for unit in range(count):
         climbs = 2 * unit < count
         base = unit if climbs else count - 1 - unit
@@ -74,7 +78,7 @@ def hanon(sheet: Sheet) -> Iterator[Tone]:
 
 
 def _figure(sheet: Sheet, size: int) -> list[int]:
-    """Degrees above the first note, all different from those beside them, within a sixth."""
+    """Degrees above the first note, each different from its neighbours, within a sixth."""
     widest = min(2 + sheet.difficulty // 2, STEPS - 2)
     figure = [0]
     while len(figure) < size:

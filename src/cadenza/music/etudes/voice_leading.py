@@ -1,0 +1,77 @@
+"""Voice leading: the rules of strict writing, and the cheapest sequence under such rules.
+
+Costs are whole numbers, so that the same sequence is chosen on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.music.etudes.keys import OCTAVE
+
+Costs = NDArray[np.int64]
+Pitches = NDArray[np.int64]
+FORBIDDEN = 1_000_000
+"""Cost of what is against a rule: more than all other costs of an etude together."""
+_FIFTH, _TRITONE, _AUGMENTED_SECOND = 7, 6, 3  # [semitones]
+_CONSONANCES = (0, 3, 4, 7, 8, 9)  # [semitones] unison, thirds, fifth, sixths
+
+
+def cheapest_sequence(costs: Sequence[Costs], steps: Sequence[Costs]) -> list[int]:
+    """The candidates of all moments, one each, whose costs have the least sum (Viterbi).
+
+    Args:
+        costs: (n_i,) costs of the candidates of each moment.
+        steps: (n_i, n_i+1) costs of going from a candidate to one of the next moment.
+    """
+    total, before = costs[0], []
+    for cost, step in zip(costs[1:], steps, strict=True):
+        sums = total[:, None] + step
+        before.append(sums.argmin(axis=0))
+        total = sums.min(axis=0) + cost
+    chosen = [int(total.argmin())]
+    for predecessor in reversed(before):
+        chosen.append(int(predecessor[chosen[-1]]))
+    return chosen[::-1]
+
+
+def random_costs(rng: np.random.Generator, count: int, largest: int) -> Costs:
+    """(count,) costs from 0 to `largest`, which make one etude unlike another."""
+    return rng.integers(0, largest, count, endpoint=True)
+
+
+def is_perfect(low: Pitches, high: Pitches) -> NDArray[np.bool_]:
+    """Whether they are a fifth, an octave or a unison apart, or octaves more."""
+    interval = (high - low) % OCTAVE
+    return (interval == 0) | (interval == _FIFTH)
+
+
+def is_consonant(low: Pitches, high: Pitches) -> NDArray[np.bool_]:
+    """Whether they are a unison, third, fifth or sixth apart, or octaves more."""
+    return np.isin((high - low) % OCTAVE, _CONSONANCES)
+
+
+def are_parallel(
+    low: Pitches, high: Pitches, then_low: Pitches, then_high: Pitches
+) -> NDArray[np.bool_]:
+    """Whether two voices move in parallel fifths or octaves."""
+    same = (high - low) % OCTAVE == (then_high - then_low) % OCTAVE
+    moves = (low != then_low) & (high != then_high)
+    return moves & same & is_perfect(low, high)
+
+
+def are_hidden(
+    low: Pitches, high: Pitches, then_low: Pitches, then_high: Pitches
+) -> NDArray[np.bool_]:
+    """Whether two voices move in the same direction to a fifth or an octave."""
+    similar = (then_low - low) * (then_high - high) > 0
+    return similar & is_perfect(then_low, then_high)
+
+
+def is_awkward_leap(degrees: Pitches, semitones: Pitches) -> NDArray[np.bool_]:
+    """Whether a voice moves by a tritone or an augmented second."""
+    second = (np.abs(degrees) == 1) & (np.abs(semitones) == _AUGMENTED_SECOND)
+    return second | (np.abs(semitones) == _TRITONE)
