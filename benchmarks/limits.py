@@ -25,8 +25,8 @@ from cadenza.agents.planner.plan.nominal_trajectory import forearm_places
 from cadenza.agents.planner.plan.presses import presses_of
 from cadenza.agents.planner.plan.release_times import let_go_in_time
 from cadenza.errors import errors_in_a_line
-from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
+from cadenza.fingering.transitions import Costs
 from cadenza.hands.reach import JumpTimes
 from cadenza.music.libraries.library import open_library
 from cadenza.music.metrics import step_metrics

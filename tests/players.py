@@ -4,7 +4,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from cadenza.fingering import search
-from cadenza.fingering.players import Players, seated
+from cadenza.fingering.players import Players, players_at
 from cadenza.fingering.search import Dropped, Solution
 from cadenza.fingers import SIDES, Side
 from cadenza.hands.reach import Reach
@@ -32,7 +32,7 @@ def shadow_hands(
     sides: Collection[Side] = SIDES, hand_spacing: float = 0.3, slides: bool = True
 ) -> Players:
     """Shadow Hands at a piano."""
-    return seated(SHADOW.reach, PIANO, sides, hand_spacing, slides)
+    return players_at(SHADOW.reach, PIANO, sides, hand_spacing, slides)
 
 
 def find_fingering(

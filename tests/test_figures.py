@@ -39,7 +39,7 @@ ALLOWED = {
     ("cli/dataset.py", 10): "the most noise",
     ("cli/estimate.py", 5): "plain control steps",
     ("fingering/difficulty.py", 10): "the hardest grade",
-    ("fingering/changes.py", 5): "kinds of changes",
+    ("fingering/transitions.py", 5): "kinds of changes",
     ("music/etudes/drills.py", 5): "degrees of a sixth",
     ("music/etudes/library.py", 10): "grades of difficulty; steps a second",
     ("music/etudes/keys.py", 5): "semitones of scales; flats",

@@ -66,7 +66,7 @@ def _hand(finger: Finger | None) -> int | None:
 def _cost(score: Score) -> str:
     """Cost of a fingering, and how many of its notes are against the limits."""
     solution = solve(score, HANDS)
-    return f"{solution.cost:6.1f} ({len(solution.unheeded)})"
+    return f"{solution.cost:6.1f} ({len(solution.ignored)})"
 
 
 def _by_pianoplayer(python: str, written: Score) -> Score:

@@ -24,8 +24,8 @@ from cadenza.agents.planner.practice.losses import ONSETS
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import parsed_json
-from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import COSTS, find_fingering
+from cadenza.fingering.transitions import Costs
 from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Score
 from cadenza.scene.scene import build_scene

@@ -17,7 +17,7 @@ from cadenza.agents.planner.practice.plan_variants import (
     passages_of,
 )
 from cadenza.agents.planner.practice.trajectory import Trajectory
-from cadenza.fingering.changes import Costs
+from cadenza.fingering.transitions import Costs
 from cadenza.fingers import NO_FINGER, Finger
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import build_scene
@@ -128,7 +128,7 @@ def test_a_note_without_a_finger_is_of_no_hand() -> None:
 
 
 def test_other_fingers_are_looked_for_only_where_something_is_lost() -> None:
-    other_costs = Costs(way=64.0, same_finger=0.0)
+    other_costs = Costs(distance=64.0, same_finger=0.0)
     nowhere = SplicedTrajectory(TRACK, USUAL, take(lost(slice(0))))
     assert nowhere.with_fingers_by(other_costs).is_like(USUAL)
     everywhere = SplicedTrajectory(TRACK, USUAL, take(lost(EVERYTHING))).with_fingers_by(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.fingering.playable import playable
-from cadenza.fingering.players import Forearm, Players, seated
+from cadenza.fingering.players import Forearm, Players, players_at
 from cadenza.fingering.search import solve
 from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
@@ -97,7 +97,7 @@ crowded = st.builds(
 )
 sides = st.sampled_from([("right", "left"), ("right",), ("left",)])
 everyone = st.builds(
-    seated,
+    players_at,
     reach=st.sampled_from([REACH, FOUR_FINGERS]),
     keyboard=st.sampled_from([PIANO, TWO_OCTAVES]),
     sides=sides,
@@ -118,7 +118,7 @@ everyone = st.builds(
 @given(score=st.one_of(crowded, scores()), players=everyone)
 def test_the_same_notes_as_written_out(score: Score, players: Players) -> None:
     found = playable(score, players)
-    played = {i for i in range(len(score.notes)) if i not in found.reasons | found.unheeded}
+    played = {i for i in range(len(score.notes)) if i not in found.reasons | found.ignored}
     assert played == written_out(score, players)
 
 
@@ -131,7 +131,7 @@ def test_what_can_be_played_is_played(score: Score, players: Players) -> None:
     reasons = playable(score, players).reasons
     for i, note in enumerate(found.score.notes):
         assert (
-            note.finger is None if i in reasons else note.finger in there or note in found.unheeded
+            note.finger is None if i in reasons else note.finger in there or note in found.ignored
         )
     assert 0 <= found.cost < 1e6
 

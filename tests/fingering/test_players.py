@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cadenza.fingering.players import Players, seated
+from cadenza.fingering.players import Players, players_at
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
@@ -21,7 +21,7 @@ from cadenza.tasks.goal_track import players_of
 from numbered import numbers
 from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 
-FOUR = seated(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)
+FOUR = players_at(FOUR_FINGERS, PIANO, SIDES, hand_spacing=0.3, slides=True)
 OUT_OF_REACH = "out of reach of both hands"
 
 
@@ -40,7 +40,7 @@ def test_fingers_that_stand_over_neighbouring_white_keys_play_them() -> None:
     rest = PIANO.spacing * np.arange(-1, 2)
     apart = np.maximum(rest - rest[:, None], 0.0).round(4)
     stiff = Reach(rest, least=apart, most=apart, outward=-rest, inward=rest, forearm_width=0.1)
-    players = seated(stiff, PIANO, ["right"], hand_spacing=0.3, slides=True)
+    players = players_at(stiff, PIANO, ["right"], hand_spacing=0.3, slides=True)
     assert fingers(scale(60, 62, 64, 62, 60), players) == [0, 1, 2, 1, 0]
 
 
@@ -123,14 +123,14 @@ def test_fingers_that_a_hand_does_not_have_are_found_anew() -> None:
 
 
 def test_a_smaller_keyboard_has_its_keys_elsewhere() -> None:
-    small = seated(SHADOW.reach, TWO_OCTAVES, SIDES, hand_spacing=0.3, slides=True)
+    small = players_at(SHADOW.reach, TWO_OCTAVES, SIDES, hand_spacing=0.3, slides=True)
     found, dropped = find_fingering(scale(47, 48, 72, 73), small)
     assert [d.note.pitch for d in dropped] == [47, 73]
     assert {d.reason for d in dropped} == {"not on this keyboard"}
     assert [n.finger.hand for n in found.notes[1:3]] == [1, 0]
     wide = replace(TWO_OCTAVES, gap=0.03)  # no hand spans an octave of it
     chord = Score((Note(0, 1, 48), Note(0, 1, 60), Note(0, 1, 72)))
-    wider = seated(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)
+    wider = players_at(SHADOW.reach, wide, SIDES, hand_spacing=0.3, slides=True)
     assert not find_fingering(chord, small)[1]
     assert len(find_fingering(chord, wider)[1]) == 1
 

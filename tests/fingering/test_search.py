@@ -85,7 +85,7 @@ def test_what_is_found_is_kept(score: Score) -> None:
     played = replace(first.score, notes=tuple(n for n in first.score.notes if n.finger))
     again = solve(played)
     assert again.score == played
-    assert not again.unheeded
+    assert not again.ignored
     if not first.dropped:
         assert again.cost == pytest.approx(first.cost)
 
@@ -224,7 +224,7 @@ def test_the_bundled_fingering_is_possible_and_costs_more(piece) -> None:
     """Hands of people and of robots are alike enough for that."""
     written = load_score(piece.name)
     theirs, ours = solve(written), solve(bare(written))
-    assert theirs.unheeded == ()
+    assert theirs.ignored == ()
     assert ours.cost <= theirs.cost + 1e-6
 
 
@@ -249,7 +249,7 @@ def test_nothing_is_cheaper(score: Score) -> None:
         solution = solve(
             replace(score, notes=tuple(replace(n, finger=finger(f)) for n, f in notes))
         )
-        if not solution.unheeded:
+        if not solution.ignored:
             costs.append(solution.cost)
     assert len(costs) > 20
     assert solve(score).cost == pytest.approx(min(costs))

@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
-from cadenza.fingering.players import seated
+from cadenza.fingering.players import players_at
 from cadenza.fingering.search import find_fingering
 from cadenza.hands.allegro import ALLEGRO
 from cadenza.keyboards.mini import MINI
 from cadenza.music.etudes import DRILLS, make_etude
 from cadenza.music.libraries.library import load_score
 
-PLAYERS = seated(ALLEGRO.reach, MINI, ("right",), hand_spacing=0.0, slides=True)
+PLAYERS = players_at(ALLEGRO.reach, MINI, ("right",), hand_spacing=0.0, slides=True)
 
 
 @given(st.sampled_from([*DRILLS]), st.integers(1, 10), st.integers(0, 2**32))

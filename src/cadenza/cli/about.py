@@ -118,14 +118,14 @@ def _about_fingering(score: Score) -> str:
 
 def usual_players() -> Players:
     """The hands that play unless others are chosen."""
-    from cadenza.fingering.players import seated
+    from cadenza.fingering.players import players_at
     from cadenza.fingers import SIDES
     from cadenza.hands.registry import hand_named
     from cadenza.keyboards.registry import keyboard_named
 
     scene = SceneConfig()
     hand, keyboard = hand_named(scene.hand), keyboard_named(scene.keyboard)
-    return seated(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
+    return players_at(hand.reach, keyboard, SIDES, scene.hand_spacing, slides=True)
 
 
 def _installation_facts() -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Which finger plays which note, where a score does not say."""
+"""The search for fingers: which finger plays which note; and how hard a score is."""

@@ -26,15 +26,17 @@ EASIEST, HARDEST = 1, 10
 ODDS = 1.6
 
 _FINGER_TO_FINGER = 12 / 7  # [semitones] between fingers at rest: they lie on white keys
-_AT_LEISURE = 0.3  # [s] in which a finger gets to another key without hurry
-_SOON = 0.5  # [s] within which fingers are crossed rather than the hand moved
+_LEISURE = 0.3  # [s] in which a finger gets to another key without hurry
+_CROSSING_TIME = 0.5  # [s] within which fingers are crossed rather than the hand moved
 _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES])
 
 
 @dataclass(frozen=True)
 class Features:
-    """What makes a score hard for two hands. All are 0 or more. Notes without fingers count for no
-    hand."""
+    """What makes a score hard for two hands; all are 0 or more.
+
+    Notes without fingers count for no hand.
+    """
 
     notes: float
     """Notes a second."""
@@ -43,9 +45,9 @@ class Features:
     polyphony: float
     """Keys down at once while any is, beyond the first."""
     spread: float
-    """From the lowest to the highest key that a hand strikes at once, for each note [semitones]."""
+    """Span of the keys that a hand strikes at once, for each note [semitones]."""
     travel: float
-    """Way of both hands along the keyboard [semitones / s]."""
+    """Speed of both hands together along the keyboard [semitones / s]."""
     hurry: float
     """Share of notes whose finger comes from another key without time to move."""
     crossings: float
@@ -62,7 +64,7 @@ class Model:
     weights: Features
 
     def grade(self, features: Features) -> float:
-        """From `EASIEST` to `HARDEST`."""
+        """The grade of these features, from `EASIEST` to `HARDEST`."""
         grade = self.constant + float(np.dot(astuple(self.weights), np.log1p(astuple(features))))
         return min(max(grade, float(EASIEST)), float(HARDEST))
 
@@ -80,16 +82,16 @@ FITTED = Model(
         black=2.7,
     ),
 )
-"""By `tools/fit_difficulty.py`."""
+"""The model that `tools/fit_difficulty.py` has fitted."""
 
 
 def grade(score: Score, players: Players | None = None) -> float:
     """How hard `score` is, from 1 to 10.
 
     Args:
-        score: of one note or more.
-        players: for whom fingers are found, as the planner does, whatever the score says. None
-            takes the fingers of the score.
+        score: a score of one note or more.
+        players: the hands for which fingers are found, as by the planner, whatever the score says.
+            None takes the fingers of the score.
 
     Raises:
         CadenzaError: there are no notes, or no fingers and no players.
@@ -102,7 +104,7 @@ def grade(score: Score, players: Players | None = None) -> float:
 
 
 def features_of(score: Score) -> Features:
-    """What is hard about a score with fingers; in time linear in its notes.
+    """The features of a score with fingers, in time linear in its notes.
 
     Raises:
         CadenzaError: there are no notes.
@@ -123,9 +125,9 @@ def features_of(score: Score) -> Features:
         own = side == hand
         if own.any():
             outward = 1 - 2 * hand  # to the little finger
-            stands = pitch[own] - outward * _FINGER_TO_FINGER * place[own]
+            places = pitch[own] - outward * _FINGER_TO_FINGER * place[own]
             spread += _spread(moment[own], pitch[own])
-            travel += _travel(moment[own], stands)
+            travel += _travel(moment[own], places)
             crossings += _crossings(start[own], moment[own], outward * pitch[own], place[own])
     return Features(
         notes=len(start) / seconds,
@@ -149,29 +151,32 @@ def _polyphony(start: Array, end: Array) -> float:
     return float(sounding @ seconds / seconds[sounding > 0].sum()) - 1
 
 
-def _of_moments(moment: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Index of the first note of each moment."""
+def _first_notes(moment: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of the first note of each moment."""
     return np.flatnonzero(np.diff(moment, prepend=-1))
 
 
 def _spread(moment: NDArray[np.intp], pitch: Array) -> float:
-    """Sum over moments of what one hand has between its outer keys."""
-    first = _of_moments(moment)
+    """Sum over moments of the span between the outer keys of one hand [semitones]."""
+    first = _first_notes(moment)
     return float((np.maximum.reduceat(pitch, first) - np.minimum.reduceat(pitch, first)).sum())
 
 
 def _travel(moment: NDArray[np.intp], place: Array) -> float:
-    """Way of one hand, which stands at the mean of where its fingers have it at a moment."""
-    first = _of_moments(moment)
-    stands = np.add.reduceat(place, first) / np.diff(first, append=len(place))
-    return float(np.abs(np.diff(stands)).sum())
+    """Distance that one hand travels [semitones].
+
+    At each moment it is at the mean of the places where its fingers have it.
+    """
+    first = _first_notes(moment)
+    mean = np.add.reduceat(place, first) / np.diff(first, append=len(place))
+    return float(np.abs(np.diff(mean)).sum())
 
 
 def _crossings(
     start: Array, moment: NDArray[np.intp], outward: Array, place: NDArray[np.intp]
 ) -> float:
-    """From a note of one hand to the next: keys outwards, but fingers inwards, or the reverse."""
-    soon = (np.diff(moment) > 0) & (np.diff(start) < _SOON)
+    """Number of times that one hand goes outwards by an inner finger, or the reverse."""
+    soon = (np.diff(moment) > 0) & (np.diff(start) < _CROSSING_TIME)
     return float((soon & (np.diff(outward) * np.diff(place) < 0)).sum())
 
 
@@ -181,4 +186,4 @@ def _hurry(start: Array, end: Array, pitch: Array, finger: NDArray[np.intp]) -> 
     start, end, pitch, finger = start[order], end[order], pitch[order], finger[order]
     another = (np.diff(finger) == 0) & (np.diff(pitch) != 0) & (finger[1:] >= 0)
     gap = start[1:] - end[:-1]
-    return float((another * np.clip(1 - gap / _AT_LEISURE, 0, 1)).sum())
+    return float((another * np.clip(1 - gap / _LEISURE, 0, 1)).sum())

@@ -1,4 +1,4 @@
-"""Decides which notes of a score the hands can play, and says why not the others.
+"""Which notes of a score the hands can play, and why not the others.
 
 The limits:
 
@@ -13,7 +13,7 @@ outer ones are taken first: the highest and the lowest, then the next from outsi
 two equally far inside the louder, then the longer, then the higher. A note is dropped if it
 cannot be played along with those taken before it.
 
-For this, all ways to play what sounds are followed through the song, as sets of sets in whole
+For this, all sets of fingers that can play what sounds are followed through the song, in whole
 numbers. A set of fingers that are down is a number of ten bits (of two for each finger of a hand),
 from the left hand's little finger, 1, to the right hand's, 512. As notes lie in the order of the
 fingers, it tells which finger is on which note: the n-th finger down is on the n-th note. A set of
@@ -59,38 +59,38 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class Playable:
-    """What of a score can be played.
+    """The notes of a score that can be played.
 
     Attributes:
         moments: at which notes begin.
-        reasons: why the notes that are not played are not, by their indices.
-        unheeded: the given fingers that contradict others, or these hands, by their notes' indices.
+        reasons: index of each note that is not played -> why.
+        ignored: index of each note whose given finger contradicts others, or these hands -> finger.
     """
 
     moments: tuple[Moment, ...]
     reasons: dict[int, str]
-    unheeded: dict[int, Finger]
+    ignored: dict[int, Finger]
 
 
 def playable(score: Score, players: Players) -> Playable:
-    """What of `score` can be played by these hands on this keyboard."""
+    """The notes of `score` that these hands can play on this keyboard."""
     moments = []
     reasons: dict[int, str] = {}
-    unheeded: dict[int, Finger] = {}
-    sounding = Sounding(players)
+    ignored: dict[int, Finger] = {}
+    sounding = SoundingNotes(players)
     for time, begin in onsets(score, players.keyboard.lowest_pitch):
-        for stroke in sounding.go_on(time, begin):
+        for stroke in sounding.advance(time, begin):
             if stroke.finger is None:
-                reasons |= dict.fromkeys(stroke.notes, sounding.reason_against(stroke))
+                reasons |= dict.fromkeys(stroke.notes, sounding.reason_to_drop(stroke))
             else:
-                unheeded |= dict.fromkeys(stroke.notes, stroke.finger)
+                ignored |= dict.fromkeys(stroke.notes, stroke.finger)
         begun = 1 + max(stroke.notes[-1] for stroke in begin)
         moments.append(Moment(time, tuple(sounding.strokes), begun))
-    return Playable(tuple(moments), reasons, unheeded)
+    return Playable(tuple(moments), reasons, ignored)
 
 
-class Sounding:
-    """What sounds, and all ways to play it.
+class SoundingNotes:
+    """The notes that sound, and all sets of fingers that can play them.
 
     Attributes:
         strokes: in the order of their keys.
@@ -98,26 +98,21 @@ class Sounding:
 
     def __init__(self, players: Players) -> None:
         self.strokes: list[Stroke] = []
-        self._whose = players.whose
+        self._whose = players.description
         self._limits = _limits(players)
-        self._sets = _EMPTY
+        self._sets = _ONLY_EMPTY
 
-    def go_on(self, time: float, begin: Sequence[Stroke]) -> Iterator[Stroke]:
-        """To the moment at which others begin; yields each of them that is not taken, at once."""
+    def advance(self, time: float, begin: Sequence[Stroke]) -> Iterator[Stroke]:
+        """Goes on to the moment at which others begin; yields each of these that is dropped."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
             if stroke.end <= time + LETTING_GO or stroke.key in struck:
-                self.release(stroke)
+                self._release(stroke)
         for stroke in outer_first(begin, self.strokes):
-            if not self.take(stroke):
+            if not self._try_to_add(stroke):
                 yield stroke
 
-    def __copy__(self) -> Sounding:
-        other = object.__new__(type(self))
-        vars(other).update(vars(self), strokes=list(self.strokes))
-        return other
-
-    def release(self, stroke: Stroke) -> None:
+    def _release(self, stroke: Stroke) -> None:
         n = self.strokes.index(stroke)
         del self.strokes[n]
         sets = self._sets
@@ -125,12 +120,12 @@ class Sounding:
         for finger, nth in enumerate(self._limits.nth[n]):
             self._sets |= (sets & nth) >> (1 << finger)
 
-    def take(self, stroke: Stroke) -> bool:
-        """Adds `stroke` if it can be played along with the others, and says whether it can."""
+    def _try_to_add(self, stroke: Stroke) -> bool:
+        """Adds `stroke` if it can be played along with the others, and returns whether it can."""
         if not 0 <= stroke.key < len(self._limits.reaching):
             return False
         n = bisect(self.strokes, stroke.key, key=attrgetter("key"))
-        sets = self._limits.with_one_more(self._sets, n, stroke)
+        sets = self._limits.with_finger_on(self._sets, n, stroke)
         allowed, pairs = self._limits.allowed, self._limits.pairs
         for i, below in enumerate(self.strokes[:n]):
             sets &= allowed(i, n, pairs[below.key][stroke.key])
@@ -141,19 +136,19 @@ class Sounding:
             self._sets = sets
         return bool(sets)
 
-    def reason_against(self, stroke: Stroke) -> str:
-        """Why `stroke` cannot be played along with the others."""
+    def reason_to_drop(self, stroke: Stroke) -> str:
+        """The reason why `stroke` cannot be played along with the others."""
         limits = self._limits
         if not 0 <= stroke.key < len(limits.reaching):
             return "not on this keyboard"
         if not limits.reaching[stroke.key]:
             return f"out of reach of {self._whose}"
-        if len(self.strokes) == limits.most:
-            return f"more than {limits.most} notes at once for {self._whose}"
+        if len(self.strokes) == limits.max_notes:
+            return f"more than {limits.max_notes} notes at once for {self._whose}"
         strokes = sorted([*self.strokes, stroke], key=attrgetter("key"))
-        sets = _EMPTY
+        sets = _ONLY_EMPTY
         for n, other in enumerate(strokes):
-            sets = limits.with_one_more(sets, n, other, given=other.start == stroke.start)
+            sets = limits.with_finger_on(sets, n, other, given=other.start == stroke.start)
         for (i, low), (n, high) in combinations(enumerate(strokes), 2):
             sets &= limits.allowed(i, n, limits.pairs_but_for_forearms[low.key][high.key])
         if sets and all(other.start == stroke.start for other in self.strokes):
@@ -162,14 +157,14 @@ class Sounding:
         return f"too far from {others} {self._whose}"
 
 
-_EMPTY = 1  # only the empty set
+_ONLY_EMPTY = 1  # the set that holds only the empty set
 
 
 class _Limits:
-    """What hands can do, as sets of sets of fingers. Fingers are counted from the left.
+    """The limits of hands, as sets of sets of fingers. Fingers are counted from the left.
 
     Attributes:
-        most: notes at once.
+        max_notes: number of notes at once.
         nth: [n][f] the sets whose `n`-th finger is f, both from 0.
         reaching: [key] the fingers that reach it.
         pairs: [low][high] the pairs of fingers that reach two keys at once, as bits: of F fingers
@@ -178,7 +173,7 @@ class _Limits:
     """
 
     def __init__(self, players: Players) -> None:
-        self.most = players.most
+        self.max_notes = players.max_notes
         self._fingers = players.fingers
         self.nth = _nth(len(self._fingers))
         reaches = np.concatenate([players.reaches(1)[:, ::-1], players.reaches(0)], axis=1)
@@ -187,11 +182,14 @@ class _Limits:
         self.pairs_but_for_forearms = _pairs(players, forearms=False)
         self.allowed = cache(self._allowed)
 
-    def with_one_more(self, sets: int, n: int, stroke: Stroke, given: bool = True) -> int:
-        """`sets`, each with a finger more that reaches the key of `stroke`; it becomes the `n`-th.
+    def with_finger_on(self, sets: int, n: int, stroke: Stroke, given: bool = True) -> int:
+        """`sets`, each with one more finger, the `n`-th, which reaches the key of `stroke`.
 
         Args:
-            given: whether it has to be the finger that `stroke` is to have, if any.
+            sets: a set of sets of fingers.
+            n: the place of `stroke` among the notes, from the lowest.
+            stroke: the note.
+            given: whether it has to be the finger that `stroke` gives, if any.
         """
         fingers = self.reaching[stroke.key]
         if given and stroke.finger is not None:
@@ -202,7 +200,7 @@ class _Limits:
         return more
 
     def _allowed(self, i: int, n: int, pairs: int) -> int:
-        """The sets whose `i`-th and `n`-th finger are one of `pairs`."""
+        """All sets whose `i`-th and `n`-th finger are one of `pairs`."""
         count = len(self._fingers)
         sets = 0
         for low, high in combinations(range(count), 2):
@@ -215,15 +213,15 @@ _limits = lru_cache(maxsize=8)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:
-    """[n][f]: of so many fingers the sets whose `n`-th is f."""
+    """[n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
     down = (np.arange(1 << count)[:, None] >> np.arange(count) & 1).astype(bool)
     rank = np.where(down, down.cumsum(axis=1) - 1, -1)
     nth = [[_as_number(rank[:, finger] == n) for finger in range(count)] for n in range(count)]
-    return [*nth, [0] * count]  # no set has one more
+    return [*nth, [0] * count]  # no set has more fingers than there are
 
 
 def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
-    """`_Limits.pairs`, where `forearms` must not touch or may."""
+    """[low][high] the pairs of fingers of `_Limits.pairs`; `forearms` says whether they count."""
     one_hand = players.spans()
     num_keys, half = one_hand.shape[1:3]
     right, left = slice(half, None), slice(half - 1, None, -1)  # from the thumbs on
@@ -232,10 +230,12 @@ def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
     pairs[:, :, left, left] = one_hand.swapaxes(2, 3)
     pairs[:, :, left, right] = True
     if forearms and all(players.forearms):
-        lower, higher = players.outmost(1)[:, None, :, None], players.outmost(0)[None, :, None, :]
+        lower = players.outermost(1)[:, None, :, None]
+        higher = players.outermost(0)[None, :, None, :]
         pairs[:, :, left, right] = ~players.forearms_touch(higher, lower)
     return [[_as_number(bits.ravel()) for bits in row] for row in pairs]
 
 
 def _as_number(bits: NDArray[np.bool_]) -> int:
+    """`bits` (N,) as a whole number, the first as its lowest bit."""
     return int.from_bytes(np.packbits(bits, bitorder="little").tobytes(), "little")

@@ -1,7 +1,7 @@
-"""Who plays on what: hands and keys as the choice of fingers sees them.
+"""Players: hands and keyboard as the search for fingers sees them.
 
-All places are along the keyboard, 0 in its middle [m]. What is said of one hand is said as if it
-were the right one, to the player's right: of the left one the keyboard is seen mirrored.
+All places are along the keyboard, 0 in its middle [m]. Everything of one hand is described as if it
+were the right one, to the player's right: for the left one the keyboard is mirrored.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from cadenza.hands.reach import Array, Reach
 if TYPE_CHECKING:
     from cadenza.keyboards.keyboard import Keyboard
 
-_NUM_STANDS = 32  # places where a hand without notes may be
+_NUM_IDLE_PLACES = 32  # where a hand without notes may be; more cost time and change little
 
 
 @dataclass(frozen=True)
 class Forearm:
-    """Where a forearm is mounted, and from where to where it can slide."""
+    """A forearm that is mounted at `home` and slides from `low` to `high` [m]."""
 
     home: float
     low: float
@@ -32,14 +32,15 @@ class Forearm:
 
     @property
     def mirrored(self) -> Forearm:
+        """The forearm of the other hand."""
         return Forearm(-self.home, -self.high, -self.low)
 
     @property
-    def stands(self) -> tuple[float, ...]:
-        """Where it can be without notes."""
+    def idle_places(self) -> tuple[float, ...]:
+        """Where it can be without notes [m]."""
         if self.low == self.high:
             return (self.home,)
-        return tuple(np.linspace(self.low, self.high, _NUM_STANDS).tolist())
+        return tuple(np.linspace(self.low, self.high, _NUM_IDLE_PLACES).tolist())
 
 
 @dataclass(frozen=True)
@@ -57,51 +58,51 @@ class Players:
     forearms: tuple[Forearm | None, Forearm | None]
 
     @property
-    def whose(self) -> str:
-        """Such as "both hands"."""
+    def description(self) -> str:
+        """The hands in words, such as "both hands"."""
         sides = [side for side, arm in zip(SIDES, self.forearms, strict=True) if arm]
         return "both hands" if len(sides) == 2 else f"the {sides[0]} hand"
 
     @property
-    def most(self) -> int:
-        """Notes at once."""
+    def max_notes(self) -> int:
+        """The number of notes that they can play at once."""
         return self.reach.num_fingers * sum(forearm is not None for forearm in self.forearms)
 
     @property
     def fingers(self) -> tuple[Finger, ...]:
-        """(2 F,) those of two such hands, from left to right."""
+        """(2 F,) fingers of two such hands, from left to right."""
         indices = range(self.reach.num_fingers)
         left, right = ([Finger(hand, index) for index in indices] for hand in (1, 0))
         return (*reversed(left), *right)
 
     def forearm(self, hand: int) -> Forearm | None:
-        """Of the right hand, 0, or of the left, 1."""
+        """The forearm of the right hand, 0, or of the left, 1; None where there is no hand."""
         forearm = self.forearms[hand]
         return forearm.mirrored if forearm and hand else forearm
 
     def key_y(self, hand: int) -> Array:
-        """(K,) where the keys are."""
+        """(K,) places of the keys [m]."""
         return (1.0, -1.0)[hand] * self.keyboard.grid_y
 
-    def outmost(self, hand: int) -> Array:
-        """(K, F) how far to the right the forearm can be while a finger presses a key."""
+    def outermost(self, hand: int) -> Array:
+        """(K, F) the rightmost places of the forearm while a finger presses a key [m]."""
         forearm = self.forearm(hand)
         assert forearm
         return np.minimum(self.key_y(hand)[:, None] + self.reach.outward, forearm.high)
 
     def reaches(self, hand: int) -> NDArray[np.bool_]:
-        """(K, F) which finger reaches which key, beside the other forearm if there is one."""
+        """(K, F) whether a finger reaches a key, beside the other forearm if there is one."""
         forearm, other = self.forearm(hand), self.forearm(1 - hand)
         y = self.key_y(hand)[:, None]
         if forearm is None:
             return np.zeros((len(y), self.reach.num_fingers), bool)
         within = (y - self.reach.inward <= forearm.high) & (y + self.reach.outward >= forearm.low)
         if other is not None:
-            within &= ~self.forearms_touch(self.outmost(hand), other.high)
+            within &= ~self.forearms_touch(self.outermost(hand), other.high)
         return np.asarray(within)
 
     def spans(self) -> NDArray[np.bool_]:
-        """(K, K, F, F) which two fingers of a hand reach which two keys at once.
+        """(K, K, F, F) whether two fingers of a hand reach two keys at once.
 
         The first key is nearer the thumb, and so is the first finger.
         """
@@ -110,24 +111,24 @@ class Players:
         return is_within(distance, self.reach.least, self.reach.most)
 
     def forearms_touch(self, right: Array | float, left: Array | float) -> NDArray[np.bool_]:
-        """Whether the forearms touch if they are as far apart as they can be.
+        """Whether the forearms touch even if they are as far apart as they can be.
 
-        If they are mounted too close to each other, that is how it has to be.
+        Forearms that are mounted too close to each other may be as close as that.
 
         Args:
-            right: where the right one is then.
-            left: the left one, as if it were the right one.
+            right: the place of the right one then [m].
+            left: that of the left one, as if it were the right one [m].
         """
         room = sum(arm.high for arm in map(self.forearm, range(2)) if arm)
         return np.asarray(np.add(right, left) < min(self.reach.forearm_width, room))
 
 
 def is_within(distance: Array, least: Array, most: Array) -> NDArray[np.bool_]:
-    """Whether two fingers of a hand can press keys at this `distance` [m] of each other."""
+    """Whether two fingers can press keys at this `distance` from each other [m]."""
     return (distance >= least) & (distance <= most)
 
 
-def seated(
+def players_at(
     reach: Reach,
     keyboard: Keyboard,
     sides: Collection[Side],
@@ -135,15 +136,15 @@ def seated(
     slides: bool,
     arm: Forearm | None = None,
 ) -> Players:
-    """Hands on these `sides` of a keyboard.
+    """Hands at a keyboard.
 
     Args:
-        reach: of either hand.
-        keyboard: that is played.
-        sides: of the hands that are there.
-        hand_spacing: between the mounts of their forearms [m].
+        reach: the reach of either hand.
+        keyboard: the keyboard.
+        sides: the sides of the hands that are there.
+        hand_spacing: distance between the mounts of their forearms [m].
         slides: whether the forearms slide along the whole keyboard.
-        arm: where the right hand is brought by an arm, instead of a forearm that slides.
+        arm: the range of a right hand on an arm, instead of a forearm that slides.
     """
     end = keyboard.half_length  # as in the scene, see `cadenza.hands.forearm.joint_range`
 

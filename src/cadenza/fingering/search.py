@@ -1,4 +1,4 @@
-"""Finds which finger plays which note, where a score does not say.
+"""The search for fingers: which finger plays which note, where a score does not say.
 
 What the hands cannot play is left out first, see `cadenza.fingering.playable`. The rest is found
 by a dynamic programme (Viterbi) over the moments at which notes begin, for both hands at once.
@@ -13,7 +13,7 @@ Costs, about 1 for something worth avoiding once:
 
 - stretching or squeezing fingers beyond their distances at rest, in proportion to what is left;
 - fingers off their places at rest, where the forearm cannot slide to where they would be there;
-- moving the hand along the keyboard: by the way, and by its square over the time there is;
+- moving the hand along the keyboard: the distance, and its square over the time there is;
 - a finger that has to leave one key and press another, the less time there is between the two;
 - fingers that would pass over or under one another from one moment to the next;
 - another finger, or hand, on a key that is struck again;
@@ -31,17 +31,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.fingering.changes import Costs, changes_of_fingers, transition
-from cadenza.fingering.chords import NEVER, Asked, Chord, Chords
 from cadenza.fingering.playable import playable
 from cadenza.fingering.players import Players
+from cadenza.fingering.states import INFEASIBLE, ChordNote, ChordStates, StateSpace
 from cadenza.fingering.strokes import Stroke
+from cadenza.fingering.transitions import Costs, finger_change_costs, transition_costs
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
 from cadenza.music.score import LETTING_GO, Note, Score
 
 COSTS = Costs()
-"""Of what a hand does from moment to moment, if nothing else is said."""
+"""The default weights of what a hand does from moment to moment."""
 
 
 class Dropped(NamedTuple):
@@ -53,18 +53,18 @@ class Dropped(NamedTuple):
 
 @dataclass(frozen=True)
 class Solution:
-    """What a search found.
+    """The result of a search.
 
     Attributes:
         score: with a finger on every note that is played.
-        dropped: what is not played.
-        unheeded: notes whose given fingers contradict others, or these hands; they are kept.
-        cost: of all fingers but the unheeded.
+        dropped: the notes that are not played.
+        ignored: notes whose given fingers contradict others, or these hands; they keep them.
+        cost: of all fingers but the ignored.
     """
 
     score: Score
     dropped: tuple[Dropped, ...]
-    unheeded: tuple[Note, ...]
+    ignored: tuple[Note, ...]
     cost: float
 
 
@@ -83,27 +83,28 @@ def find_fingering(
     Args:
         score: with fingers or without.
         players: the hands that are there, and the keyboard.
-        progress: is told how many notes have been looked at, and how many there are.
-        costs: of what a hand does from moment to moment.
+        progress: is called with the numbers of notes that are done, and of all.
+        costs: weights of what a hand does from moment to moment.
 
     Returns:
-        The score, and what was dropped in the order of the notes.
+        The score, and the dropped notes in their order.
     """
     score = _without_missing_fingers(score, players.reach.num_fingers)
     if all(note.finger is not None for note in score.notes):
         return score, ()
-    asked = score, players, costs
-    found = _last_found.get(asked)
-    if found is None:
+    problem = score, players, costs
+    if problem not in _last_solution:
         solution = solve(score, players, progress, costs)
-        found = solution.score.notes, solution.dropped
-        _last_found.clear()
-        _last_found[asked] = found
-    notes, dropped = found  # of a score that is equal, but whose bars and tracks may be others
-    return replace(score, notes=notes), dropped
+        _last_solution.clear()
+        _last_solution[problem] = solution
+    solution = _last_solution[problem]
+    # Equal scores may differ in bars and tracks.
+    return replace(score, notes=solution.score.notes), solution.dropped
 
 
 def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
+    """`score` without the fingers that hands of `num_fingers` do not have."""
+
     def missing(note: Note) -> bool:
         return note.finger is not None and note.finger.index >= num_fingers
 
@@ -113,8 +114,8 @@ def _without_missing_fingers(score: Score, num_fingers: int) -> Score:
     return replace(score, notes=tuple(notes))
 
 
-# What was found last: one song is often played in several tasks, as in training.
-_last_found: dict[tuple[Score, Players, Costs], tuple[tuple[Note, ...], tuple[Dropped, ...]]] = {}
+# One song is often played in several tasks, as in training.
+_last_solution: dict[tuple[Score, Players, Costs], Solution] = {}
 
 
 def solve(
@@ -123,35 +124,35 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
     costs: Costs = COSTS,
 ) -> Solution:
-    """As `find_fingering`, with what it cost; of a score with all fingers the cost of those."""
-    chords = chords_of(players)
-    ways = beginning(chords)
-    choices: list[Choice] = []
-    chosen = playable(score, players)
-    for sounding in chosen.moments:
-        ways = ways_on(ways, sounding.time, sounding.strokes, chords, costs)
-        choices.append(ways.choice)
+    """Like `find_fingering`, with the cost; for a score with all fingers, the cost of those."""
+    space = state_space(players)
+    stage = first_stage(space)
+    steps: list[Backpointers] = []
+    notes_played = playable(score, players)
+    for moment in notes_played.moments:
+        stage = next_stage(stage, moment.time, moment.strokes, space, costs)
+        steps.append(stage.backpointers)
         if progress:
-            progress(sounding.begun, len(score.notes))
-    found, _ = cheapest(ways.cost, choices, players.reach.num_fingers)
-    fingers = chosen.unheeded | found
+            progress(moment.begun, len(score.notes))
+    found, _ = backtrack(stage.cost, steps, players.reach.num_fingers)
+    fingers = notes_played.ignored | found
     notes = tuple(
         replace(note, finger=fingers.get(i)) if note.finger is None else note
         for i, note in enumerate(score.notes)
     )
     return Solution(
         score=replace(score, notes=notes),
-        dropped=tuple(Dropped(notes[i], why) for i, why in sorted(chosen.reasons.items())),
-        unheeded=tuple(notes[i] for i in sorted(chosen.unheeded)),
-        cost=float(ways.cost.min()),
+        dropped=tuple(Dropped(notes[i], why) for i, why in sorted(notes_played.reasons.items())),
+        ignored=tuple(notes[i] for i in sorted(notes_played.ignored)),
+        cost=float(stage.cost.min()),
     )
 
 
-# From moment to moment
+# Dynamic programming
 
 
-class Choice(NamedTuple):
-    """What has to be remembered of a moment, to tell in the end what the hands do in it."""
+class Backpointers(NamedTuple):
+    """What has to be remembered of a moment to tell in the end what the hands do in it."""
 
     strokes: tuple[Stroke, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
@@ -160,86 +161,87 @@ class Choice(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
-    """All ways to come to a moment: its states, and what they cost at the least.
+class Stage:
+    """A moment of the dynamic programme: its states, and the cheapest paths to them.
 
     strokes             the m notes that sound, in the order of their keys
-    cost (R, L)         of the cheapest way to this state of the right and this of the left hand
+    cost (R, L)         of the cheapest path to this state of the right and this of the left hand
     left_before (R', L) the left hand's state before, and
-    right_before (R, L) the right hand's, on that way
+    right_before (R, L) the right hand's, on that path
     """
 
     time: float
     strokes: tuple[Stroke, ...]
-    chord: Chord
+    states: ChordStates
     cost: Array
     left_before: NDArray[np.unsignedinteger]
     right_before: NDArray[np.unsignedinteger]
 
     @property
-    def choice(self) -> Choice:
-        right, left = self.chord.hands
-        return Choice(
+    def backpointers(self) -> Backpointers:
+        """What `backtrack` needs of this moment."""
+        right, left = self.states.hands
+        return Backpointers(
             self.strokes, (right.fingers, left.fingers), self.left_before, self.right_before
         )
 
 
-chords_of = lru_cache(maxsize=8)(Chords)
+state_space = lru_cache(maxsize=8)(StateSpace)
 
 
-def beginning(chords: Chords) -> Ways:
-    """Before the first note."""
+def first_stage(space: StateSpace) -> Stage:
+    """The stage before the first note."""
     nothing = np.zeros((1, 1), np.uint8)
-    return Ways(-1.0, (), chords.at_home(), np.zeros((1, 1)), nothing, nothing)
+    return Stage(-1.0, (), space.initial(), np.zeros((1, 1)), nothing, nothing)
 
 
-def ways_on(
-    before: Ways,
+def next_stage(
+    before: Stage,
     time: float,
     strokes: tuple[Stroke, ...],
-    chords: Chords,
+    space: StateSpace,
     costs: Costs = COSTS,
-) -> Ways:
-    """From a moment on to the next, at `time` [s], in which `strokes` sound."""
-    asked = tuple(
-        Asked(p.key, begins, p.finger if begins else None)
+) -> Stage:
+    """The stage of the next moment, at `time` [s], in which `strokes` sound."""
+    notes = tuple(
+        ChordNote(p.key, begins, p.finger if begins else None)
         for p in strokes
         for begins in (p.start >= time,)
     )
-    chord = chords.of(asked)
-    right, left = chord.hands
-    right_was, left_was = before.chord.hands
-    cost = np.full_like(chord.close, np.inf)
+    states = space.of(notes)
+    right, left = states.hands
+    old_right, old_left = before.states.hands
+    cost = np.full_like(states.forearms, np.inf)
     through = np.empty((len(before.cost), len(left.cost)))  # (R', L) the cheapest over L'
-    left_before = np.empty(through.shape, np.min_scalar_type(len(left_was.cost)))
-    right_before = np.zeros(cost.shape, np.min_scalar_type(len(right_was.cost)))
-    to_right, to_left = changes_of_fingers(before.strokes, strokes, time, chords.reach, costs)
+    left_before = np.empty(through.shape, np.min_scalar_type(len(old_left.cost)))
+    right_before = np.zeros(cost.shape, np.min_scalar_type(len(old_right.cost)))
+    to_right, to_left = finger_change_costs(before.strokes, strokes, time, space.reach, costs)
     seconds = max(time - before.time, LETTING_GO)
-    change = transition(left_was, left, to_left, seconds, costs)
-    for was_right, was_left in before.chord.shared:
-        ways = before.cost[was_right, None, was_left] + change[:, was_left]
-        _least(ways, was_left.start, through[was_right], left_before[was_right])
-    change = transition(right_was, right, to_right, seconds, costs)
-    for is_right, is_left in chord.shared:
-        ways = through.T[is_left] + change[is_right, None]
-        _least(ways, 0, cost[is_right, is_left], right_before[is_right, is_left])
+    change = transition_costs(old_left, left, to_left, seconds, costs)
+    for rights, lefts in before.states.splits:
+        paths = before.cost[rights, None, lefts] + change[:, lefts]
+        _minimise(paths, lefts.start, through[rights], left_before[rights])
+    change = transition_costs(old_right, right, to_right, seconds, costs)
+    for rights, lefts in states.splits:
+        paths = through.T[lefts] + change[rights, None]
+        _minimise(paths, 0, cost[rights, lefts], right_before[rights, lefts])
     cost += right.cost[:, None]
     cost += left.cost
-    cost += chord.close
-    cost[cost >= NEVER] = np.inf
-    return Ways(time, strokes, chord, cost, left_before, right_before)
+    cost += states.forearms
+    cost[cost >= INFEASIBLE] = np.inf
+    return Stage(time, strokes, states, cost, left_before, right_before)
 
 
-def _least(ways: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
-    """Writes the least of the last axis of `ways` to `cost`, its place from `first` to `before`."""
-    ways.min(axis=2, out=cost)
-    np.add(ways.argmin(axis=2), first, out=before, casting="unsafe")
+def _minimise(paths: Array, first: int, cost: Array, before: NDArray[np.unsignedinteger]) -> None:
+    """Writes the minima over the last axis to `cost`, and `first` plus their places to `before`."""
+    paths.min(axis=2, out=cost)
+    np.add(paths.argmin(axis=2), first, out=before, casting="unsafe")
 
 
-def cheapest(
-    cost: Array, choices: Sequence[Choice], num_fingers: int
+def backtrack(
+    cost: Array, steps: Sequence[Backpointers], num_fingers: int
 ) -> tuple[dict[int, Finger], list[tuple[int, int]]]:
-    """The way to the least of the last costs (R, L).
+    """The path to the least of the last costs (R, L).
 
     Returns:
         Index of each note played -> its finger, and the states of both hands in each moment.
@@ -247,14 +249,14 @@ def cheapest(
     fingers: dict[int, Finger] = {}
     states = []
     state = np.unravel_index(cost.argmin(), cost.shape)
-    for choice in reversed(choices):
+    for step in reversed(steps):
         states.append((int(state[0]), int(state[1])))
-        for hand, (indices, s) in enumerate(zip(choice.fingers, state, strict=True)):
-            strokes = choice.strokes if hand == 0 else choice.strokes[::-1]
+        for hand, (indices, s) in enumerate(zip(step.fingers, state, strict=True)):
+            strokes = step.strokes if hand == 0 else step.strokes[::-1]
             for stroke, index in zip(strokes, indices[s].tolist(), strict=True):
                 if index < num_fingers:  # else the other hand plays it
                     fingers |= dict.fromkeys(stroke.notes, Finger(hand, index))
         right, left = state
-        right_before = choice.right_before[right, left]
-        state = (right_before, choice.left_before[right_before, left])
+        right_before = step.right_before[right, left]
+        state = (right_before, step.left_before[right_before, left])
     return fingers, states[::-1]

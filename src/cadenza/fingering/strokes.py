@@ -1,4 +1,4 @@
-"""What is pressed when."""
+"""Strokes: the keys that a score presses, and when."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.music.score import Score, chords
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stroke:
-    """A key going down for one or, where a score has them double, several `notes` (indices)."""
+    """A key pressed from `start` to `end` [s] for one or several of the `notes` (indices)."""
 
     key: int
     start: float
@@ -23,13 +23,13 @@ class Stroke:
 
 
 def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke]]]:
-    """The moments at which notes begin, with what is pressed then.
+    """The moments at which notes begin [s], with the strokes that begin then.
 
-    A note that is struck again while it sounds ends there.
+    A stroke ends where its key is struck again.
 
     Args:
         score: the notes.
-        lowest_pitch: of key 0.
+        lowest_pitch: the MIDI number of key 0.
     """
     moments: list[tuple[float, dict[int, list[int]]]] = []
     index = count()
@@ -56,7 +56,7 @@ def onsets(score: Score, lowest_pitch: int) -> Iterator[tuple[float, list[Stroke
 
 
 def outer_first(begin: Sequence[Stroke], held: Sequence[Stroke]) -> list[Stroke]:
-    """In the order in which notes are taken: given ones, then from outside to inside."""
+    """`begin` in the order in which notes are taken: given ones, then from outside to inside."""
     keys = sorted({stroke.key for stroke in (*begin, *held)})
     place = {key: min(i, len(keys) - 1 - i) for i, key in enumerate(keys)}
     return sorted(

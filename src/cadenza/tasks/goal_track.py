@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from cadenza.fingering.players import Forearm, Players, seated
+from cadenza.fingering.players import Forearm, Players, players_at
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingers import NO_FINGER
 from cadenza.music.goals import Goals, score_to_goals
@@ -118,4 +118,4 @@ def players_of(scene: Scene) -> Players:
     slides = len(scene.slide_joints) > 0
     spacing, mount = scene.config.hand_spacing, scene.hand.body.mount
     arm = Forearm(mount.home, mount.low, mount.high) if mount else None
-    return seated(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides, arm)
+    return players_at(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides, arm)

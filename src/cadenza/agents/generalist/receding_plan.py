@@ -19,8 +19,8 @@ from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, Effort
 from cadenza.agents.planner.plan.nominal_trajectory import Found, Motion, NominalTrajectory
 from cadenza.agents.planner.plan.presses import Press
+from cadenza.fingering.online import OnlineFingering
 from cadenza.fingering.players import Players
-from cadenza.fingering.sight import NotesInSight
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.scene import Scene
 
@@ -68,7 +68,7 @@ class InSight:
         """
         self._scene, self._dt = scene, dt
         self._motion = Motion(scene, dt, haste)
-        self._fingers = NotesInSight(players, _MOMENTS)
+        self._fingers = OnlineFingering(players, _MOMENTS)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
         self._seen = 0

@@ -20,7 +20,7 @@ from cadenza.agents.planner.practice.planned_variant import PlannedVariant
 from cadenza.agents.planner.practice.practised_planner import Rehearsal
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
 from cadenza.agents.planner.search.hand_search import SearchState
-from cadenza.fingering.changes import Costs
+from cadenza.fingering.transitions import Costs
 from cadenza.fingers import NO_FINGER
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.practice.trajectory import Trajectory
-from cadenza.fingering.changes import Costs
 from cadenza.fingering.search import find_fingering
+from cadenza.fingering.transitions import Costs
 from cadenza.fingers import SIDES
 from cadenza.tasks.goal_track import GoalTrack, players_of
 
 Mask = NDArray[np.bool_]
 
 OTHER_COSTS = (
-    Costs(way=32.0, same_finger=1.0, crossing=3.0),
-    Costs(way=32.0, speed=24.0, crossing=0.5),
-    Costs(way=16.0, crossing=3.0),
+    Costs(distance=32.0, same_finger=1.0, crossing=3.0),
+    Costs(distance=32.0, speed=24.0, crossing=0.5),
+    Costs(distance=16.0, crossing=3.0),
 )
 """What chooses other fingers, one after the other: with all of them, hands move less."""
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from cadenza.fingering import sight as module
-from cadenza.fingering.search import Ways, ways_on
-from cadenza.fingering.sight import NotesInSight
+from cadenza.fingering import online as module
+from cadenza.fingering.online import OnlineFingering
+from cadenza.fingering.search import Stage, next_stage
 from cadenza.fingers import Finger
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
@@ -17,7 +17,7 @@ from cadenza.music.score import Note, Score
 from players import find_fingering, shadow_hands
 
 
-def show(sight: NotesInSight, *notes: Note) -> list[int]:
+def show(sight: OnlineFingering, *notes: Note) -> list[int]:
     """Shows notes with their ends; their numbers."""
     numbers = []
     for note in notes:
@@ -30,7 +30,7 @@ def show(sight: NotesInSight, *notes: Note) -> list[int]:
 def test_all_notes_at_once_get_what_the_search_finds(song: str) -> None:
     score = load_score(song).beginning(6.0)
     score = Score(tuple(replace(note, finger=None, velocity=80) for note in score.notes))
-    sight = NotesInSight(shadow_hands())
+    sight = OnlineFingering(shadow_hands())
     numbers = show(sight, *score.notes)
     found = sight.find(0.0)
     expected, _ = find_fingering(score)
@@ -39,7 +39,7 @@ def test_all_notes_at_once_get_what_the_search_finds(song: str) -> None:
 
 def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
     notes = [Note(0.2 * i, 0.2 * i + 0.2, pitch) for i, pitch in enumerate(range(60, 84))]
-    sight, found = NotesInSight(shadow_hands(["right"])), list[dict[int, Finger | None]]()
+    sight, found = OnlineFingering(shadow_hands(["right"])), list[dict[int, Finger | None]]()
     for note in notes:
         show(sight, note)
         found.append(sight.find(note.start - 0.3))
@@ -52,7 +52,7 @@ def test_what_is_settled_stays_and_what_is_not_may_change() -> None:
 @pytest.mark.parametrize("song", ["FurEliseOpening", "BachPreludeInCMajor"])
 def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
     notes, dt = load_score(song).beginning(4.0).notes, 0.05
-    on, anew = NotesInSight(shadow_hands(), 8), NotesInSight(shadow_hands(), 8)
+    on, anew = OnlineFingering(shadow_hands(), 8), OnlineFingering(shadow_hands(), 8)
     numbers: dict[int, int] = {}
     for step in range(100):
         for i, note in enumerate(notes):
@@ -69,7 +69,7 @@ def test_goes_on_from_what_it_has_found_as_if_it_began_anew(song: str) -> None:
 
 
 def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> None:
-    sight = NotesInSight(shadow_hands(["right"]))
+    sight = OnlineFingering(shadow_hands(["right"]))
     held = sight.begin(60 - PIANO.lowest_pitch, 0.0)
     fingers = [sight.find(0.1)[held]]
     for time in (1.0, 2.0):
@@ -82,7 +82,7 @@ def test_held_note_keeps_its_finger_from_others_until_it_is_seen_to_end() -> Non
 
 
 def test_what_cannot_be_played_gets_no_finger() -> None:
-    sight = NotesInSight(shadow_hands(["right"]))
+    sight = OnlineFingering(shadow_hands(["right"]))
     numbers = show(sight, *(Note(0.0, 1.0, pitch) for pitch in (48, 60, 64, 67, 84)))
     fingers = list(sight.find(0.1).values())
     assert 0 < fingers.count(None) < len(numbers) == len(fingers)
@@ -90,7 +90,7 @@ def test_what_cannot_be_played_gets_no_finger() -> None:
 
 def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later() -> None:
     notes = [Note(0.1 * i, 0.1 * i + 0.1, 60 + i % 5) for i in range(30)]
-    sight = NotesInSight(shadow_hands(["right"]), moments=12)
+    sight = OnlineFingering(shadow_hands(["right"]), moments=12)
     numbers, found = show(sight, *notes), dict[int, Finger | None]()
     for _ in range(3):
         found |= sight.find(5.0)
@@ -100,12 +100,12 @@ def test_notes_that_are_settled_before_they_were_looked_at_get_fingers_later() -
 def test_its_work_does_not_grow_with_the_song(monkeypatch: pytest.MonkeyPatch) -> None:
     moments: list[float] = []
 
-    def noted(before: Ways, time: float, *others: Any) -> Ways:
+    def noted(before: Stage, time: float, *others: Any) -> Stage:
         moments.append(time)
-        return ways_on(before, time, *others)
+        return next_stage(before, time, *others)
 
-    monkeypatch.setattr(module, "ways_on", noted)
-    sight, work = NotesInSight(shadow_hands()), []
+    monkeypatch.setattr(module, "next_stage", noted)
+    sight, work = OnlineFingering(shadow_hands()), []
     for beat in range(160):
         time, pitch = beat / 4, (60, 64, 67, 72)[beat % 4]
         show(sight, Note(time, time + 0.25, pitch), Note(time, time + 0.5, pitch - 24))

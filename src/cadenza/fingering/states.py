@@ -1,0 +1,274 @@
+"""States of the search for fingers: what hands can do about notes that sound together.
+
+Everything of one hand is described as if it were the right one: for the left one the keyboard is
+mirrored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.fingering.players import Players, is_within
+from cadenza.fingers import Finger
+from cadenza.hands.reach import Array, Reach
+
+INFEASIBLE = 1e9
+"""Cost of what hands cannot do: more than all other costs of a song together."""
+
+_FAR = 10.0  # [m] farther than anything at a keyboard
+_STRETCH = 1.0  # cost of stretching or squeezing fingers as far as they go
+_MIN_ROOM = 0.001  # [m] taken for that of fingers that cannot spread, so as not to divide by zero
+_FOREARMS_NEAR = 100.0  # [1 / m^2] cost of forearms near each other
+_FOREARM_ROOM = 0.031  # [m] gap between forearms from which on they do not mind each other
+
+
+@dataclass(frozen=True, eq=False)
+class FingerSets:
+    """The S sets of fingers with which a hand of F fingers can play the last of `m` notes.
+
+    The notes lie from the thumb's side to the little finger's; the last row is the empty set.
+    Pairs are the P pairs of notes, the first nearer the thumb.
+
+    fingers (S, m)          the finger on each note, or F for none
+    one_hot (S, m (F + 1))  the same
+    count (S,)              number of notes played
+    mean (S, m)             weights that give the mean of the notes played
+    rest (S,)               the mean of their fingers' offsets from the forearm [m]
+    outward (S, m)          how far beyond each note the forearm can be [m]
+    leftward, rightward (S,)    how far all fingers can be off their rest [m]
+    first, second (P,)      the notes of each pair
+    least, ease, most (S, P)    distances between the notes of each pair [m]
+    longer, shorter (S, P)  from ease to most and to least [m]
+    played (S, P)           1 for pairs of which both notes are played, else 0
+    """
+
+    fingers: NDArray[np.intp]
+    one_hot: Array
+    count: NDArray[np.intp]
+    mean: Array
+    rest: Array
+    outward: Array
+    leftward: Array
+    rightward: Array
+    first: NDArray[np.intp]
+    second: NDArray[np.intp]
+    least: Array
+    ease: Array
+    most: Array
+    longer: Array
+    shorter: Array
+    played: Array
+
+
+@lru_cache(maxsize=64)
+def finger_sets(m: int, reach: Reach) -> FingerSets:
+    """The sets of fingers with which a hand can play `m` notes, or some of them."""
+    none = reach.num_fingers
+    sets = [s for k in range(min(m, none), -1, -1) for s in combinations(range(none), k)]
+    fingers = np.array([(none,) * (m - len(s)) + s for s in sets], np.intp)
+    fingers = fingers.reshape(len(sets), m)
+    played = fingers != none
+    count = played.sum(axis=1)
+    weights = played / np.maximum(count, 1)[:, None]
+    first, second = np.triu_indices(m, 1)
+    pair = fingers[:, first], fingers[:, second]
+    least = _with_no_finger(reach.least, -_FAR)[pair]
+    ease = _with_no_finger(reach.rest - reach.rest[:, None], 0.0)[pair]
+    most = _with_no_finger(reach.most, _FAR)[pair]
+    leftward = _with_no_finger(reach.rest + reach.outward, _FAR)[fingers]
+    rightward = _with_no_finger(reach.inward - reach.rest, _FAR)[fingers]
+    return FingerSets(
+        fingers=fingers,
+        one_hot=np.eye(none + 1)[fingers].reshape(len(sets), (none + 1) * m),
+        count=count,
+        mean=weights,
+        rest=(weights * _with_no_finger(reach.rest, 0.0)[fingers]).sum(axis=1),
+        outward=_with_no_finger(reach.outward, _FAR)[fingers],
+        leftward=np.maximum(leftward.min(axis=1, initial=_FAR), _MIN_ROOM),
+        rightward=np.maximum(rightward.min(axis=1, initial=_FAR), _MIN_ROOM),
+        first=first,
+        second=second,
+        least=least,
+        ease=ease,
+        most=most,
+        longer=np.maximum(most - ease, _MIN_ROOM),
+        shorter=np.maximum(ease - least, _MIN_ROOM),
+        played=(played[:, first] & played[:, second]).astype(float),
+    )
+
+
+def _with_no_finger(table: Array, value: float) -> Array:
+    """`table` with a last row, and column, for no finger."""
+    return np.pad(table, (0, 1), constant_values=value)
+
+
+@dataclass(frozen=True, eq=False)
+class HandStates:
+    """S states of one hand at a moment: the first N play notes, the others are idle."""
+
+    finger_set: NDArray[np.intp]  # (S,) rows of `finger_sets`
+    fingers: NDArray[np.uint8]  # (S, m)
+    count: NDArray[np.intp]  # (S,) notes played, in falling order
+    playing: int  # N
+    idle_slack: float  # how far from its place an idle hand can be as well [m]
+    centre: Array  # (S,) where the forearm is when the fingers are as much at rest as can be [m]
+    outmost: Array  # (S,) where it can be on the side of the little finger [m]
+    cost: Array  # (S,)
+
+    def subset(self, mask: NDArray[np.bool_]) -> HandStates:
+        """The states for which `mask` (S,) holds."""
+        return HandStates(
+            finger_set=self.finger_set[mask],
+            fingers=self.fingers[mask],
+            count=self.count[mask],
+            playing=int(np.count_nonzero(self.count[mask])),
+            idle_slack=self.idle_slack,
+            centre=self.centre[mask],
+            outmost=self.outmost[mask],
+            cost=self.cost[mask],
+        )
+
+    def with_count(self, notes: int) -> slice:
+        """The states in which this many notes are played."""
+        first, end = np.searchsorted(-self.count, [-notes, 1 - notes]).tolist()
+        return slice(first, end)
+
+
+class ChordNote(NamedTuple):
+    """A note that a hand has to begin, with the `finger` if it is given, or to go on holding."""
+
+    key: int
+    begins: bool
+    finger: Finger | None
+
+
+@dataclass(frozen=True, eq=False)
+class ChordStates:
+    """What both hands can do about notes that sound together.
+
+    hands           right, left: R and L states, each feasible with some state of the other hand
+    splits          blocks of (R, L) in which the hands share all notes between them
+    forearms (R, L) cost of forearms near each other
+    """
+
+    hands: tuple[HandStates, HandStates]
+    splits: tuple[tuple[slice, slice], ...]
+    forearms: Array
+
+
+class StateSpace:
+    """The states of these hands for any notes."""
+
+    def __init__(self, players: Players) -> None:
+        self._players = players
+        self._hands = _Hand(players, 0), _Hand(players, 1)
+        self.of = lru_cache(maxsize=512)(self._of)  # chords come again
+
+    @property
+    def reach(self) -> Reach:
+        """The reach of either hand."""
+        return self._players.reach
+
+    def initial(self) -> ChordStates:
+        """Without notes, each hand where its forearm is mounted, however close to the other's."""
+        right, left = (hand.states((), hand.home) for hand in self._hands)
+        return ChordStates((right, left), ((slice(0, 1), slice(0, 1)),), np.zeros((1, 1)))
+
+    def _of(self, notes: tuple[ChordNote, ...]) -> ChordStates:
+        """The states for `notes`, from the lowest."""
+        hands = self._hands
+        right = hands[0].states(notes, hands[0].idle_places)
+        left = hands[1].states(notes[::-1], hands[1].idle_places)
+        forearms = self._forearm_costs(right, left)
+        all_played = right.count[:, None] + left.count == len(notes)
+        feasible = all_played & (forearms + right.cost[:, None] + left.cost < INFEASIBLE)
+        in_right, in_left = feasible.any(axis=1), feasible.any(axis=0)
+        right, left = right.subset(in_right), left.subset(in_left)
+        return ChordStates(
+            hands=(right, left),
+            splits=tuple(
+                (right.with_count(count), left.with_count(len(notes) - count))
+                for count in sorted(set(right.count.tolist()))
+            ),
+            forearms=forearms[np.ix_(in_right, in_left)],
+        )
+
+    def _forearm_costs(self, right: HandStates, left: HandStates) -> Array:
+        """(R, L) costs of forearms near each other."""
+        at_ease = self.reach.forearm_width + _FOREARM_ROOM
+        lacking = np.maximum(at_ease - (right.centre[:, None] + left.centre), 0.0)
+        touch = self._players.forearms_touch(right.outmost[:, None], left.outmost)
+        return _FOREARMS_NEAR * lacking**2 + INFEASIBLE * touch
+
+
+class _Hand:
+    """One of the hands, 0 the right, 1 the left.
+
+    Attributes:
+        idle_places: where it can be without notes [m].
+        home: where it is before the first note [m].
+    """
+
+    def __init__(self, players: Players, hand: int) -> None:
+        forearm = players.forearm(hand)
+        self.idle_places = forearm.idle_places if forearm else (_FAR,)
+        self.home = (forearm.home,) if forearm else (_FAR,)
+        places = self.idle_places
+        self._idle_slack = (places[1] - places[0]) / 2 if len(places) > 1 else 0.0
+        self._low, self._high = (forearm.low, forearm.high) if forearm else (-_FAR, _FAR)
+        self._hand, self._reach = hand, players.reach
+        self._key_y = players.key_y(hand)
+        self._is_black = players.keyboard.is_black
+        # (K, F + 1) cost of holding each key with each finger, or with none.
+        self._holding = np.pad(np.where(players.reaches(hand), 0.0, INFEASIBLE), ((0, 0), (0, 1)))
+
+    def states(self, notes: tuple[ChordNote, ...], idle_places: tuple[float, ...]) -> HandStates:
+        """The states for `notes`, from the thumb's side, and at `idle_places` [m] without any."""
+        y = self._key_y[[note.key for note in notes]]
+        sets = finger_sets(len(y), self._reach)
+        distance = y[sets.second] - y[sets.first]
+        stretch = distance - sets.ease
+        room = np.where(stretch > 0, sets.longer, sets.shorter)
+        cost = sets.one_hot @ self._finger_costs(notes).ravel()
+        cost += _STRETCH * (sets.played * (stretch / room) ** 2).sum(axis=1)
+        at_rest = sets.mean @ y - sets.rest
+        centre = np.clip(at_rest, self._low, self._high)
+        off = at_rest - centre
+        cost += _STRETCH * (off / np.where(off > 0, sets.rightward, sets.leftward)) ** 2
+        feasible = is_within(distance, sets.least, sets.most).all(axis=1) & (cost < INFEASIBLE)
+        feasible[-1] = False  # the empty set: idle, in one of several places
+        cost[-1] = 0.0
+        outmost = (y + sets.outward).min(axis=1, initial=self._high)
+        idle = np.full(len(idle_places), len(feasible) - 1)
+        rows = np.concatenate([feasible.nonzero()[0], idle])
+        return HandStates(
+            finger_set=rows,
+            fingers=sets.fingers[rows].astype(np.uint8),
+            count=sets.count[rows],
+            playing=len(rows) - len(idle),
+            idle_slack=self._idle_slack,
+            centre=np.concatenate([centre[feasible], idle_places]),
+            outmost=np.concatenate([outmost[feasible], idle_places]),
+            cost=cost[rows],
+        )
+
+    def _finger_costs(self, notes: Sequence[ChordNote]) -> Array:
+        """(m, F + 1) costs of each finger on each of the notes."""
+        costs = self._holding[[note.key for note in notes]]
+        reach, none = self._reach, self._reach.num_fingers
+        for row, note in zip(costs, notes, strict=True):
+            if not note.begins:  # its cost is that of the moment at which it began
+                continue
+            on_black = reach.effort_on_black if self._is_black[note.key] else 0.0
+            row[:none] += reach.effort + on_black
+            if note.finger is not None:
+                ours = note.finger.hand == self._hand
+                row[np.arange(none + 1) != (note.finger.index if ours else none)] = INFEASIBLE
+        return costs
