@@ -11,7 +11,7 @@ import pytest
 from cadenza.agents.playback import load_plan
 from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene, hand_alone, hand_on_keys, parts_that_touch
+from cadenza.scene.scene import build_scene, hand_alone, reduced_model, colliding_parts
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
@@ -69,7 +69,7 @@ def test_fingertips_move_with_joints_as_told() -> None:
 @pytest.mark.parametrize("hand", ["shadow", "allegro"])
 def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
     scene = build_scene(SceneConfig(hands="left", hand=hand))
-    whole, some = scene.model, hand_on_keys(scene, range(30, 50), parts_that_touch(scene))
+    whole, some = scene.model, reduced_model(scene, range(30, 50), colliding_parts(scene))
     joints = [some.joint(j).name for j in range(some.njnt)]
     assert joints == [
         name

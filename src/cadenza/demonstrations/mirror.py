@@ -15,9 +15,9 @@ from cadenza.demonstrations.dataset import Array, Batch
 from cadenza.errors import CadenzaError
 from cadenza.fingers import NO_FINGER
 from cadenza.music.score import MIRROR
+from cadenza.scene.reflection import joint_reflection, servo_reflection
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
-from cadenza.scene.swap import swapped_joints, swapped_servos
 
 
 class Mirror:
@@ -34,8 +34,8 @@ class Mirror:
         self._about = float(scene.keyboard.centre[middle, 1])
         self._keys = 2 * middle - np.arange(scene.keyboard.num_keys)
         self._has_key = (self._keys >= 0) & (self._keys < scene.keyboard.num_keys)
-        self.joints = swapped_joints(scene, self._about)
-        self.servos = swapped_servos(servos_of(scene), self.joints)
+        self.joints = joint_reflection(scene, self._about)
+        self.servos = servo_reflection(servos_of(scene), self.joints)
         fingers = scene.fingers
         self._fingers = np.roll(np.arange(fingers.count), fingers.per_hand)
 

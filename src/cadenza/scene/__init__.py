@@ -1,1 +1,1 @@
-"""The figures of the piano and the hands, and the builders that turn them into a MuJoCo scene."""
+"""The MuJoCo scene of a keyboard and hands: its model, servos, kinematics, cameras and drawing."""

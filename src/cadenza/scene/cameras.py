@@ -1,4 +1,4 @@
-"""Cameras and light.
+"""Cameras and light of the scene.
 
 `CAMERAS` are the published scene's (robopianist 1.0.10), fixed where they are. The player's camera
 is Cadenza's own: it comes as near as the keys of a song allow.
@@ -27,17 +27,17 @@ MAX_WIDTH, MAX_HEIGHT = 1920, 1080  # [px] of a picture
 
 _ELEVATION = np.deg2rad(62.0)  # of the player's camera over the keys
 _FOVY = np.deg2rad(45.0)  # MuJoCo's for cameras that are not fixed
-_BESIDE_KEYS = 0.06  # [m] in sight on either side of a song's keys
-_BEHIND_KEYS = 0.065  # [m] in sight
-_WRISTS_X = 0.2  # [m] where the picture ends
+_BESIDE_KEYS = 0.06  # [m] in view on either side of a song's keys
+_BEHIND_KEYS = 0.065  # [m] in view
+_WRISTS_X = 0.2  # [m] end of the view
 
 
 def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> mujoco.MjvCamera:
-    """Over the player's head, as near as keeps a song's keys and the hands at them in sight.
+    """The camera over the player's head, so near that a song's keys and the hands fill the view.
 
     Args:
-        keyboard: that is played.
-        keys: the lowest and the highest.
+        keyboard: the keyboard.
+        keys: the lowest and the highest key of the song.
         aspect: width of the picture over its height.
     """
     left, right = keyboard.centre[list(keys), 1] + np.array([-_BESIDE_KEYS, _BESIDE_KEYS])
@@ -53,8 +53,8 @@ def player_camera(keyboard: Keyboard, keys: tuple[int, int], aspect: float) -> m
     camera.azimuth, camera.elevation = 180.0, -np.rad2deg(_ELEVATION)
     camera.lookat[:] = centre
     slope = np.tan(_FOVY / 2)
-    wanted = np.maximum(np.abs(across) / aspect, np.abs(upwards)) / slope
-    camera.distance = float(np.max(nearer + wanted))
+    distance = np.maximum(np.abs(across) / aspect, np.abs(upwards)) / slope
+    camera.distance = float(np.max(nearer + distance))
     return camera
 
 

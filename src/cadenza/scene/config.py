@@ -1,17 +1,12 @@
-"""What can be chosen about the scene. Imports nothing heavy: the command line shows it.
-
-A new option says what was so before there was it, see `cadenza.configs.added`: else all runs that
-were kept without it would be carried out again.
-"""
+"""The options of the scene. Imports nothing heavy: the command line shows them."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from cadenza.configs import added
 from cadenza.errors import CadenzaError
 from cadenza.registry import module_of
 
@@ -48,7 +43,7 @@ class SceneConfig:
     their shells."""
     hand_collisions: bool = True
     """Enable collisions between the hands, and between fingers of one hand."""
-    touch: bool = field(default=False, metadata=added(before=False))
+    touch: bool = False
     """Have touch sensors on the fingertips, and observe their normal forces."""
     sleeping_keys: bool = True
     """Skip the simulation of keys at rest, which is faster and moves the others by 1e-4 rad or so.
@@ -59,13 +54,13 @@ class SceneConfig:
 
 
 def named_by_module(config: SceneConfig) -> dict[str, str]:
-    """Option -> name, of a hand and a keyboard that are given as `module:NAME`."""
+    """Option -> name, for the hand and the keyboard if they are given as `module:NAME`."""
     names = {option: getattr(config, option) for option in ("hand", "keyboard")}
     return {option: name for option, name in names.items() if module_of(name) is not None}
 
 
 def check_modules(config: SceneConfig, where: Path) -> None:
-    """That a configuration read from a file has no module imported: that may run anything.
+    """Checks that a configuration read from a file imports no module, which may run anything.
 
     Raises:
         CadenzaError: `where` names a `module:NAME` that nobody has imported.

@@ -1,4 +1,4 @@
-"""What a page needs to draw a performance without MuJoCo: shapes, and poses over time."""
+"""Shapes, and poses over time, with which a page draws a performance without MuJoCo."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from cadenza.hands.body import COLLIDING_GROUP
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 
-_NAMES = {
+# MuJoCo's type of a geom -> its name, and how many numbers its size has.
+_SHAPES = {
     mujoco.mjtGeom.mjGEOM_BOX: ("box", 3),
     mujoco.mjtGeom.mjGEOM_CAPSULE: ("capsule", 2),
     mujoco.mjtGeom.mjGEOM_CYLINDER: ("cylinder", 2),
@@ -20,9 +21,11 @@ _NAMES = {
     mujoco.mjtGeom.mjGEOM_SPHERE: ("sphere", 1),
 }
 
+_DECIMALS = 6  # of lengths [m] and quaternions
+
 
 def drawing(scene: Scene) -> dict[str, Any]:
-    """Everything that can be seen, as plain values for JSON.
+    """All visible shapes, as plain values for JSON.
 
     bodies: names of the B bodies of the hands, in the order of `body_poses`.
     skeleton: for each of them its parent (index, or -1 where that stands still), pos [m] and quat
@@ -49,7 +52,7 @@ def drawing(scene: Scene) -> dict[str, Any]:
         geoms.append(geom | _shape(model, g, fixed=body not in index))
     return {
         "bodies": [model.body(b).name for b in scene.hand_bodies],
-        "skeleton": [_jointed(scene, int(b), index) for b in scene.hand_bodies],
+        "skeleton": [_body(scene, int(b), index) for b in scene.hand_bodies],
         "geoms": geoms,
         "keys": [_key(scene.keyboard, k) for k in range(scene.keyboard.num_keys)],
     }
@@ -73,19 +76,19 @@ def body_poses(
     return xpos, xquat
 
 
-def _jointed(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
-    """Of a body whose joints turn about its own origin, as all of the hands do."""
+def _body(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
+    """A body whose joints turn about its own origin, as all of the hands do."""
     model = scene.model
     first = int(model.body_jntadr[body])
     joints = range(first, first + int(model.body_jntnum[body]))
     return {
         "parent": index.get(int(model.body_parentid[body]), -1),
-        "pos": _plain(model.body_pos[body]),
-        "quat": _plain(model.body_quat[body]),
+        "pos": _rounded(model.body_pos[body]),
+        "quat": _rounded(model.body_quat[body]),
         "joints": [
             {
                 "type": "slide" if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE else "hinge",
-                "axis": _plain(model.jnt_axis[j]),
+                "axis": _rounded(model.jnt_axis[j]),
                 "index": int(model.jnt_qposadr[j]) - scene.hand_qpos.start,
             }
             for j in joints
@@ -94,28 +97,29 @@ def _jointed(scene: Scene, body: int, index: dict[int, int]) -> dict[str, Any]:
 
 
 def _shape(model: mujoco.MjModel, g: int, fixed: bool) -> dict[str, Any]:
-    name, num_sizes = _NAMES[mujoco.mjtGeom(model.geom_type[g])]
+    name, num_sizes = _SHAPES[mujoco.mjtGeom(model.geom_type[g])]
     pos = model.geom_pos[g] + (model.body_pos[model.geom_bodyid[g]] if fixed else 0.0)
     return {
         "type": name,
-        "size": _plain(model.geom_size[g, :num_sizes]),
-        "pos": _plain(pos),
-        "quat": _plain(model.geom_quat[g]),
-        "rgba": _plain(model.geom_rgba[g]),
+        "size": _rounded(model.geom_size[g, :num_sizes]),
+        "pos": _rounded(pos),
+        "quat": _rounded(model.geom_quat[g]),
+        "rgba": _rounded(model.geom_rgba[g]),
     }
 
 
 def _key(keyboard: Keyboard, k: int) -> dict[str, Any]:
     centre, half_size = keyboard.centre[k], keyboard.half_size[k]
     return {
-        "pos": _plain(centre),
-        "size": _plain(half_size),
-        "hinge": _plain(centre - [half_size[0], 0.0, 0.0]),
+        "pos": _rounded(centre),
+        "size": _rounded(half_size),
+        "hinge": _rounded(centre - [half_size[0], 0.0, 0.0]),
         "axis": [0.0, 1.0, 0.0],
-        "travel": round(float(keyboard.travel[k]), 6),
+        "travel": round(float(keyboard.travel[k]), _DECIMALS),
         "black": bool(keyboard.is_black[k]),
     }
 
 
-def _plain(values: NDArray[Any]) -> list[float]:
-    return [round(float(v), 6) for v in values]
+def _rounded(values: NDArray[Any]) -> list[float]:
+    """`values` to the micrometre, which keeps pages small."""
+    return [round(float(value), _DECIMALS) for value in values]

@@ -1,4 +1,4 @@
-"""Where the fingers are, and how they move with the servos, for many postures."""
+"""Forward kinematics and Jacobians of fingers, for many postures at once."""
 
 from __future__ import annotations
 
@@ -10,65 +10,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.hands.body import prefix
-from cadenza.scene.scene import Ids, Scene, as_ids, hand_on_keys
+from cadenza.scene.scene import Ids, Scene, as_ids, reduced_model
 from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 
-TIP = -1  # the last of a finger's points
+TIP = -1  # index of the tip among a finger's points
 
 
-class _Moves(NamedTuple):
+class _JacobianTerms(NamedTuple):
     """N pairs of a joint and a point that it moves; no two have both the servo and the point."""
 
     joint: Ids
-    """(N,)"""
+    """(N,) the joints."""
     share: Array
-    """(N,) of the servo's coordinate."""
+    """(N,) derivatives of the joints by the servo's coordinate."""
     point: Ids
-    """(N,)"""
+    """(N,) the points."""
     where: Ids
-    """(3, N) of the Jacobian of a posture."""
+    """(3, N) places of x, y and z in the Jacobian of a posture, flattened."""
     hinge: bool
-    again: bool
-    """Whether earlier ones have the same servos and points."""
+    """Whether the joints are hinges, not slides."""
+    repeated: bool
+    """Whether earlier terms have the same servos and points."""
 
 
 class Links(NamedTuple):
-    """The links of F fingers of each of H hands in S postures, and how they move.
+    """The links of F fingers of each of H hands in S postures, and their Jacobians.
 
-    It is the A servos of a finger's own hand that move it. J joints are those of a hand.
+    A is the number of servos of one hand, which move its fingers; J that of its joints.
     """
 
     points: Array
-    """(S, H, F, P, 3), see `Kinematics` [m]."""
+    """(S, H, F, P, 3) the points of `Kinematics` [m]."""
     tips: Array
-    """(S, H, F, 3, A) the Jacobian of the tips."""
+    """(S, H, F, 3, A) Jacobians of the tips."""
     screws: Array
-    """(S, H, J, 6) of joints: their axes, and the velocity that they give to the origin."""
+    """(S, H, J, 6) screws of the joints: axis, and velocity that they give to the origin."""
     carried: NDArray[np.bool_]
     """(F, P, J) whether a joint moves the link that begins at a point."""
     shares: Array
-    """(J, A) what a unit of a servo's coordinate adds to each joint."""
+    """(J, A) derivatives of the joints by the servos' coordinates."""
 
     def along(self, posture: Ids, finger: Ids, link: Ids, at: Array, direction: Array) -> Array:
-        """(..., A) how fast points on links go in a direction, by the servos.
+        """(..., A) derivatives of points on links along a direction, by the servos' coordinates.
 
-        That is the product of the screws of joints and the wrench of a unit force at the point
+        They are the product of the screws of joints and the wrench of a unit force at the point
         (Murray, Li & Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, 2.5).
 
         Args:
-            posture: (...)
-            finger: (...) of the right hand, or counted on from these of the left.
-            link: (...) of the finger.
-            at: (..., 3) where the point is [m].
-            direction: (..., 3) of length 1.
+            posture: (...) indices of postures.
+            finger: (...) indices of fingers, those of the left hand after those of the right.
+            link: (...) indices of the fingers' links.
+            at: (..., 3) the points [m].
+            direction: (..., 3) unit vectors.
         """
         hand, own = np.divmod(finger, len(self.carried))
         wrench = np.concatenate([_cross(at.T, direction.T).T, direction], axis=-1)
-        of_joints = (self.screws[posture, hand] @ wrench[..., None])[..., 0]
-        slopes: Array = (of_joints * self.carried[own, link]) @ self.shares
-        return slopes
+        by_joints = (self.screws[posture, hand] @ wrench[..., None])[..., 0]
+        derivatives: Array = (by_joints * self.carried[own, link]) @ self.shares
+        return derivatives
 
 
 class Kinematics:
@@ -78,7 +79,7 @@ class Kinematics:
     """
 
     def __init__(self, scene: Scene, servos: Servos) -> None:
-        model = self._model = hand_on_keys(scene, range(0), ())
+        model = self._model = reduced_model(scene, range(0), ())
         self._servos, self._data = servos, mujoco.MjData(model)
         self._hands, self._num_servos = len(scene.sides), len(servos.low) // len(scene.sides)
         bodies = [
@@ -91,7 +92,7 @@ class Kinematics:
         self._tips = as_ids(model.site(scene.model.site(i).name).id for i in scene.fingertip_sites)
         chains = [_chain(model, body) for body in bodies]
         of_tips = chains[self._num_points - 1 :: self._num_points]
-        self._moves = _moves(model, servos.joints, of_tips, self._num_servos)
+        self._terms = _jacobian_terms(model, servos.joints, of_tips, self._num_servos)
         joints = model.njnt // self._hands
         self._hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self._shares = servos.joints[: self._num_servos, :joints].T
@@ -100,8 +101,8 @@ class Kinematics:
         self._carried = np.array(carried).reshape(-1, self._num_points, joints)
 
     def links(self, postures: Array) -> Links:
-        """Those of postures (S, A)."""
-        points, axes, anchors = self._there(postures)
+        """The links in postures (S, A)."""
+        points, axes, anchors = self._forward(postures)
         tips = points[:, :, self._num_points - 1 :: self._num_points]
         jacobian = self._jacobian(tips, axes, anchors)
         linear = np.where(self._hinges, _cross(anchors, axes), axes)
@@ -116,35 +117,35 @@ class Kinematics:
         )
 
     def points(self, postures: Array) -> Array:
-        """(S, F, P, 3) those of postures (S, A) [m]."""
-        points, _, _ = self._there(postures)
+        """(S, F, P, 3) points of the fingers in postures (S, A) [m]."""
+        points, _, _ = self._forward(postures)
         return np.moveaxis(points, 0, 2).reshape(len(postures), -1, self._num_points, 3)
 
     def fingertips(self, postures: Array, moving: slice = slice(None)) -> tuple[Array, Array]:
-        """Tips (S, F, 3) [m] of postures (S, A), and their Jacobian (S', F, 3, A').
+        """Tips (S, F, 3) of the fingers in postures (S, A) [m], and Jacobians (S', F, 3, A').
 
-        It is that by the A' servos of a finger's own hand; those of the other do not move it.
-        `moving` says of which of the postures it is, by default of all.
+        They are by the A' servos of a finger's own hand, as the other's do not move it, for the
+        postures `moving`, by default all.
         """
-        points, axes, anchors = self._there(postures)
+        points, axes, anchors = self._forward(postures)
         tips = points[:, :, self._num_points - 1 :: self._num_points]
         jacobian = self._jacobian(tips[:, moving], axes[:, moving], anchors[:, moving])
         return np.moveaxis(tips, 0, 2), jacobian.reshape(len(jacobian), tips.shape[2], 3, -1)
 
     def _jacobian(self, tips: Array, axes: Array, anchors: Array) -> Array:
-        """(S, 3 F A') of tips (3, S, F), by axes and anchors (3, S, J) of joints."""
+        """(S, 3 F A') Jacobians of tips (3, S, F), given axes and anchors (3, S, J) of joints."""
         jacobian = np.zeros((tips.shape[1], tips.shape[2] * 3 * self._num_servos))
-        for moves in self._moves:
-            column = moves.share * axes[:, :, moves.joint]
-            if moves.hinge:
-                column = _cross(column, tips[:, :, moves.point] - anchors[:, :, moves.joint])
-            if moves.again:
-                column += jacobian[:, moves.where].swapaxes(0, 1)
-            jacobian[:, moves.where] = column.swapaxes(0, 1)
+        for terms in self._terms:
+            column = terms.share * axes[:, :, terms.joint]
+            if terms.hinge:
+                column = _cross(column, tips[:, :, terms.point] - anchors[:, :, terms.joint])
+            if terms.repeated:
+                column += jacobian[:, terms.where].swapaxes(0, 1)
+            jacobian[:, terms.where] = column.swapaxes(0, 1)
         return jacobian
 
-    def _there(self, postures: Array) -> tuple[Array, Array, Array]:
-        """(3, S, N) points, and (3, S, J) axes and anchors of joints, of postures (S, A)."""
+    def _forward(self, postures: Array) -> tuple[Array, Array, Array]:
+        """(3, S, N) points, and (3, S, J) axes and anchors of joints, in postures (S, A)."""
         data, count, size = self._data, len(postures), self._num_points
         now = data.xpos, data.site_xpos, data.xaxis, data.xanchor
         rows = [np.empty((count, *values.shape)) for values in now]
@@ -153,7 +154,7 @@ class Kinematics:
             mujoco.mj_kinematics(self._model, data)
             for kept, values in zip(rows, now, strict=True):
                 kept[row] = values
-        # An array for each coordinate, as products take several times as long of vectors.
+        # An array for each of x, y and z: products of vectors take several times as long.
         bodies, sites, axes, anchors = (
             np.ascontiguousarray(values.transpose(2, 0, 1)) for values in rows
         )
@@ -162,15 +163,16 @@ class Kinematics:
         return points, axes, anchors
 
 
-def _moves(
+def _jacobian_terms(
     model: mujoco.MjModel, joints: Array, chains: list[set[int]], servos_of_hand: int
-) -> list[_Moves]:
-    """Of points in a model of hands, by their `_chain`, which servos move as `joints` (A, J) says.
+) -> list[_JacobianTerms]:
+    """The terms of the Jacobian of points, each given by its `_chain`.
 
-    A joint that moves with a servo that has moved the point already is apart.
+    `joints` (A, J) says which joints a servo moves. Where it moves a point by several of them, each
+    gets terms of its own, as one assignment by index adds only one of them.
     """
-    pairs: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
-    times = Counter[tuple[int, int]]()
+    groups: dict[tuple[int, bool], list[tuple[int, int, float, int]]] = {}
+    count = Counter[tuple[int, int]]()
     for joint, shares in enumerate(joints.T):
         if not shares.any():
             continue
@@ -178,14 +180,14 @@ def _moves(
         own, hinge = servo % servos_of_hand, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         for point, chain in enumerate(chains):
             if model.jnt_bodyid[joint] in chain:
-                apart = times[own, point], bool(hinge)
-                pairs.setdefault(apart, []).append((joint, own, share, point))
-                times[own, point] += 1
+                group = groups.setdefault((count[own, point], bool(hinge)), [])
+                group.append((joint, own, share, point))
+                count[own, point] += 1
     result = []
-    for (nth, hinge), some in sorted(pairs.items()):
-        which, servos, of_them, points = map(np.array, zip(*some, strict=True))
+    for (nth, hinge), group in sorted(groups.items()):
+        which, servos, shares, points = map(np.array, zip(*group, strict=True))
         where = (3 * points + np.arange(3)[:, None]) * servos_of_hand + servos
-        result.append(_Moves(which, of_them, points, where, hinge, again=nth > 0))
+        result.append(_JacobianTerms(which, shares, points, where, hinge, repeated=nth > 0))
     return result
 
 

@@ -1,4 +1,4 @@
-"""The whole scene: a compiled MuJoCo model and the indices that give its numbers a meaning."""
+"""The scene: a compiled MuJoCo model and the indices of its keys, joints, servos and fingers."""
 
 from __future__ import annotations
 
@@ -27,72 +27,74 @@ Ids = NDArray[np.intp]
 
 PHYSICS_TIMESTEP = {"published": 0.005, "fast": 0.01}  # [s]
 SLEEP_TOLERANCE = 1e-5
-"""Keys at rest cost nothing; at this tolerance a recorded song replays to 1e-4 rad."""
-_ON_KEYS = 2  # a bit of contype and conaffinity
-_POSTURES = 400
+"""At this tolerance, keys at rest cost no time and a recorded song replays to 1e-4 rad."""
+_FRICTION_IMPEDANCE = 10  # MuJoCo's impratio of the published scene: keys do not slip
+_KEY_BIT = 2  # of contype and conaffinity, for fingers on keys
+_NUM_POSTURES = 400  # enough that more find no other pair of parts that collides
+_MAX_SPACING, _MAX_YAW = 1.2, 180.0  # [m], a piano's length; [degree]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene. Names are resolved to ids here, once.
+    """A compiled scene with K keys, whose names are resolved to ids once.
 
-    J hand joints (right hand's, left hand's), A actuators in the order of actions (right hand's,
-    left hand's; with no hands the keys'). K keys.
+    J is the number of hand joints (right hand's, left hand's), A that of actuators in the order of
+    actions (right hand's, left hand's; without hands the keys').
     """
 
     config: SceneConfig
     keyboard: Keyboard
     hand: Hand
-    """What both hands are, but for their side."""
+    """The kind of both hands."""
     model: mujoco.MjModel
     sides: tuple[Side, ...]
     key_qpos: slice
-    """Where the keys' joints are in qpos."""
+    """Places of the keys' joints in qpos."""
     key_geoms: slice
-    """Where the keys' boxes are among the geoms."""
+    """Places of the keys' boxes among the geoms."""
     hand_qpos: slice
-    """Where the J joints of the hands are in qpos."""
+    """Places of the J hand joints in qpos."""
     hand_qvel: slice
-    """Where the J joints of the hands are in qvel."""
+    """Places of the J hand joints in qvel."""
     hand_joint_names: tuple[str, ...]
     hand_start: NDArray[np.float64]
-    """(J,) where the joints of the hands are when an episode begins [m, rad]."""
+    """(J,) positions of the hand joints when an episode begins [m, rad]."""
     actuator_names: tuple[str, ...]
     fingertip_sites: Ids
-    """Of the fingers that are there, each hand's from the thumb on, right hand first."""
+    """Sites of the fingers that are there, each hand's from the thumb on, right hand first."""
     fingers: Fingers
-    """How fingers are numbered in arrays over the F places of both hands."""
+    """The numbers of fingers in arrays over the F places of both hands."""
     fingers_there: slice
-    """The numbers of those whose sites these are."""
+    """The numbers of the fingers that are there."""
     forearm_geoms: dict[Side, Ids]
-    """Of the links that the reward for forearms keeps apart."""
+    """Geoms of the links that the reward for forearms keeps apart."""
     hand_bodies: Ids
     """(B,) the bodies that move with the hands."""
     palm_bodies: Ids
-    """Those of them that hide keys from above."""
+    """The bodies that hide keys from above."""
     slide_joints: Ids
-    """Of the J joints those that slide the hands along the keyboard."""
+    """Indices of the J joints that slide the hands along the keyboard."""
 
     @property
     def action_low(self) -> NDArray[np.float64]:
-        """(A + 1,) smallest action in actuator units, the pedal last."""
+        """(A + 1,) lower bounds of actions in actuator units, the pedal last."""
         return np.append(self.model.actuator_ctrlrange[:, 0], 0.0)
 
     @property
     def action_high(self) -> NDArray[np.float64]:
-        """(A + 1,) largest action in actuator units, the pedal last."""
+        """(A + 1,) upper bounds of actions in actuator units, the pedal last."""
         return np.append(self.model.actuator_ctrlrange[:, 1], 1.0)
 
     def servos_on(self, *sides: Side) -> slice:
-        """Which of the A actuators are those of one hand, or of all that are given."""
+        """The actuators, of all A, of the hands on these sides."""
         return self._on(sides, len(self.actuator_names))
 
     def joints_on(self, *sides: Side) -> slice:
-        """Which of the J joints are those of one hand, or of all that are given."""
+        """The joints, of all J, of the hands on these sides."""
         return self._on(sides, len(self.hand_joint_names))
 
     def fingertips_on(self, *sides: Side) -> slice:
-        """Which of `fingertip_sites` are those of one hand, or of all that are given."""
+        """The `fingertip_sites` of the hands on these sides."""
         return self._on(sides, len(self.fingertip_sites))
 
     def _on(self, sides: tuple[Side, ...], count: int) -> slice:
@@ -101,7 +103,7 @@ class Scene:
         return slice(first, first + len(sides) * each)
 
     def has_fingers(self, numbers: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Which of these are numbers of fingers that are there."""
+        """Whether each of `numbers` is that of a finger that is there."""
         return (numbers >= self.fingers_there.start) & (numbers < self.fingers_there.stop)
 
 
@@ -109,68 +111,55 @@ def build_scene(config: SceneConfig | None = None) -> Scene:
     """Builds and compiles the scene that `config` describes.
 
     Raises:
-        CadenzaError: the configuration makes no sense.
+        CadenzaError: the options contradict each other, or are out of range.
     """
     config = as_config(config, SceneConfig)
-    _check(config)
-    spec = mujoco.MjSpec()
     keyboard, hand = keyboard_named(config.keyboard), hand_named(config.hand)
+    _check(config, keyboard, hand)
+    spec = mujoco.MjSpec()
     _set_options(spec, config, hand)
     add_cameras(spec)
     sides = _sides(config)
     keyboard.add_to(spec, range(keyboard.num_keys), actuated=not sides)
-    if hand.body.mount:
-        _check_of_arms(config)
-    elif sides and config.hand_spacing > 2 * keyboard.half_length:
-        raise CadenzaError(
-            f"hand_spacing {config.hand_spacing} m: the keyboard {keyboard.name} is only "
-            f"{2 * keyboard.half_length:.2f} m long; choose less, for one hand 0"
-        )
     options = _options(config, keyboard)
     sites = [site for side in sides for site in hand.add_to(spec, side, options)]
     try:
         model = spec.compile()
-    except ValueError as error:  # either may be somebody else's
+    except ValueError as error:  # hand and keyboard may come from other packages
         said, which = " ".join(str(error).split()), f"hand {hand.name}, keyboard {keyboard.name}"
         raise CadenzaError(f"{which}: MuJoCo cannot build them: {said}") from error
     _damp_forearms_critically(model, hand, sides, config)
     return _resolve(config, keyboard, hand, model, sides, sites)
 
 
-def _check_of_arms(config: SceneConfig) -> None:
-    for option in "forearm_dofs", "hand_spacing", "attachment_yaw":
-        if getattr(config, option) != getattr(SceneConfig, option):
-            raise CadenzaError(f"{option}: hand {config.hand} hangs on arms; leave it out")
-
-
 class HandAlone(NamedTuple):
-    """One hand of a scene, in a scene without the other."""
+    """A scene with one hand of another scene only."""
 
     scene: Scene
     servos: slice
-    """Its actuators among those of both."""
+    """Its actuators among those of both hands."""
     joints: slice
-    """Its joints among those of both."""
+    """Its joints among those of both hands."""
 
 
-@lru_cache(maxsize=8)  # all that play a plan ask for it, and it takes long to build
+@lru_cache(maxsize=8)  # shared by all that play a plan, as it takes long to build
 def hand_alone(scene: Scene, side: Side) -> HandAlone:
-    """Takes the hand on one side by itself. Nobody changes its scene."""
+    """The hand on one side in a scene of its own, which must not be changed."""
     alone = build_scene(replace(scene.config, hands=side))
     return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
 
 
 Part = tuple[str, int]
-"""A geom of a hand: its body's name, and its place in that body."""
+"""A geom of a hand: the name of its body, and its index in that body."""
 
 
-def parts_that_touch(scene: Scene) -> set[Part]:
-    """What of the hands meets other parts of them in any of many random postures."""
+def colliding_parts(scene: Scene) -> set[Part]:
+    """The parts of the hands that collide with each other in any of many random postures."""
     model = scene.model
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     low, high = model.jnt_range[model.dof_jntid[scene.hand_qvel]].T
     parts: set[Part] = set()
-    for posture in rng.uniform(low, high, (_POSTURES, len(low))):
+    for posture in rng.uniform(low, high, (_NUM_POSTURES, len(low))):
         data.qpos[scene.hand_qpos] = posture
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
@@ -181,29 +170,29 @@ def parts_that_touch(scene: Scene) -> set[Part]:
     return parts
 
 
-def hand_on_keys(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.MjModel:
-    """The model of a scene with hands, without most of what costs time and never matters.
+def reduced_model(scene: Scene, keys: range, parts: Container[Part]) -> mujoco.MjModel:
+    """A faster model of a scene with hands, with few keys and few geoms.
 
     Joints, servos and fingertips are those of the scene, in its order, except for keys that are
     left out. Keys collide only with the last two links of each finger.
 
     Args:
-        scene: with hands.
-        keys: those that are there.
-        parts: of the hands that are there beside the fingers.
+        scene: a scene with hands.
+        keys: the keys that are kept.
+        parts: the parts of the hands that are kept beside the ends of the fingers.
     """
     spec = mujoco.MjSpec()
     _set_options(spec, scene.config, scene.hand)
     scene.keyboard.add_to(spec, keys, actuated=False)
     for geom in spec.geoms:
-        geom.conaffinity = _ON_KEYS
+        geom.conaffinity = _KEY_BIT
     for side in scene.sides:
         scene.hand.add_to(spec, side, _options(scene.config, scene.keyboard))
         ends = {prefix(side) + name for each in scene.hand.fingers for name in each.links[-2:]}
         for body in spec.body(f"{side}_hand").find_all(mujoco.mjtObj.mjOBJ_BODY):
             for i, geom in enumerate(body.geoms):
                 if body.name in ends and geom.contype:
-                    geom.contype |= _ON_KEYS
+                    geom.contype |= _KEY_BIT
                 elif (body.name, i) not in parts:
                     spec.delete(geom)
     model = spec.compile()
@@ -237,23 +226,34 @@ def _options(config: SceneConfig, keyboard: Keyboard) -> Options:
     )
 
 
-def _check(config: SceneConfig) -> None:
+def _check(config: SceneConfig, keyboard: Keyboard, hand: Hand) -> None:
     if len(set(config.forearm_dofs)) < len(config.forearm_dofs):
         raise CadenzaError(
             f"forearm_dofs {config.forearm_dofs}: choose each at most once from "
             f"{', '.join(forearm.JOINTS)}"
         )
-    if not 0 <= config.hand_spacing <= 1.2:
-        raise CadenzaError(f"hand_spacing {config.hand_spacing} m: choose 0 to 1.2 m")
-    if not -180 <= config.attachment_yaw <= 180:
-        raise CadenzaError(f"attachment_yaw {config.attachment_yaw} degrees: choose -180 to 180")
+    if not 0 <= config.hand_spacing <= _MAX_SPACING:
+        raise CadenzaError(f"hand_spacing {config.hand_spacing} m: choose 0 to {_MAX_SPACING:g} m")
+    if not -_MAX_YAW <= config.attachment_yaw <= _MAX_YAW:
+        raise CadenzaError(
+            f"attachment_yaw {config.attachment_yaw} degrees: choose -{_MAX_YAW:g} to {_MAX_YAW:g}"
+        )
+    if hand.body.mount:
+        for option in "forearm_dofs", "hand_spacing", "attachment_yaw":
+            if getattr(config, option) != getattr(SceneConfig, option):
+                raise CadenzaError(f"{option}: hand {config.hand} hangs on arms; leave it out")
+    elif _sides(config) and config.hand_spacing > 2 * keyboard.half_length:
+        raise CadenzaError(
+            f"hand_spacing {config.hand_spacing} m: the keyboard {keyboard.name} is only "
+            f"{2 * keyboard.half_length:.2f} m long; choose less, for one hand 0"
+        )
 
 
 def _set_options(spec: mujoco.MjSpec, config: SceneConfig, hand: Hand) -> None:
     spec.modelname = "cadenza"
     spec.compiler.degree = False
     spec.option.timestep = PHYSICS_TIMESTEP[config.physics]
-    spec.option.impratio = 10
+    spec.option.impratio = _FRICTION_IMPEDANCE
     # Damps servos without bound on the timestep: those of keys, and of the joints of an arm.
     if config.hands == "none" or hand.body.mount is not None:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -265,7 +265,7 @@ def _set_options(spec: mujoco.MjSpec, config: SceneConfig, hand: Hand) -> None:
 def _damp_forearms_critically(
     model: mujoco.MjModel, hand: Hand, sides: tuple[Side, ...], config: SceneConfig
 ) -> None:
-    """Damping 2 sqrt(k m) of a servo of stiffness k that moves the mass m of a whole hand."""
+    """Sets the damping 2 sqrt(k m) of servos of stiffness k that move a hand of mass m."""
     for side in () if hand.body.mount else sides:
         for name in config.forearm_dofs:
             dof = model.joint(f"{prefix(side)}{forearm.FOREARM}_{name}").dofadr[0]
@@ -322,22 +322,22 @@ def _ids_with_prefix(count: int, named: Callable[[int], Any], prefix: str) -> li
 
 
 def _geoms_of(model: mujoco.MjModel, bodies: Sequence[str]) -> Ids:
-    """Of bodies by name."""
+    """The geoms of these bodies."""
     return np.flatnonzero(np.isin(model.geom_bodyid, [model.body(name).id for name in bodies]))
 
 
 def _as_slice(addresses: Sequence[int]) -> slice:
-    """Hinges and slides added one after the other take consecutive addresses."""
+    """The slice of consecutive addresses, as hinges and slides get that are added together."""
     first, count = (int(addresses[0]), len(addresses)) if len(addresses) else (0, 0)
     assert list(addresses) == list(range(first, first + count))
     return slice(first, first + count)
 
 
 def _joined(parts: Sequence[slice]) -> slice:
-    """Of slices one after the other."""
+    """The slice from the first of consecutive slices to the last."""
     return slice(parts[0].start, parts[-1].stop) if parts else slice(0, 0)
 
 
 def as_ids(values: Iterable[int]) -> Ids:
-    """What indexes arrays."""
+    """`values` as an array of indices."""
     return np.array(list(values), dtype=np.intp)

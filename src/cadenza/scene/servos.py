@@ -1,6 +1,6 @@
-"""The servos of the hands: what they move, and what stands against them.
+"""The servos of the hands: what they move, against which stiffness, damping and inertia.
 
-All figures are read off the compiled model.
+All figures come from the compiled model.
 """
 
 from __future__ import annotations
@@ -16,76 +16,76 @@ from numpy.typing import ArrayLike, NDArray
 from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.hands.servo import Servo
-from cadenza.scene.scene import Scene, hand_on_keys
+from cadenza.scene.scene import Scene, reduced_model
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """A servos of a scene, in its order, and J joints of the hands.
+    """The A servos of a scene, in its order, which move the J joints of the hands.
 
     A posture (A,) is given in the servos' coordinates. Joints that share a tendon have one
     coordinate, the sum of their angles, of which each takes an equal share.
     """
 
     names: tuple[str, ...]
-    """Joint or tendon of each, without its side: "FFJ3", "forearm_tx"."""
+    """Names of their joints or tendons, without the side, such as "FFJ3" and "forearm_tx"."""
     joints: Array
-    """(A, J) what a unit of each coordinate adds to each joint [rad/rad, m/m]."""
+    """(A, J) derivative of the joints by each coordinate [rad/rad, m/m]."""
     stiffness: Array
-    """(A,) [N/m, N m/rad]."""
+    """(A,) stiffness [N/m, N m/rad]."""
     damping: Array
-    """(A,) [N s/m, N m s/rad]."""
+    """(A,) damping [N s/m, N m s/rad]."""
     inertia: Array
-    """(A,) with all other joints at rest [kg, kg m^2], in the posture of the compiled model; of an
-    arm, where it begins."""
+    """(A,) inertia with all other joints at rest [kg, kg m^2], in the compiled model's posture or in
+    that in which an arm begins."""
     low: Array
-    """(A,) the range of the coordinate, and of its control [m, rad]."""
+    """(A,) lower bounds of the coordinates, and of their controls [m, rad]."""
     high: Array
-    """(A,)"""
+    """(A,) upper bounds [m, rad]."""
     uses: tuple[Servo, ...]
-    """What else is known of each."""
+    """How planners and policies use each."""
 
     @property
     def along_keyboard(self) -> list[int]:
-        """Those that slide the forearms, the right one first."""
+        """Indices of the servos that slide the forearms, the right one first."""
         return [a for a, name in enumerate(self.names) if name == ALONG_KEYBOARD]
 
     @cached_property
     def of_joints(self) -> Array:
-        """(J, A) what makes coordinates of the joints' positions; the inverse of `joints`."""
+        """(J, A) map from joint positions to coordinates: the pseudoinverse of `joints`."""
         return np.asarray(np.linalg.pinv(self.joints), np.float64)
 
     @cached_property
     def noise(self) -> Array:
-        """(A,) standard deviation of what planners try around their plans [m, rad]."""
+        """(A,) standard deviations of what planners sample around their plans [m, rad]."""
         return np.array([use.noise for use in self.uses])
 
     @cached_property
     def correction(self) -> Array:
-        """(A,) the most that a residual policy corrects each [m, rad]."""
+        """(A,) largest corrections by a residual policy [m, rad]."""
         return np.array([use.correction for use in self.uses])
 
     @cached_property
     def lift(self) -> Array:
-        """(A,) what frees a hand that is caught between keys [m, rad]."""
+        """(A,) motion that frees a hand caught between keys [m, rad]."""
         return np.array([use.lift for use in self.uses])
 
     @cached_property
     def finger(self) -> NDArray[np.intp]:
-        """(A,) of its hand that each moves, 0 for the thumb, -1 for the whole hand."""
+        """(A,) index of the finger that each moves, 0 for the thumb, -1 for the whole hand."""
         return np.array([-1 if use.finger is None else use.finger for use in self.uses], np.intp)
 
     def clip(self, coordinates: Array) -> Array:
-        """Positions or controls (..., A) within their ranges."""
+        """`coordinates` (..., A), positions or controls, clipped to their ranges."""
         return within(coordinates, self.low, self.high)
 
     def lead(self, dt: float) -> Array:
-        """(3, A) what three positions, `dt` [s] apart, count in a control that goes through them.
+        """(3, A) weights of three positions, `dt` [s] apart, in the control that follows them.
 
-        It is held from the second to the third: where they are in the middle of that, and what
-        damping and inertia make it run ahead of them.
+        The control is held from the second position to the third. It aims at the middle between
+        these, and leads by what damping and inertia need.
         """
         damped = self.damping / self.stiffness / dt
         driven = self.inertia / self.stiffness / dt**2
@@ -93,7 +93,7 @@ class Servos:
 
 
 def within(values: NDArray[Any], low: ArrayLike, high: ArrayLike) -> NDArray[Any]:
-    """As `np.clip`, in half the time if they are few, which matters to plans of a few steps."""
+    """`values` clipped like `np.clip`, in half the time for the few of a short plan."""
     return np.minimum(np.maximum(values, low), high)
 
 
@@ -106,13 +106,13 @@ def servos_of(scene: Scene) -> Servos:
         target = model.actuator_trnid[a, 0]
         if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
             first = model.tendon_adr[target]
-            pulled = model.wrap_objid[first : first + model.tendon_num[target]]
+            moved = model.wrap_objid[first : first + model.tendon_num[target]]
         else:
-            pulled = np.array([target])
-        joints[a, model.jnt_dofadr[pulled] - dofs.start] = 1.0 / len(pulled)
+            moved = np.array([target])
+        joints[a, model.jnt_dofadr[moved] - dofs.start] = 1.0 / len(moved)
     names = tuple(name.split(SERVO, 1)[1] for name in scene.actuator_names)
-    # Of a unit of speed, dissipation adds up over the joints of a coordinate. So does kinetic
-    # energy, but for what joints of one tendon carry of each other.
+    # Dissipation at unit speed is a sum over the joints of a coordinate. So is kinetic energy, but
+    # for what joints of one tendon carry of each other.
     return Servos(
         names=names,
         joints=joints,
@@ -126,7 +126,7 @@ def servos_of(scene: Scene) -> Servos:
 
 
 def _inertia(scene: Scene) -> Array:
-    """(V,) of each degree of freedom with the others at rest: the diagonal of the mass matrix."""
+    """(V,) the diagonal of the mass matrix: inertia with all other joints at rest."""
     model = scene.model
     if scene.hand.body.mount is None:
         return model.dof_M0
@@ -140,25 +140,27 @@ def _inertia(scene: Scene) -> Array:
 
 
 class Reaction:
-    """What the motion of all joints asks of each servo beside its own inertia.
+    """Inverse dynamics: the force on each servo from the motion of all other joints.
 
-    A forearm that is pushed along the keyboard would leave its hand behind.
+    Without it, a forearm that is pushed along the keyboard would leave its hand behind.
     """
 
     def __init__(self, scene: Scene, servos: Servos) -> None:
-        """Args:
-        scene: with hands. Gravity is compensated in its model.
-        servos: of the scene.
+        """Copies the model of a scene with hands, without gravity.
+
+        Args:
+            scene: a scene with hands, whose gravity is compensated.
+            servos: its servos.
         """
-        self._servos, self._model = servos, hand_on_keys(scene, range(0), ())
+        self._servos, self._model = servos, reduced_model(scene, range(0), ())
         self._model.opt.gravity = 0.0
         self._data = mujoco.MjData(self._model)
 
     def along(self, postures: Array, dt: float) -> Array:
-        """(T, A) [N, N m] by inverse dynamics: recursive Newton-Euler, MuJoCo's `mj_rne`, which
-        leaves the inertia of motors to its caller.
+        """(T, A) forces along a trajectory of postures (T + 1, A), `dt` [s] apart [N, N m].
 
-        Of postures (T + 1, A), `dt` [s] apart; row t belongs to the step from posture t to t + 1.
+        Row t belongs to the step from posture t to t + 1. By the recursive Newton-Euler algorithm,
+        MuJoCo's `mj_rne`, which leaves out the inertia of motors.
         """
         servos, model, data = self._servos, self._model, self._data
         speed = np.gradient(postures, dt, axis=0)

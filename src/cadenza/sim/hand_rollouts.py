@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.scene.scene import Part, Scene, hand_on_keys, parts_that_touch
+from cadenza.scene.scene import Part, Scene, colliding_parts, reduced_model
 from cadenza.sim.mujoco_simulation import UNSTABLE, MujocoSimulation
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class HandRollouts:
         """
         self._scene, self._simulated = scene, whole or scene
         self._substeps = round(control_timestep / scene.model.opt.timestep)
-        self._parts = parts_that_touch(scene)
+        self._parts = colliding_parts(scene)
         self._whole = mujoco.MjData(self._simulated.model)
         self._on_keys: dict[range, _HandOnKeys] = {}
 
@@ -131,7 +131,7 @@ class _HandOnKeys:
     """A hand on some of the keys of a scene.
 
     Attributes:
-        model: see `hand_on_keys`.
+        model: see `reduced_model`.
         start: the state that trials begin in.
         data: the states that trials are in, one for each place.
         posed: a state of which only the posture counts.
@@ -140,7 +140,7 @@ class _HandOnKeys:
     """
 
     def __init__(self, scene: Scene, keys: range, parts: set[Part], whole: Scene) -> None:
-        self.model = hand_on_keys(scene, keys, parts)
+        self.model = reduced_model(scene, keys, parts)
         self.start = mujoco.MjData(self.model)
         self.data = [mujoco.MjData(self.model) for _ in range(PLACES)]
         self.posed = mujoco.MjData(self.model)
