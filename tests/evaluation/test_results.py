@@ -8,10 +8,7 @@ from typing import Any
 
 import pytest
 
-from cadenza.agents.planner.config import PlannerConfig
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.collecting.episode import EpisodeSpec
-from cadenza.evaluation.collecting.variation import varied
 from cadenza.evaluation.job import Job, JobSpec
 from cadenza.evaluation.matrix import Contender, matrix, write_plan
 from cadenza.evaluation.results import read_results
@@ -135,14 +132,6 @@ def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
     assert job(page=True).spec == one
     assert one.name.startswith("CMajorScaleOneHand--zero--s0--")
     assert len({spec.key for spec in [one, *others]}) == 4
-
-
-def test_folders_of_earlier_versions_are_gone_on_with() -> None:
-    """A new option of the task or the scene is to be `added`; else all would be played again."""
-    planner = PlannerConfig(num_candidates=16, proposals="none")  # the defaults then
-    of_a_bench = JobSpec("A", "0", "planner", 0, TaskConfig(), SceneConfig(), config=planner)
-    of_a_dataset = EpisodeSpec("A", "0", "planner", 0, varied(), SceneConfig(), config=planner)
-    assert (of_a_bench.key, of_a_dataset.key) == ("7a18025d1f09", "b0c61d5c4e12")
 
 
 def test_a_matrix_names_every_run_once_and_the_first_seed_first() -> None:

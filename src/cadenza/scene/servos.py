@@ -38,8 +38,8 @@ class Servos:
     damping: Array
     """(A,) damping [N s/m, N m s/rad]."""
     inertia: Array
-    """(A,) inertia with all other joints at rest [kg, kg m^2], in the compiled model's posture or in
-    that in which an arm begins."""
+    """(A,) inertia with all other joints at rest [kg, kg m^2], in the posture of the compiled model
+    or that in which an arm begins."""
     low: Array
     """(A,) lower bounds of the coordinates, and of their controls [m, rad]."""
     high: Array
