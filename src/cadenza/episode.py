@@ -1,9 +1,8 @@
 """An episode: everything that was recorded while the hands played a score.
 
-`episode.npz` holds the arrays below under their own names, the same names that the recordings of
-the published system use. T control steps, A actuators (right hand's, left hand's, pedal), J hand
-joints, B moving hand bodies, K keys, F fingers
-of two hands, the right one's first.
+`episode.npz` holds the arrays below under their own names, which are those of the recordings of the
+published system. There are T control steps, A actuators (right hand's, left hand's, pedal), J hand
+joints, B moving hand bodies, K keys, and F fingers of two hands, the right one's first.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ from cadenza.files import (
     write_atomically,
 )
 
-_LOWEST_PITCH = 21  # A0, of recordings that do not say, which are all of pianos
-_PITCHES = 128
-_LONGEST = 4 * 3600.0  # [s]
-_MOST = 2 * 2**30  # bytes: an hour at 20 steps a second takes a sixth of it
+_LOWEST_PITCH = 21  # A0, for recordings that do not say, which are all of pianos
+_NUM_PITCHES = 128  # of MIDI
+_MAX_SECONDS = 4 * 3600.0
+_MAX_BYTES = 2 * 2**30  # an hour at 20 steps a second takes a sixth of it
 
 
 class _Geom(TypedDict):
@@ -63,21 +62,21 @@ class _Joint(TypedDict):
     index: int
 
 
-class _Jointed(TypedDict):
+class _Body(TypedDict):
     parent: int
     pos: list[float]
     quat: list[float]
     joints: list[_Joint]
 
 
-_DRAWN: dict[str, Any] = {  # see `cadenza.scene.drawing`
+_SCENE: dict[str, Any] = {  # types of what `cadenza.scene.drawing` makes
     "bodies": list[str],
-    "skeleton": list[_Jointed],
+    "skeleton": list[_Body],
     "geoms": list[_Geom],
     "keys": list[_Key],
 }
 
-_EXPECTED = {
+_ARRAYS = {
     "song": ArrayOf(TEXT, needed=True),
     "dt": ArrayOf(NUMBERS, needed=True, finite=True),
     "scene": ArrayOf(TEXT),
@@ -107,11 +106,11 @@ class Episode:
     """T control steps; every row of an array is what held *after* that step's action."""
 
     song: str
-    """Its title."""
+    """The title of the song."""
     dt: float
     """The time of a control step [s]."""
     arrays: Mapping[str, NDArray[Any]]
-    """Name -> array, among them:
+    """Arrays by name, among them:
 
     - `action` (T, A), in actuator units, the pedal last, 0..1
     - `lowest_pitch` () int, MIDI number of the first key
@@ -133,7 +132,7 @@ class Episode:
       `randomization_seed` as its seed draws the same
     """
     scene: Mapping[str, Any]
-    """What is needed to draw it, see `cadenza.scene.drawing`."""
+    """The shapes with which a page draws it, see `cadenza.scene.drawing`."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """The array of this name.
@@ -157,12 +156,12 @@ class Episode:
 
     @property
     def key_depth(self) -> NDArray[np.float64] | None:
-        """(T, K) how far each key is down, 0 to 1; None where the keys are not drawn."""
+        """(T, K) depth of each key, from 0 at rest to 1 at its stop; None if scene has no keys."""
         travel = [key["travel"] for key in self.scene.get("keys", ())]
         return np.clip(self["key_qpos"] / travel, 0.0, 1.0) if travel else None
 
     def save(self, path: Path) -> None:
-        """Writes the episode to `path` (.npz); a reader sees the old file or the whole new one."""
+        """Writes the episode to `path` (.npz), atomically."""
         with write_atomically(path) as file:
             np.savez_compressed(
                 file,
@@ -180,18 +179,18 @@ def load_episode(path: Path) -> Episode:
     Raises:
         CadenzaError: the file is not there or is not an episode.
     """
-    arrays = read_arrays(path, _EXPECTED, _MOST)
+    arrays = read_arrays(path, _ARRAYS, _MAX_BYTES)
     song, dt = str(arrays.pop("song")), float(arrays.pop("dt"))
     scene = parsed_json(str(arrays.pop("scene", "{}")), dict[str, Any], f"{path}, scene")
-    for name in scene.keys() & _DRAWN.keys():
-        checked(scene[name], _DRAWN[name], f"{path}, {name} of scene")
+    for name in scene.keys() & _SCENE.keys():
+        checked(scene[name], _SCENE[name], f"{path}, {name} of scene")
     steps, bodies = len(arrays["action"]), len(scene.get("bodies", ()))
-    if not (dt > 0 and 0 < steps * dt <= _LONGEST):
+    if not (dt > 0 and 0 < steps * dt <= _MAX_SECONDS):
         raise CadenzaError(f"{path}: {steps} steps of {dt:g} s; an episode lasts at most 4 hours")
     keys = arrays.get("key_qpos", np.empty((0, len(scene.get("keys", ()))))).shape[1]
     lowest = int(arrays.get("lowest_pitch", _LOWEST_PITCH))
-    if not 0 <= lowest <= lowest + keys <= _PITCHES:
-        raise CadenzaError(f"{path}: {keys} keys from pitch {lowest} on; MIDI has {_PITCHES}")
+    if not 0 <= lowest <= lowest + keys <= _NUM_PITCHES:
+        raise CadenzaError(f"{path}: {keys} keys from pitch {lowest} on; MIDI has {_NUM_PITCHES}")
     if len(scene.get("keys", ())) not in (0, keys):
         raise CadenzaError(f"{path}: key_qpos does not match the keys in scene")
     if bodies != arrays.get("body_xpos", np.empty((0, bodies))).shape[1]:

@@ -1,7 +1,7 @@
-"""Fingers: which hand, and which of its fingers; and their places in arrays.
+"""Fingers of hands, and their places in arrays.
 
-Scores say `Finger`. Arrays have a place for each finger of both hands of a scene's kind, the right
-hand's first and from the thumb on, whichever hands there are; `Fingers` numbers these places.
+Scores have `Finger`s. Arrays have a place for each finger of both hands of a scene's kind, the
+right hand's first and from the thumb on, whichever hands there are; `Fingers` numbers the places.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from cadenza.errors import CadenzaError
 
 Side = Literal["right", "left"]
 SIDES: tuple[Side, ...] = ("right", "left")
-"""In the order of fingers, joints and actions."""
+"""Sides in the order of fingers, joints and actions."""
 
 NO_FINGER = -1
-"""In arrays: none, or an unknown one."""
+"""The number in arrays for no finger, or an unknown one."""
 _NAMES = ("thumb", "index", "middle", "ring", "little")
 
 
@@ -39,51 +39,51 @@ class Finger:
             )
 
     @property
-    def of_other_hand(self) -> Finger:
+    def mirrored(self) -> Finger:
         """The same finger of the other hand."""
         return Finger(1 - self.hand, self.index)
 
     @property
     def side(self) -> Side:
-        """Of its hand."""
+        """The side of its hand."""
         return SIDES[self.hand]
 
     @property
     def name(self) -> str:
-        """Such as "right thumb"."""
+        """The name of the finger, such as "right thumb"."""
         known = self.index < len(_NAMES)
         return f"{self.side} {_NAMES[self.index] if known else f'finger {self.index + 1}'}"
 
 
 @dataclass(frozen=True, slots=True)
 class Fingers:
-    """The places of fingers in arrays, for hands of `per_hand` fingers."""
+    """The numbers of fingers in arrays, for hands of `per_hand` fingers."""
 
     per_hand: int
 
     @property
     def count(self) -> int:
-        """Of both hands."""
+        """The number of fingers of both hands."""
         return len(SIDES) * self.per_hand
 
     def number(self, finger: Finger | None) -> int:
-        """The place of `finger`; `NO_FINGER` for none, and for one that such hands do not have."""
+        """The number of `finger`; `NO_FINGER` for none, and for one that such hands do not have."""
         if finger is None or finger.index >= self.per_hand:
             return NO_FINGER
         return finger.hand * self.per_hand + finger.index
 
     def finger(self, number: int) -> Finger | None:
-        """That of a place, or none."""
+        """The finger with this number; None for `NO_FINGER`."""
         return None if number < 0 else Finger(*divmod(number, self.per_hand))
 
     def of_hand(self, hand: int) -> slice:
-        """The places of the right, 0, or the left hand, 1."""
+        """The numbers of the fingers of the right hand, 0, or the left, 1."""
         return slice(hand * self.per_hand, (hand + 1) * self.per_hand)
 
     def hand_of(self, number: Any) -> Any:
-        """0 right, 1 left; of a number or an array of numbers, of which none is `NO_FINGER`."""
+        """The hand, 0 right or 1 left, of a number or an array of numbers without `NO_FINGER`."""
         return number // self.per_hand
 
     def index_of(self, number: Any) -> Any:
-        """On its hand, 0 for the thumb; of a number or an array of numbers."""
+        """The index on its hand, 0 for the thumb, of a number or an array of numbers."""
         return number % self.per_hand

@@ -13,9 +13,8 @@ from scipy.stats import spearmanr
 from cadenza.errors import CadenzaError
 from cadenza.fingering.difficulty import FITTED, features_of, grade
 from cadenza.music.etudes import KINDS, make_etude
-from cadenza.music.keyboard import is_black
 from cadenza.music.libraries.library import load_score, songs
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Note, Score, is_black
 from music_strategies import scores
 from numbered import finger
 from players import find_fingering, shadow_hands

@@ -16,7 +16,7 @@ from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.score import LETTING_GO, Note, Score
+from cadenza.music.score import RELEASE_TIME, Note, Score
 from music_strategies import monophonic_per_key, scores
 from players import FOUR_FINGERS, TWO_OCTAVES, shadow_hands
 
@@ -71,7 +71,7 @@ def written_out(score: Score, players: Players) -> set[int]:
     played: set[int] = set()
     for moment, begin in onsets(score, players.keyboard.lowest_pitch):
         struck = [stroke.key for stroke in begin]
-        held = [p for p in ways[0] if p.end > moment + LETTING_GO and p.key not in struck]
+        held = [p for p in ways[0] if p.end > moment + RELEASE_TIME and p.key not in struck]
         ways = [dict(w) for w in {tuple((p, way[p]) for p in held) for way in ways}]
         for stroke in outer_first(begin, held):
             if not 0 <= stroke.key < players.keyboard.num_keys:
@@ -149,7 +149,7 @@ def test_what_begins_is_pressed_until_it_ends(score: Score, sides) -> None:
             for i, note in enumerate(score.notes)
             if i not in found.reasons
             and note.start <= moment.time
-            and (note.start == moment.time or note.end > moment.time + LETTING_GO)
+            and (note.start == moment.time or note.end > moment.time + RELEASE_TIME)
         }
         assert {i for stroke in moment.strokes for i in stroke.notes} == sounding
 

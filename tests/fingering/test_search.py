@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from cadenza.hands.shadow import SHADOW
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.keyboard import is_black
 from cadenza.music.libraries.library import load_score, songs
-from cadenza.music.score import LETTING_GO, Note, Score
+from cadenza.music.score import RELEASE_TIME, Note, Score, is_black
 from music_strategies import lengths, monophonic_per_key, scores, times
 from numbered import finger, numbers
 from players import find_fingering, shadow_hands, solve
@@ -53,7 +52,7 @@ def check_hands(score: Score) -> None:
     """Whenever a note begins, what sounds lies in the order of the fingers, within their reach."""
     played = [note for note in score.notes if note.finger]
     for time in {note.start for note in played}:
-        sounding = [n for n in played if n.start <= time and (n.end > time + LETTING_GO)]
+        sounding = [n for n in played if n.start <= time and (n.end > time + RELEASE_TIME)]
         sounding += [n for n in played if n.start == time and n not in sounding]
         sounding.sort(key=lambda note: note.pitch)
         left_to_right = [ORDER.index(n.finger) for n in sounding]

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 
 from cadenza.errors import CadenzaError
 from cadenza.files import parsed_json
-from cadenza.music.bars import bar_at, places
 from cadenza.music.etudes.library import KINDS, make_etude
 from cadenza.music.formats.midi import read_midi
 from cadenza.music.formats.reading import read_score
 from cadenza.music.formats.written_score import WrittenScore
-from cadenza.music.score import Bar, Note, Score
+from cadenza.music.score import Bar, Note, Score, bar_at, describe_times
 
 TICKS = 96  # a quarter: a 64th is a whole number of them
 METRES = st.tuples(st.integers(1, 12), st.sampled_from([1, 2, 4, 8, 16, 32, 64]), st.integers(1, 4))
@@ -160,14 +159,14 @@ def test_times_must_be_finite():
     [([2.0], "bar 2"), ([0.0, 3.9], "bars 1-2"), ([5, 0.5, 4.5], "bars 1, 3")],
 )
 def test_places_are_said_as_musicians_do(times, said):
-    assert places(THREE, times) == said
+    assert describe_times(THREE, times) == said
 
 
 def test_without_bars_places_are_said_in_seconds():
-    assert places(replace(THREE, bars=()), [4.5, 1]) == "1.0, 4.5 s"
+    assert describe_times(replace(THREE, bars=()), [4.5, 1]) == "1.0, 4.5 s"
 
 
 def test_the_silence_before_a_song_belongs_to_its_first_bar():
     later = THREE.with_initial_silence(0.5)
-    assert places(later, [0.2, 0.5, 2.4]) == "bar 1"
-    assert places(later, [2.5]) == "bar 2"
+    assert describe_times(later, [0.2, 0.5, 2.4]) == "bar 1"
+    assert describe_times(later, [2.5]) == "bar 2"

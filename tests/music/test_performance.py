@@ -7,7 +7,7 @@ from hypothesis import given
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.midi import read_midi, write_midi
 from cadenza.music.goals import score_to_goals
-from cadenza.music.performance import performed_score, with_loudness_of
+from cadenza.music.performance import performed_score, with_velocities_of
 from cadenza.music.score import Note, PedalEvent, Score
 from music_strategies import scores
 
@@ -117,7 +117,7 @@ def test_the_scores_loudness_with_the_timing_that_was_played():
         ),
         (PedalEvent(0.5, 127),),
     )
-    heard = with_loudness_of(played, score)
+    heard = with_velocities_of(played, score)
     assert [note.velocity for note in heard.notes] == [40, 30, 100, 90, 30]
     assert performed_times(heard) == performed_times(played)
     assert heard.pedal == played.pedal
@@ -128,7 +128,7 @@ def test_a_note_four_steps_late_is_still_the_same(start):
     """As for the metrics, whatever rounding makes of the difference."""
     score = Score((Note(start, start + 1, 60, 100),))
     played = Score((Note(start + 0.2, start + 1, 60, 80),))
-    assert with_loudness_of(played, score).notes[0].velocity == 100
+    assert with_velocities_of(played, score).notes[0].velocity == 100
 
 
 def performed_times(score):

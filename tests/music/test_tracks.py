@@ -6,11 +6,9 @@ from hypothesis import given
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.arrangement import Arrangement
+from cadenza.music.arrangement import Arrangement, melody_and_bass, melody_and_bass_tracks
 from cadenza.music.libraries.library import load_score
-from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
-from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.music.tracks import Track
+from cadenza.music.score import Note, PedalEvent, Score, Track
 from music_strategies import scores
 from players import find_fingering
 

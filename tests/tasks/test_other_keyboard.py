@@ -14,8 +14,7 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.errors import CadenzaError
 from cadenza.keyboards.piano import PIANO
-from cadenza.music.keyboard import note_name
-from cadenza.music.score import Note, Score
+from cadenza.music.score import Note, Score, note_name
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.env import PianoEnv, PianoVectorEnv

@@ -13,7 +13,7 @@ from cadenza.cli.output import counted
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement
-from cadenza.music.keyboard import note_name
+from cadenza.music.score import note_name
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cadenza.fingering.players import Players
-    from cadenza.music.score import Score
-    from cadenza.music.tracks import Track
+    from cadenza.music.score import Score, Track
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from cadenza.cli.progress import Advance, progress, stages
 from cadenza.errors import CadenzaError
 from cadenza.files import locked
-from cadenza.music.bars import places
+from cadenza.music.score import describe_times
 
 if TYPE_CHECKING:
     from cadenza.agents.planner.practice.practice import Practice
@@ -156,4 +156,4 @@ def _where(practice: Practice, score: Score) -> str:
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
     """Such as "bars 3, 7-9"."""
     dt = practice.plan.track.config.control_timestep
-    return places(score, [dt * (step + _LATE) for step in steps])
+    return describe_times(score, [dt * (step + _LATE) for step in steps])

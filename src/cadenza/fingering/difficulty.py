@@ -19,8 +19,7 @@ from cadenza.fingering.players import Players
 from cadenza.fingering.search import find_fingering
 from cadenza.fingers import NO_FINGER, SIDES
 from cadenza.hands.reach import Array
-from cadenza.music.keyboard import is_black
-from cadenza.music.score import MIDI_PITCHES, Score, chords
+from cadenza.music.score import MIDI_PITCHES, Score, chords, is_black
 
 EASIEST, HARDEST = 1, 10
 ODDS = 1.6

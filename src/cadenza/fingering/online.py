@@ -18,7 +18,7 @@ from cadenza.fingering.players import Players
 from cadenza.fingering.search import Stage, backtrack, first_stage, next_stage, state_space
 from cadenza.fingering.strokes import Stroke
 from cadenza.fingers import Finger
-from cadenza.music.score import LETTING_GO
+from cadenza.music.score import RELEASE_TIME
 
 
 class OnlineFingering:
@@ -53,7 +53,7 @@ class OnlineFingering:
         Notes that were dropped from a chord that nobody can play stay dropped.
         """
         self._ends[number] = time
-        self._stages = [stage for stage in self._stages if stage[0] < time - LETTING_GO]
+        self._stages = [stage for stage in self._stages if stage[0] < time - RELEASE_TIME]
 
     def find(self, settled: float) -> dict[int, Finger | None]:
         """Note -> its finger, of the notes that were not settled; None where none can play it.

@@ -5,7 +5,7 @@ The limits:
 - as many notes a hand as it has fingers, their distances within what the fingers reach;
 - keys within what a finger reaches from where its forearm is, if that cannot slide anywhere;
 - forearms that do not run into each other;
-- a finger stays on its key as long as the note sounds; notes with less than `LETTING_GO` left
+- a finger stays on its key as long as the note sounds; notes with less than `RELEASE_TIME` left
   when others begin count as over.
 
 Where notes cannot all be played, what sounds already goes on, and of the notes that begin the
@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from cadenza.fingering.players import Players
 from cadenza.fingering.strokes import Stroke, onsets, outer_first
 from cadenza.fingers import Finger
-from cadenza.music.score import LETTING_GO, Score
+from cadenza.music.score import RELEASE_TIME, Score
 
 
 class Moment(NamedTuple):
@@ -106,7 +106,7 @@ class SoundingNotes:
         """Goes on to the moment at which others begin; yields each of these that is dropped."""
         struck = {stroke.key for stroke in begin}
         for stroke in list(self.strokes):
-            if stroke.end <= time + LETTING_GO or stroke.key in struck:
+            if stroke.end <= time + RELEASE_TIME or stroke.key in struck:
                 self._release(stroke)
         for stroke in outer_first(begin, self.strokes):
             if not self._try_to_add(stroke):

@@ -38,7 +38,7 @@ from cadenza.fingering.strokes import Stroke
 from cadenza.fingering.transitions import Costs, finger_change_costs, transition_costs
 from cadenza.fingers import Finger
 from cadenza.hands.reach import Array
-from cadenza.music.score import LETTING_GO, Note, Score
+from cadenza.music.score import RELEASE_TIME, Note, Score
 
 COSTS = Costs()
 """The default weights of what a hand does from moment to moment."""
@@ -216,7 +216,7 @@ def next_stage(
     left_before = np.empty(through.shape, np.min_scalar_type(len(old_left.cost)))
     right_before = np.zeros(cost.shape, np.min_scalar_type(len(old_right.cost)))
     to_right, to_left = finger_change_costs(before.strokes, strokes, time, space.reach, costs)
-    seconds = max(time - before.time, LETTING_GO)
+    seconds = max(time - before.time, RELEASE_TIME)
     change = transition_costs(old_left, left, to_left, seconds, costs)
     for rights, lefts in before.states.splits:
         paths = before.cost[rights, None, lefts] + change[:, lefts]

@@ -1,1 +1,1 @@
-"""Scores: reading, writing, fingering, goals per control step, the bundled songs, metrics."""
+"""Scores: reading and writing, goals of control steps, metrics, song libraries, etudes."""

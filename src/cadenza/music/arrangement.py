@@ -1,12 +1,22 @@
-"""Which notes of a song are played. Imports nothing heavy: the command line shows it."""
+"""Which notes of a song are played. Imports nothing heavy: the command line shows its options."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
 
-if TYPE_CHECKING:
-    from cadenza.music.score import Score
+from cadenza.music.score import (
+    RELEASE_TIME,
+    Note,
+    Score,
+    check_beginning,
+    check_length,
+    chords,
+)
+
+_VOICE_SHARE = 0.9  # of a track's onsets are single notes, if it is a voice
+_MIN_SHARE = 0.25  # of the notes of the busiest voice; tracks with fewer only fill in
 
 
 @dataclass(frozen=True)
@@ -21,20 +31,20 @@ class Arrangement:
     """Play only what begins within this time from the first note on [s]."""
 
     def __post_init__(self) -> None:
-        """Raises: CadenzaError: `first_seconds` is not a positive number."""
-        if self.first_seconds is not None:
-            from cadenza.music.score import check_beginning
+        """Checks the options.
 
+        Raises:
+            CadenzaError: `first_seconds` is not a positive number.
+        """
+        if self.first_seconds is not None:
             check_beginning(self.first_seconds)
 
     def score(self, song: str) -> Score:
-        """The bundled song or the file `song`, so arranged.
+        """The score of `song`, a bundled song or a file, with only these notes.
 
         Raises:
             CadenzaError: it cannot be read, has no such tracks, or lasts over an hour.
         """
-        from cadenza.music.score import check_length
-
         score = self._reduced(song)
         if self.first_seconds is not None:
             score = score.beginning(self.first_seconds)
@@ -44,7 +54,6 @@ class Arrangement:
 
     def _reduced(self, song: str) -> Score:
         from cadenza.music.libraries.library import load_score
-        from cadenza.music.reduction import melody_and_bass, melody_and_bass_tracks
 
         score = load_score(song, self.tracks)
         if self.reduce == "off":
@@ -59,3 +68,54 @@ class Arrangement:
     def chosen(self) -> bool:
         """Whether anything is left out on purpose."""
         return self != Arrangement()
+
+
+def melody_and_bass_tracks(tracks: Mapping[int, Score]) -> tuple[int, ...]:
+    """The numbers of the tracks with the melody and the bass, among more than two `tracks`.
+
+    They have the highest and the lowest mean pitch of those that are voices, one note after the
+    other: chords held above a tune are not the tune. All tracks where fewer than two are voices.
+    """
+    voices = {
+        number: score.notes
+        for number, score in tracks.items()
+        if sum(1 for _ in chords(score.notes)) >= _VOICE_SHARE * len(score.notes)
+    }
+    busiest = max(map(len, voices.values()), default=0)
+    mean_pitch = {
+        number: sum(note.pitch for note in notes) / len(notes)
+        for number, notes in voices.items()
+        if len(notes) >= _MIN_SHARE * busiest
+    }
+    if len(mean_pitch) < 2:
+        return tuple(tracks)
+    return max(mean_pitch, key=mean_pitch.__getitem__), min(mean_pitch, key=mean_pitch.__getitem__)
+
+
+def melody_and_bass(score: Score) -> Score:
+    """The highest and the lowest voice of `score`, each of one note at a time.
+
+    Of the notes that begin together the highest is of the melody, unless a note of either voice
+    sounds above it, and the lowest of the bass, unless one sounds below it. In either voice a note
+    ends where the next begins. Notes with less than `RELEASE_TIME` left count as over. A note that
+    begins alone can be of both.
+    """
+    kept: list[Note] = []
+    voices = {"melody": -1, "bass": -1}  # index in `kept` of their latest notes
+    for notes in chords(score.notes):
+        time = notes[0].start
+        latest = {i for i in voices.values() if i >= 0}
+        sounding = [kept[i].pitch for i in latest if kept[i].end > time + RELEASE_TIME]
+        high = max(notes, key=lambda note: note.pitch)
+        low = min(notes, key=lambda note: note.pitch)
+        begin = {}
+        if high.pitch >= max(sounding, default=high.pitch):
+            begin["melody"] = high
+        if low.pitch <= min(sounding, default=low.pitch):
+            begin["bass"] = low
+        for note in dict.fromkeys(begin.values()):
+            kept.append(note)
+            voices |= {voice: len(kept) - 1 for voice in begin if begin[voice] is note}
+        for i in latest - set(voices.values()):
+            kept[i] = replace(kept[i], end=min(kept[i].end, time))
+    return replace(score, notes=tuple(kept))

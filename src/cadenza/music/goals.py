@@ -1,4 +1,4 @@
-"""What should sound at each control step."""
+"""Goals: what should sound at each control step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cadenza.music.performance import key_runs
 from cadenza.music.score import PITCHES, Score
 
 MAX_STEPS = 720_000  # an hour in steps of 5 ms
-SUSTAIN_ON = 64  # pedal values from here on hold the strings
+SUSTAIN_ON = 64  # pedal values from which on the strings are held
 NO_HANDS = Fingers(per_hand=0)
 
 
@@ -26,7 +26,7 @@ class Goals:
     keys (T, K) bool        keys that should be down
     fingers (T, K) int8     the number of the finger that should press the key, -1 none or unknown
     sustain (T,) bool       whether the pedal should be down
-    num_fingers             F, that there are numbers for
+    num_fingers             F, how many numbers of fingers there are
     """
 
     keys: NDArray[np.bool_]
@@ -36,11 +36,12 @@ class Goals:
 
     @property
     def num_steps(self) -> int:
+        """T, the number of control steps."""
         return len(self.keys)
 
     @cached_property
     def fingers_wanted(self) -> NDArray[np.bool_]:
-        """(T, F) which fingers have a key to press."""
+        """(T, F) whether each finger has a key to press."""
         wanted = np.zeros((self.num_steps, self.num_fingers), bool)
         step, key = (self.fingers >= 0).nonzero()
         wanted[step, self.fingers[step, key]] = True
@@ -68,10 +69,10 @@ def score_to_goals(
     pitches: range = PITCHES,
     hands: Fingers = NO_HANDS,
 ) -> Goals:
-    """`score` on control steps of `dt` [s], as the published RoboPianist cuts it.
+    """The goals of `score` on control steps of `dt` [s], as the published RoboPianist makes them.
 
     The keys have these `pitches`, as MIDI numbers; those of a piano by default. Fingers get the
-    numbers that they have on `hands`, and without any none.
+    numbers that they have on `hands`, and none without hands.
 
     A song of T seconds has `int(T * (1 / dt) + 1)` steps. A note sounds from step
     `int(start / dt)` up to, not including, `ceil(end / dt)`, and for one step at least. Where a
@@ -106,22 +107,22 @@ def score_to_goals(
         keys[first:last, key] = True
         struck[first, key] = True
         fingers[first:last, key] = hands.number(note.finger)
-    again = np.zeros_like(keys)
-    again[1:] = struck[1:] & keys[:-1]
-    for step, key in np.argwhere(again):
-        spare = shorten and not struck[step - 1, key] and keys[step - 2, key]
-        lifted = step - 1 if spare else step
+    struck_again = np.zeros_like(keys)
+    struck_again[1:] = struck[1:] & keys[:-1]
+    for step, key in np.argwhere(struck_again):
+        can_shorten = shorten and not struck[step - 1, key] and keys[step - 2, key]
+        lifted = step - 1 if can_shorten else step
         keys[lifted, key], fingers[lifted, key] = False, NO_FINGER
 
     moves = [int(event.time * fps) for event in score.pedal]
     down = np.array([False, *(event.value >= SUSTAIN_ON for event in score.pedal)])
     sustain = down[np.searchsorted(moves, np.arange(num_steps), side="right")]
     if shorten:
-        sustain &= ~_lifted_in_passing(score, dt, sustain)
+        sustain &= ~_hidden_lifts(score, dt, sustain)
     return Goals(keys, fingers, sustain, hands.count)
 
 
-def _lifted_in_passing(score: Score, dt: float, sustain: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _hidden_lifts(score: Score, dt: float, sustain: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(T,) steps on which the pedal is lifted, and yet down as on the step before."""
     moves = [int(event.time * (1 / dt)) for event in score.pedal if event.value < SUSTAIN_ON]
     lifted = np.isin(np.arange(len(sustain)), moves)
@@ -129,12 +130,12 @@ def _lifted_in_passing(score: Score, dt: float, sustain: NDArray[np.bool_]) -> N
 
 
 def held_pedal_changes(score: Score, dt: float, sustain: NDArray[np.bool_]) -> int:
-    """How many times the pedal stays down in `sustain`, (T,) of `score`, though it is lifted."""
-    return int(_lifted_in_passing(score, dt, sustain).sum())
+    """The number of times that the pedal stays down in `sustain` (T,) though `score` lifts it."""
+    return int(_hidden_lifts(score, dt, sustain).sum())
 
 
 def merged_notes(score: Score, goals: Goals) -> int:
-    """How many notes of `score` its `goals` do not tell from the note before on the same key.
+    """The number of notes of `score` that run into the note before on the same key in `goals`.
 
     Notes of one key that begin at the same time count as one.
     """
@@ -143,8 +144,10 @@ def merged_notes(score: Score, goals: Goals) -> int:
 
 
 def check_pitches(score: Score, pitches: range) -> None:
-    """Raises:
-    CadenzaError: the score has notes of other pitches.
+    """Checks that all notes are on a keyboard of these pitches.
+
+    Raises:
+        CadenzaError: the score has notes of other pitches.
     """
     if outside := sum(note.pitch not in pitches for note in score.notes):
         raise CadenzaError(
@@ -154,8 +157,10 @@ def check_pitches(score: Score, pitches: range) -> None:
 
 
 def check_steps(steps: float) -> None:
-    """Raises:
-    CadenzaError: so many control steps are more than memory has room for.
+    """Checks a number of control steps.
+
+    Raises:
+        CadenzaError: they are more than memory has room for.
     """
     if steps > MAX_STEPS:
         raise CadenzaError(

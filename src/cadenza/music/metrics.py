@@ -1,4 +1,4 @@
-"""How well the keys that sounded match the keys that should have."""
+"""Metrics: how well the keys that sounded match the keys that should have."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from cadenza.music.performance import SAME_NOTE, key_runs
 from cadenza.music.score import LOWEST_PITCH, Score
 
-ONSET_TOLERANCE = 0.05  # [s], the default of mir_eval
-_OF_LENGTH = 0.2  # of a note that its end may be off; as in mir_eval too, and
+# The defaults of mir_eval
+ONSET_TOLERANCE = 0.05  # [s]
+_OFFSET_RATIO = 0.2  # of a note's length by which its end may be off
 _DECIMALS = 4  # to which differences in time [s] are rounded
 
 
@@ -29,9 +30,10 @@ def step_metrics(
 
 
 def _pooled(played: NDArray[Any], goal: NDArray[Any]) -> dict[str, float]:
-    all_together = step_metrics(played.reshape(1, -1), goal.reshape(1, -1))
+    """Precision, recall and F1 of the hits of all steps together."""
+    pooled = step_metrics(played.reshape(1, -1), goal.reshape(1, -1))
     names = ("pooled_precision", "pooled_recall", "pooled_f1")
-    return {name: float(value[0]) for name, value in zip(names, all_together, strict=True)}
+    return {name: float(value[0]) for name, value in zip(names, pooled, strict=True)}
 
 
 def playing_metrics(
@@ -91,32 +93,32 @@ def playing_metrics(
 def _note_metrics(
     played: NDArray[Any], score: Score, dt: float, lowest_pitch: int
 ) -> dict[str, float]:
-    wanted = _Notes.of(score, len(played) * dt, lowest_pitch)
-    sounded = _Notes.played(played, dt)
+    wanted = _Notes.of_score(score, len(played) * dt, lowest_pitch)
+    sounded = _Notes.of_roll(played, dt)
     if not len(wanted.key) or not len(sounded.key):  # mir_eval calls two empty lists a score of 0
         f1 = float(len(wanted.key) == len(sounded.key))
         return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
     near = wanted.near(sounded, ONSET_TOLERANCE)
     ends = near[:, wanted.ends_with(sounded, near)]
-    pairs = _in_order(wanted.near(sounded, SAME_NOTE))
+    pairs = _matched_in_order(wanted.near(sounded, SAME_NOTE))
     errors = [abs(wanted.start[i] - sounded.start[j]) for i, j in pairs]
     return {
-        "note_onset_f1": _f1(len(_in_order(near)), wanted, sounded),
-        "note_onset_offset_f1": _f1(_most_pairs(ends), wanted, sounded),
+        "note_onset_f1": _f1(len(_matched_in_order(near)), wanted, sounded),
+        "note_onset_offset_f1": _f1(_matching_size(ends), wanted, sounded),
         "timing_error": float(np.mean(errors)) if errors else math.nan,
     }
 
 
 class _Notes(NamedTuple):
-    """Notes by key and then time: when they start and end [s], and their keys."""
+    """N notes by key and then time: starts (N,), ends (N,) [s], and keys (N,)."""
 
     start: NDArray[np.floating[Any]]
     end: NDArray[np.floating[Any]]
     key: NDArray[np.intp]
 
     @classmethod
-    def of(cls, score: Score, seconds: float, lowest_pitch: int) -> _Notes:
-        """Those that begin in the first `seconds`."""
+    def of_score(cls, score: Score, seconds: float, lowest_pitch: int) -> _Notes:
+        """The notes of `score` that begin in its first `seconds`, cut off there."""
         latest = round(seconds, 9)
         notes = [
             (n.pitch - lowest_pitch, n.start, min(n.end, latest))
@@ -127,35 +129,39 @@ class _Notes(NamedTuple):
         return cls(start, end, key.astype(np.intp))
 
     @classmethod
-    def played(cls, roll: NDArray[Any], dt: float) -> _Notes:
-        """Those of a roll (T, K)."""
+    def of_roll(cls, roll: NDArray[Any], dt: float) -> _Notes:
+        """The notes of a roll (T, K) of steps of `dt` [s]."""
         first, last, key = key_runs(roll)
         return cls(first * dt, last * dt, key)
 
     def near(self, others: _Notes, tolerance: float) -> NDArray[np.intp]:
-        """(2, N) indices of these notes and of `others` of the same key that start within [s]."""
-        apart = max(self.start.max(), others.start.max()) + 1.0 + 2 * tolerance  # of keys
+        """(2, P) indices of pairs, of these notes and `others`, with one key and near starts.
+
+        `tolerance` is how far apart they may start [s].
+        """
+        # All keys share one axis, on which they are further apart than notes that are near.
+        apart = max(self.start.max(), others.start.max()) + 1.0 + 2 * tolerance
         mine, theirs = self.key * apart + self.start, others.key * apart + others.start
         room = tolerance + 10.0**-_DECIMALS
         low, high = (np.searchsorted(mine, theirs + way) for way in (-room, room))
         count = high - low
         j = np.repeat(np.arange(len(theirs)), count)
         i = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - low, count)
-        return np.stack([i, j])[:, _within(self.start[i] - others.start[j], tolerance)]
+        return np.stack([i, j])[:, _is_within(self.start[i] - others.start[j], tolerance)]
 
     def ends_with(self, others: _Notes, pairs: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Which of `pairs` (2, N) also end together."""
+        """(P,) whether the notes of each of `pairs` (2, P) also end together."""
         i, j = pairs
-        tolerance = np.maximum(_OF_LENGTH * (self.end[i] - self.start[i]), ONSET_TOLERANCE)
-        return _within(self.end[i] - others.end[j], tolerance)
+        tolerance = np.maximum(_OFFSET_RATIO * (self.end[i] - self.start[i]), ONSET_TOLERANCE)
+        return _is_within(self.end[i] - others.end[j], tolerance)
 
 
-def _within(difference: NDArray[Any], tolerance: Any) -> NDArray[np.bool_]:
+def _is_within(difference: NDArray[Any], tolerance: Any) -> NDArray[np.bool_]:
     return np.asarray(np.around(np.abs(difference), _DECIMALS) <= tolerance)
 
 
-def _in_order(near: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """As many pairs (2, N) as can be made of notes that start `near` each other, first by first."""
+def _matched_in_order(near: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """A largest matching among the pairs `near` (2, P), the first note with the first."""
     taken: dict[int, int] = {}
     done = -1
     for i, j in near.T.tolist():
@@ -164,8 +170,8 @@ def _in_order(near: NDArray[np.intp]) -> list[tuple[int, int]]:
     return sorted(taken.items())
 
 
-def _most_pairs(edges: NDArray[np.intp]) -> int:
-    """How many pairs can be made of `edges` (2, N) at most."""
+def _matching_size(edges: NDArray[np.intp]) -> int:
+    """The size of a largest matching in the bipartite graph of `edges` (2, P)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import maximum_bipartite_matching
 
@@ -181,4 +187,5 @@ def _f1(pairs: int, wanted: _Notes, sounded: _Notes) -> float:
 
 
 def _ratio(part: NDArray[Any], whole: NDArray[Any]) -> NDArray[np.float64]:
+    """`part` / `whole`, and 1 where both are 0."""
     return np.divide(part, whole, out=np.ones(len(part)), where=whole > 0)

@@ -1,4 +1,4 @@
-"""What was played: from the keys that sounded back to a score."""
+"""The performed score: from the keys that sounded back to notes and pedal."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from cadenza.episode import Episode
 from cadenza.music.score import LOWEST_PITCH, Note, PedalEvent, Score
 
-SOFTEST, LOUDEST = 30, 120  # MIDI velocities
-SAME_NOTE = 0.2  # [s]; notes of a key that begin closer together are one, at the wrong time
-# [s] a key that is struck as hard as can be goes down within this time: as short as tells loud from
-# soft at 20 steps a second.
-STRIKE_TIME = 0.1
+SOFTEST, LOUDEST = 30, 120  # MIDI velocities of keys let down slowly, and within `STRIKE_TIME`
+SAME_NOTE = 0.2  # [s] within which a note played and one written on the same key are the same
+STRIKE_TIME = 0.1  # [s] two steps of 0.05 s, the least that tell loud from soft
+_USUAL = 80  # MIDI velocity of keys whose depth is not known
+_DECIMALS, _TIME_DECIMALS = 4, 9  # of differences, and of times [s]
 
 
 def key_runs(roll: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Stretches of steps over which a key of `roll` (T, K) is on without a break.
+    """The runs of steps over which a key of `roll` (T, K) is on without a break.
 
     Returns:
         first step, step after the last, key; each (number of runs,), by key and then time.
@@ -56,7 +56,7 @@ def performed_score(
         lowest_pitch: MIDI number of the first key.
     """
     first, last, key = key_runs(key_activation)
-    velocity = np.full(len(first), 80) if depth is None else _velocity(depth, first, key, dt)
+    velocity = np.full(len(first), _USUAL) if depth is None else _velocity(depth, first, key, dt)
     notes = (
         Note(_time(i, dt), _time(j, dt), int(k) + lowest_pitch, int(v))
         for i, j, k, v in zip(first, last, key, velocity, strict=True)
@@ -67,8 +67,8 @@ def performed_score(
 
 
 def _time(step: np.intp, dt: float) -> float:
-    """When a step begins [s], without the dust with which goals would place it on another."""
-    return round(float(step * dt), 9)
+    """The beginning of a step [s], rounded, so that goals place it on the same step again."""
+    return round(float(step * dt), _TIME_DECIMALS)
 
 
 def played_in(episode: Episode) -> Score:
@@ -82,7 +82,7 @@ def played_in(episode: Episode) -> Score:
     )
 
 
-def with_loudness_of(played: Score, score: Score) -> Score:
+def with_velocities_of(played: Score, score: Score) -> Score:
     """`played` with the velocities that `score` writes, on the same clock.
 
     A note has that of the nearest note of its key that begins within 0.2 s of it, and where there
@@ -96,9 +96,10 @@ def with_loudness_of(played: Score, score: Score) -> Score:
     def velocity(note: Note) -> int:
         after = bisect(starts.get(note.pitch, ()), note.start)
         near = written[note.pitch][max(0, after - 1) : after + 1]
-        same = [other for other in near if round(abs(other.start - note.start), 4) <= SAME_NOTE]
-        nearest = min(same, key=lambda other: abs(other.start - note.start), default=None)
-        return nearest.velocity if nearest else SOFTEST
+        nearest = min(near, key=lambda other: abs(other.start - note.start), default=None)
+        if nearest is None or round(abs(nearest.start - note.start), _DECIMALS) > SAME_NOTE:
+            return SOFTEST
+        return nearest.velocity
 
     return replace(
         played, notes=tuple(replace(note, velocity=velocity(note)) for note in played.notes)
@@ -117,7 +118,7 @@ def _velocity(
 def strike_velocity(depth: NDArray[Any]) -> NDArray[np.intp]:
     """MIDI velocities (N,) of keys that begin to sound at the end of `depth` (N, n).
 
-    It holds how far each was down in the last 0.1 s; see `performed_score`.
+    It holds how far each was down over the last `STRIKE_TIME`; see `performed_score`.
     """
     way = depth[:, -1] - depth.min(axis=1)
     return np.rint(SOFTEST + (LOUDEST - SOFTEST) * way).astype(np.intp)

@@ -1,4 +1,4 @@
-"""Makes what a file says playable on one piano, and says what was changed."""
+"""Repairs of the notes of a file, so that one piano can play them; and their remarks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cadenza.fingers import Finger
 
 @dataclass(slots=True)
 class Sounding:
-    """A note as found in a file, its times in any unit in which equal ones are exactly equal."""
+    """A note as found in a file; equal times are exactly equal, in whatever unit."""
 
     start: float
     end: float
@@ -22,7 +22,10 @@ class Sounding:
 
 
 def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
-    """At most one note of a pitch at a time, none of length zero."""
+    """The notes without those of length zero, at most one of a pitch at a time.
+
+    `counts` gets the number of each kind of repair.
+    """
     lasting = [note for note in found if note.end > note.start]
     counts["zero"] = len(found) - len(lasting)
     played: list[Sounding] = []
@@ -53,12 +56,12 @@ def _merge(note: Sounding, other: Sounding) -> None:
 
 
 def told(cases: Iterable[tuple[int, str, str]]) -> list[str]:
-    """Of what there is any of: how many, of what, and what became of them, in plain words."""
+    """Remarks on (count, what, what was done), for counts that are not zero."""
     return [f"{count} {what}{'s'[: count != 1]} {done}" for count, what, done in cases if count]
 
 
 def repairs(counts: Counter[str]) -> list[str]:
-    """What was changed, in plain words."""
+    """Remarks on what was changed, in plain words."""
     said = {
         "drums": "on the drum channel (10) left out",
         "outside": "outside the piano's 88 keys left out",

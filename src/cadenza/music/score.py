@@ -1,26 +1,30 @@
-"""A score: the notes and pedal movements that are to be played."""
+"""A score: the notes and pedal movements that are to be played; its bars, tracks and chords."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from numbers import Integral, Real
+from pathlib import Path
 
 from cadenza.errors import CadenzaError
 from cadenza.fingers import Finger
-from cadenza.music.tracks import Track
 
 NUM_KEYS = 88
 LOWEST_PITCH = 21  # MIDI number of A0, key 0
 HIGHEST_PITCH = LOWEST_PITCH + NUM_KEYS - 1
 PITCHES = range(LOWEST_PITCH, HIGHEST_PITCH + 1)
 MIDI_PITCHES = range(128)
-MIRROR = 124  # a pitch and its mirror image in sum: twice D4
+MIRROR = 124  # sum of a pitch and its mirror image: twice D4, about which black keys are symmetric
 MAX_SECONDS = 3600.0  # a longer song is taken for a mistake
-TOGETHER = 0.03  # [s] notes that begin within this time begin together
-LETTING_GO = 0.05  # [s] a note with less left than this does not keep its finger from the next
-_SHORTEST = 1e-9  # [s] what is left of a note when its times are changed
+CHORD_TOLERANCE = 0.03  # [s] within which notes begin together
+RELEASE_TIME = 0.05  # [s] a note with less left than this does not keep its finger from the next
+_MIN_LENGTH = 1e-9  # [s] of a note when its times are changed
+_DECIMALS = 9  # of times [s] that are shifted
+_BAR_TOLERANCE = 1e-6  # [s] by which a time may lie before the bar that it is in, by rounding
+_NAMES = ("C", "C♯", "D", "D♯", "E", "F", "F♯", "G", "G♯", "A", "A♯", "B")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,23 @@ class Bar:
 
 
 @dataclass(frozen=True, slots=True)
+class Track:
+    """The notes of one instrument in a file: how many, from the `lowest` to the `highest` pitch.
+
+    `number` counts the tracks with notes from 1; `channel` is that of MIDI, 1 to 16, None
+    where the file is not MIDI.
+    """
+
+    number: int
+    name: str
+    instrument: str
+    channel: int | None
+    notes: int
+    lowest: int
+    highest: int
+
+
+@dataclass(frozen=True, slots=True)
 class Score:
     """Notes sorted by (start, pitch) and pedal events sorted by time (given in any order).
 
@@ -112,7 +133,7 @@ class Score:
 
     @property
     def total_time(self) -> float:
-        """End of the last note [s]; 0 without notes."""
+        """The end of the last note [s]; 0 without notes."""
         return max((note.end for note in self.notes), default=0.0)
 
     @property
@@ -130,7 +151,7 @@ class Score:
         return replace(self, notes=tuple(replace(note, finger=finger) for note, finger in notes))
 
     def stretched(self, factor: float) -> Score:
-        """All times multiplied by `factor` (2 is half as fast).
+        """The score with all times multiplied by `factor` (2 is half as fast).
 
         Raises:
             CadenzaError: `factor` is not a positive number, or the song would last over an hour.
@@ -141,7 +162,7 @@ class Score:
         return self._with_times(lambda time: time * factor)
 
     def transposed(self, semitones: int) -> Score:
-        """All pitches moved by `semitones`.
+        """The score with all pitches moved by `semitones`.
 
         Raises:
             CadenzaError: a note would have a pitch that MIDI does not have.
@@ -157,7 +178,7 @@ class Score:
 
     @property
     def mirrored(self) -> Score:
-        """Low for high and one hand for the other: black keys stay black about D4.
+        """The mirror image about D4, where black keys stay black, for the other hand each.
 
         Raises:
             CadenzaError: a note would have a pitch that MIDI does not have.
@@ -165,13 +186,13 @@ class Score:
         if (highest := max((note.pitch for note in self.notes), default=0)) > MIRROR:
             raise CadenzaError(f"cannot mirror pitch {highest}: choose pitches up to {MIRROR}")
         notes = (
-            replace(n, pitch=MIRROR - n.pitch, finger=n.finger and n.finger.of_other_hand)
+            replace(n, pitch=MIRROR - n.pitch, finger=n.finger and n.finger.mirrored)
             for n in self.notes
         )
         return replace(self, notes=tuple(notes))
 
     def with_silence_trimmed(self) -> Score:
-        """Time 0 is the first note's start, and nothing is left after the last note's end.
+        """The score from the start of the first note, at time 0, to the end of the last.
 
         A pedal that is down when the first note starts is down from time 0.
         """
@@ -185,14 +206,14 @@ class Score:
         return replace(self, pedal=tuple(held + during))._shifted(-start)
 
     def until(self, seconds: float) -> Score:
-        """What sounds before `seconds`; notes that would go on end there."""
+        """The score up to `seconds`, where notes that would go on end."""
         notes = (replace(n, end=min(n.end, seconds)) for n in self.notes if n.start < seconds)
         pedal = (event for event in self.pedal if event.time < seconds)
         bars = (bar for bar in self.bars if bar.time < seconds)
         return replace(self, notes=tuple(notes), pedal=tuple(pedal), bars=tuple(bars))
 
     def with_initial_silence(self, seconds: float) -> Score:
-        """Everything later by `seconds`, so that the hands have time to get into place.
+        """The score later by `seconds`, so that the hands have time to get into place.
 
         Raises:
             CadenzaError: `seconds` is negative or not finite, or the song would last over an hour.
@@ -203,23 +224,24 @@ class Score:
         return self._shifted(seconds)
 
     def beginning(self, seconds: float) -> Score:
-        """What begins in the first `seconds` from the first note on; it ends there at the latest.
+        """The first `seconds` of the score from the first note on, at whose end all notes end.
 
         Raises:
             CadenzaError: `seconds` is not a positive number.
         """
         check_beginning(seconds)
-        return self.until(round(min((n.start for n in self.notes), default=0.0) + seconds, 9))
+        first = min((note.start for note in self.notes), default=0.0)
+        return self.until(round(first + seconds, _DECIMALS))
 
     def _shifted(self, seconds: float) -> Score:
         # To the nanosecond: 0.15 - 0.05 must give 0.1 and not the float below it, which would
         # put the note a control step too early.
-        return self._with_times(lambda time: round(time + seconds, 9))
+        return self._with_times(lambda time: round(time + seconds, _DECIMALS))
 
     def _with_times(self, move: Callable[[float], float]) -> Score:
         def moved(note: Note) -> Note:
             start = move(note.start)
-            return replace(note, start=start, end=max(move(note.end), start + _SHORTEST))
+            return replace(note, start=start, end=max(move(note.end), start + _MIN_LENGTH))
 
         notes = tuple(moved(note) for note in self.notes)
         pedal = tuple(replace(event, time=move(event.time)) for event in self.pedal)
@@ -228,10 +250,10 @@ class Score:
 
 
 def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
-    """Of notes by time, those that begin together: within `TOGETHER` of the first of them."""
+    """The groups of `notes`, sorted by time, that begin within `CHORD_TOLERANCE` of their first."""
     chord: list[Note] = []
     for note in notes:
-        if chord and note.start > chord[0].start + TOGETHER:
+        if chord and note.start > chord[0].start + CHORD_TOLERANCE:
             yield chord
             chord = []
         chord.append(note)
@@ -240,19 +262,69 @@ def chords(notes: Iterable[Note]) -> Iterator[list[Note]]:
 
 
 def check_beginning(seconds: float) -> None:
-    """Raises:
-    CadenzaError: a score has no such first seconds.
+    """Checks a number of first seconds [s].
+
+    Raises:
+        CadenzaError: it is not positive or not finite.
     """
     if not 0 < seconds < float("inf"):
         raise CadenzaError(f"the first {seconds} s: give a positive number")
 
 
 def check_length(seconds: float, what: str, advice: str = "") -> None:
-    """Raises:
-    CadenzaError: `what` would last longer than is sensible; it ends with the `advice`.
+    """Checks the length of `what` [s].
+
+    Raises:
+        CadenzaError: it would last longer than is sensible; the message ends with `advice`.
     """
     if seconds > MAX_SECONDS:
         raise CadenzaError(
             f"{what} would last {seconds / 60:.4g} minutes; the longest is {MAX_SECONDS / 60:.0f}"
             f"{advice}"
         )
+
+
+def check_chosen(chosen: Collection[int], tracks: Sequence[Track], path: Path) -> None:
+    """Checks that the file at `path` has the tracks with the `chosen` numbers.
+
+    Raises:
+        CadenzaError: it does not.
+    """
+    if missing := sorted(set(chosen) - {track.number for track in tracks}):
+        there = f"tracks 1 to {len(tracks)}" if len(tracks) > 1 else "one track"
+        raise CadenzaError(f"{path}: there is no track {missing[0]}; the file has {there}")
+
+
+# Keys and bars by their names
+
+
+def is_black(pitch: int) -> bool:
+    """Whether the key of a MIDI pitch is black."""
+    return "♯" in _NAMES[pitch % 12]
+
+
+def note_name(pitch: int) -> str:
+    """The name of a MIDI pitch, such as C4 for the middle C; black keys by their sharps."""
+    return f"{_NAMES[pitch % 12]}{pitch // 12 - 1}"
+
+
+def bar_at(score: Score, time: float) -> int:
+    """The number of the bar in which `time` [s] lies, or of the first; for a score with bars."""
+    begun = bisect_right(score.bars, time + _BAR_TOLERANCE, key=lambda bar: bar.time)
+    return score.bars[max(begun - 1, 0)].number
+
+
+def describe_times(score: Score, times: Iterable[float]) -> str:
+    """Times [s] in words, such as "bar 12" or "bars 3, 7-9"; "4.5, 6.0 s" without bars."""
+    times = sorted(times)
+    if not score.bars:
+        return f"{', '.join(f'{time:.1f}' for time in times)} s"
+    numbers = list(dict.fromkeys(bar_at(score, time) for time in times))
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and runs[-1][-1] + 1 == number:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    named = ", ".join("-".join(map(str, run[:: max(len(run) - 1, 1)])) for run in runs)
+    return f"bar{'s'[: len(numbers) > 1]} {named}"

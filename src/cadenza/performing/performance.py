@@ -22,7 +22,7 @@ from cadenza.files import content_of, read_json, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
-from cadenza.music.performance import played_in, with_loudness_of
+from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
@@ -118,7 +118,7 @@ class Performance:
         """
         folder, played = Path(folder), self.played
         if loudness == "score":
-            played = with_loudness_of(played, self.goal)
+            played = with_velocities_of(played, self.goal)
         lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
         self.episode.save(folder / "episode.npz")

@@ -14,8 +14,8 @@ from itertools import chain
 from pathlib import Path
 
 from cadenza.episode import Episode
-from cadenza.music.keyboard import is_black, note_name
 from cadenza.music.performance import key_runs, played_in
+from cadenza.music.score import is_black, note_name
 from cadenza.report.asset import asset
 from cadenza.report.bars import Bar, bars
 from cadenza.report.page import own_parts, pieces, shared_parts, write_page

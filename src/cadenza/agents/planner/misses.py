@@ -41,8 +41,8 @@ from cadenza.episode import Episode
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.body import prefix
 from cadenza.hands.forearm import FOREARM, WIDTH
-from cadenza.music.keyboard import note_name
 from cadenza.music.performance import key_runs
+from cadenza.music.score import note_name
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.reward import key_state
 

@@ -26,8 +26,9 @@ from cadenza.music.score import (
     Note,
     PedalEvent,
     Score,
+    Track,
+    check_chosen,
 )
-from cadenza.music.tracks import Track, check_chosen
 
 # What is written: at 120 quarters a minute 48,000 ticks a second, in which both 1 ms and thirds of
 # a second are whole numbers. A time read back differs by at most half a tick (10.4 us).

@@ -32,8 +32,9 @@ from cadenza.music.score import (
     Note,
     PedalEvent,
     Score,
+    Track,
+    check_chosen,
 )
-from cadenza.music.tracks import Track, check_chosen
 
 _MAX_PLAYED = 100_000  # notes or bars, with repeats
 _SECONDS_PER_QUARTER = 0.5  # until the file says otherwise, as in MIDI

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cadenza.music.formats.finger_numbers import finger_from, written
-from cadenza.music.score import Bar, Note, PedalEvent, Score
-from cadenza.music.tracks import Track
+from cadenza.music.score import Bar, Note, PedalEvent, Score, Track
 
 
 @dataclass(frozen=True)
