@@ -11,7 +11,7 @@ import pytest
 from cadenza.agents.playback import load_plan
 from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import build_scene, hand_alone, reduced_model, colliding_parts
+from cadenza.scene.scene import build_scene, colliding_parts, hand_alone, reduced_model
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
