@@ -92,12 +92,12 @@ class FastestJumps(JumpTimes):
     least: tuple[float, ...] = ()
 
     def seconds(
-        self, way: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False
+        self, distance: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False
     ) -> Array:
         reach = np.where(holding, self.while_holding, self.within_reach)
-        beyond = np.maximum(np.asarray(way) - reach, 0.0)
-        fastest = np.interp(beyond, WAYS, self.least)
-        return np.minimum(super().seconds(way, left, struck, holding), fastest)
+        glided = np.maximum(np.asarray(distance) - reach, 0.0)
+        fastest = np.interp(glided, WAYS, self.least)
+        return np.minimum(super().seconds(distance, left, struck, holding), fastest)
 
 
 class Holding:

@@ -1,4 +1,4 @@
-"""How hard a score is for two hands, as a grade from 1 to 10.
+"""The difficulty of a score for two hands, as a grade from 1 to 10.
 
 With each grade the odds of an error, those of 1 - F1, are `ODDS` times as high. The grade is a sum
 over what is measured of the score and its fingers, see `Features`, each on a logarithmic scale and
@@ -32,7 +32,7 @@ _BLACK = np.array([is_black(pitch) for pitch in MIDI_PITCHES])
 
 @dataclass(frozen=True)
 class Features:
-    """What makes a score hard for two hands; all are 0 or more.
+    """Features that make a score hard for two hands; all are 0 or more.
 
     Notes without fingers count for no hand.
     """
@@ -85,7 +85,7 @@ FITTED = Model(
 
 
 def grade(score: Score, players: Players | None = None) -> float:
-    """How hard `score` is, from 1 to 10.
+    """The difficulty of `score`, from 1 to 10.
 
     Args:
         score: a score of one note or more.

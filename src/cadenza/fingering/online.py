@@ -88,7 +88,7 @@ class OnlineFingering:
         self._ends = {number: end for number, end in self._ends.items() if number in known}
 
     def _next(self, time: float, strokes: list[Stroke]) -> tuple[SoundingNotes, Stage]:
-        """What sounds, and the stage, when `strokes` begin after all that is known."""
+        """The sounding notes, and the stage, when `strokes` begin after all that is known."""
         before, stage = self._stages[-1][1:] if self._stages else (self._sounding, self._stage)
         sounding = copy(before)
         sounding.strokes = list(map(self._with_end, before.strokes))

@@ -1,4 +1,4 @@
-"""Which notes of a score the hands can play, and why not the others.
+"""The notes of a score that hands can play, and the reasons why not the others.
 
 The limits:
 
@@ -213,7 +213,7 @@ _limits = lru_cache(maxsize=8)(_Limits)
 
 
 def _nth(count: int) -> list[list[int]]:
-    """[n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
+    """Returns at [n][f] the sets, of `count` fingers, whose `n`-th finger is f."""
     down = (np.arange(1 << count)[:, None] >> np.arange(count) & 1).astype(bool)
     rank = np.where(down, down.cumsum(axis=1) - 1, -1)
     nth = [[_as_number(rank[:, finger] == n) for finger in range(count)] for n in range(count)]
@@ -221,7 +221,7 @@ def _nth(count: int) -> list[list[int]]:
 
 
 def _pairs(players: Players, forearms: bool = True) -> list[list[int]]:
-    """[low][high] the pairs of fingers of `_Limits.pairs`; `forearms` says whether they count."""
+    """Returns at [low][high] the pairs of `_Limits.pairs`; `forearms` says whether they count."""
     one_hand = players.spans()
     num_keys, half = one_hand.shape[1:3]
     right, left = slice(half, None), slice(half - 1, None, -1)  # from the thumbs on

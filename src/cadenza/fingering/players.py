@@ -37,7 +37,7 @@ class Forearm:
 
     @property
     def idle_places(self) -> tuple[float, ...]:
-        """Where it can be without notes [m]."""
+        """The places where it can be without notes [m]."""
         if self.low == self.high:
             return (self.home,)
         return tuple(np.linspace(self.low, self.high, _NUM_IDLE_PLACES).tolist())

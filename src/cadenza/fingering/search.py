@@ -124,7 +124,7 @@ def solve(
     progress: Callable[[int, int], None] | None = None,
     costs: Costs = COSTS,
 ) -> Solution:
-    """Like `find_fingering`, with the cost; for a score with all fingers, the cost of those."""
+    """The whole solution of `find_fingering`; for a score with all fingers, their cost."""
     space = state_space(players)
     stage = first_stage(space)
     steps: list[Backpointers] = []
@@ -152,7 +152,7 @@ def solve(
 
 
 class Backpointers(NamedTuple):
-    """What has to be remembered of a moment to tell in the end what the hands do in it."""
+    """The part of a stage that has to be kept, to tell in the end what the hands do."""
 
     strokes: tuple[Stroke, ...]
     fingers: tuple[NDArray[np.uint8], ...]  # right, left: (R, m), (L, m)
@@ -179,7 +179,7 @@ class Stage:
 
     @property
     def backpointers(self) -> Backpointers:
-        """What `backtrack` needs of this moment."""
+        """The part that `backtrack` needs."""
         right, left = self.states.hands
         return Backpointers(
             self.strokes, (right.fingers, left.fingers), self.left_before, self.right_before

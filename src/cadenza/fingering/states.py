@@ -151,7 +151,7 @@ class ChordNote(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ChordStates:
-    """What both hands can do about notes that sound together.
+    """The states of both hands for notes that sound together.
 
     hands           right, left: R and L states, each feasible with some state of the other hand
     splits          blocks of (R, L) in which the hands share all notes between them
@@ -177,7 +177,7 @@ class StateSpace:
         return self._players.reach
 
     def initial(self) -> ChordStates:
-        """Without notes, each hand where its forearm is mounted, however close to the other's."""
+        """The states without notes: each hand where its forearm is mounted."""
         right, left = (hand.states((), hand.home) for hand in self._hands)
         return ChordStates((right, left), ((slice(0, 1), slice(0, 1)),), np.zeros((1, 1)))
 

@@ -124,7 +124,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Options:
-    """Those options of a `SceneConfig` that concern the hands."""
+    """The options of a `SceneConfig` that concern the hands."""
 
     reduced_action_space: bool
     forearm_dofs: tuple[str, ...]

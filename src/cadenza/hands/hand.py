@@ -1,4 +1,4 @@
-"""What a hand is, to all that builds, simulates, fingers and plans with it; and its checks."""
+"""A hand, for all that builds, simulates, fingers and plans with it; and its checks."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FingerChain:
     tip: tuple[float, float, float]
     """The centre of the end that presses, in the frame of the last link [m]."""
     on_white: float
-    """Where it presses white keys: towards the player from their middle [m]."""
+    """Distance from the middle of white keys, towards the player, at which it presses [m]."""
 
     @property
     def tip_radius(self) -> float:
@@ -61,11 +61,11 @@ class Hand:
 
     name: str
     body: Body
-    """What is built into the scene."""
+    """The links, joints and actuators in the scene."""
     fingers: tuple[FingerChain, ...]
     """The thumb first, then its neighbours in their order; up to `MAX_FINGERS`."""
     servos: Mapping[str, Servo]
-    """How planners use the hand's own servos, by the names that `Body.actuators` gives them."""
+    """The hand's own servos as planners use them, by the names in `Body.actuators`."""
     reach: Reach
     jump_times: JumpTimes = field(default_factory=JumpTimes)
     thumb_meets: int = 2
@@ -107,7 +107,7 @@ class Hand:
 
 
 def _faults(hand: Hand) -> Iterator[str]:
-    """What is wrong with a hand, in a line each: what, where, and what to do."""
+    """Yields a line for each fault of a hand: what is wrong, where, and what to do."""
     yield from _faults_of_body(hand.body)
     count = len(hand.fingers)
     if not 0 < count <= MAX_FINGERS:

@@ -1,4 +1,4 @@
-"""What the fingers of a hand reach, and how fast it moves, for those who do not simulate it."""
+"""The reach of fingers and the speed of hands, for those who do not simulate them."""
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ class Reach:
 
 @dataclass(frozen=True)
 class JumpTimes:
-    """A model of how long a hand takes from keys to the next.
+    """A model of the time that a hand takes from keys to the next.
 
     Within reach the fingers get there without it. To keys further away the hand glides: it speeds
     up over half the way and slows down over the other half. On a chord it then comes straight down.
     """
 
     within_reach: float = 0.05
-    """Way that fingers cover without the hand, from keys that are released [m]."""
+    """Distance that fingers cover without the hand, from keys that are released [m]."""
     while_holding: float = 0.06
-    """Way that fingers cover without the hand, from keys that stay held [m]."""
+    """Distance that fingers cover without the hand, from keys that stay held [m]."""
     glide: float = 80.0
     """Acceleration from a single key to a single key [m/s^2]."""
     glide_of_chord: float = 50.0
@@ -82,22 +82,22 @@ class JumpTimes:
         return replace(self, glide=haste * self.glide, glide_of_chord=haste * self.glide_of_chord)
 
     def seconds(
-        self, way: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False
+        self, distance: ArrayLike, left: ArrayLike, struck: ArrayLike, holding: ArrayLike = False
     ) -> Array:
-        """How long before the next keys are struck the keys before have to be released [s].
+        """The time between the release of keys and the strike of the next [s].
 
         0 where the fingers get there without the hand. All arguments broadcast. From rest to rest
         over x at acceleration a takes sqrt(4 x / a).
 
         Args:
-            way: how far the hand moves along the keyboard [m].
+            distance: how far the hand moves along the keyboard [m].
             left: number of keys that it leaves together, 1 or more.
             struck: number of keys that it strikes together, 1 or more.
             holding: whether the keys left should be held until after the next are struck.
         """
         reach = np.where(holding, self.while_holding, self.within_reach)
-        beyond = np.maximum(np.asarray(way) - reach, 0.0)
+        glided = np.maximum(np.asarray(distance) - reach, 0.0)
         single = (np.asarray(left) == 1) & (np.asarray(struck) == 1)
-        glide = np.where(single, self.glide, self.glide_of_chord)
+        acceleration = np.where(single, self.glide, self.glide_of_chord)
         descent = np.where(np.asarray(struck) > 1, self.descent, 0.0)
-        return np.where(beyond > 0, np.sqrt(4 * beyond / glide) + descent, 0.0)
+        return np.where(glided > 0, np.sqrt(4 * glided / acceleration) + descent, 0.0)

@@ -1,4 +1,4 @@
-"""How planners and residual policies use a servo."""
+"""A servo as planners and residual policies use it."""
 
 from __future__ import annotations
 

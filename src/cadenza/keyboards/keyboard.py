@@ -1,4 +1,4 @@
-"""What a keyboard is, and how it gets into a scene.
+"""A keyboard as a value, and its builder for MuJoCo.
 
 World frame: x towards the player, y to the player's right, z up; the keyboard's middle is at y = 0.
 Sizes in [m], masses in [kg], angles in [rad].
@@ -123,7 +123,7 @@ class Keyboard:
 
     @cached_property
     def is_black(self) -> NDArray[np.bool_]:
-        """(K,) which keys are black."""
+        """(K,) whether each key is black."""
         return np.isin(np.array(self.pitches) % 12, _BLACK_IN_OCTAVE)
 
     def shape(self, key: int) -> KeyShape:

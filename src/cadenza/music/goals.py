@@ -21,7 +21,7 @@ NO_HANDS = Fingers(per_hand=0)
 
 @dataclass(frozen=True)
 class Goals:
-    """What should sound after each of T control steps, on a keyboard of K keys.
+    """The keys and pedal that should be down after each of T control steps, on K keys.
 
     keys (T, K) bool        keys that should be down
     fingers (T, K) int8     the number of the finger that should press the key, -1 none or unknown

@@ -93,18 +93,20 @@ def playing_metrics(
 def _note_metrics(
     played: NDArray[Any], score: Score, dt: float, lowest_pitch: int
 ) -> dict[str, float]:
-    wanted = _Notes.of_score(score, len(played) * dt, lowest_pitch)
-    sounded = _Notes.of_roll(played, dt)
-    if not len(wanted.key) or not len(sounded.key):  # mir_eval calls two empty lists a score of 0
-        f1 = float(len(wanted.key) == len(sounded.key))
+    """Figures of whole notes: those of the score are the reference, those played the estimate."""
+    reference = _Notes.of_score(score, len(played) * dt, lowest_pitch)
+    estimated = _Notes.of_roll(played, dt)
+    if not len(reference.key) or not len(estimated.key):
+        # Silence where nothing was to sound is right, though mir_eval gives it a score of 0.
+        f1 = float(len(reference.key) == len(estimated.key))
         return {"note_onset_f1": f1, "note_onset_offset_f1": f1, "timing_error": math.nan}
-    near = wanted.near(sounded, ONSET_TOLERANCE)
-    ends = near[:, wanted.ends_with(sounded, near)]
-    pairs = _matched_in_order(wanted.near(sounded, SAME_NOTE))
-    errors = [abs(wanted.start[i] - sounded.start[j]) for i, j in pairs]
+    near = reference.near(estimated, ONSET_TOLERANCE)
+    ends = near[:, reference.ends_with(estimated, near)]
+    pairs = _matched_in_order(reference.near(estimated, SAME_NOTE))
+    errors = [abs(reference.start[i] - estimated.start[j]) for i, j in pairs]
     return {
-        "note_onset_f1": _f1(len(_matched_in_order(near)), wanted, sounded),
-        "note_onset_offset_f1": _f1(_matching_size(ends), wanted, sounded),
+        "note_onset_f1": _f1(len(_matched_in_order(near)), reference, estimated),
+        "note_onset_offset_f1": _f1(_matching_size(ends), reference, estimated),
         "timing_error": float(np.mean(errors)) if errors else math.nan,
     }
 
@@ -143,7 +145,7 @@ class _Notes(NamedTuple):
         apart = max(self.start.max(), others.start.max()) + 1.0 + 2 * tolerance
         mine, theirs = self.key * apart + self.start, others.key * apart + others.start
         room = tolerance + 10.0**-_DECIMALS
-        low, high = (np.searchsorted(mine, theirs + way) for way in (-room, room))
+        low, high = (np.searchsorted(mine, theirs + side) for side in (-room, room))
         count = high - low
         j = np.repeat(np.arange(len(theirs)), count)
         i = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - low, count)
@@ -181,8 +183,8 @@ def _matching_size(edges: NDArray[np.intp]) -> int:
     return int((maximum_bipartite_matching(graph) >= 0).sum())
 
 
-def _f1(pairs: int, wanted: _Notes, sounded: _Notes) -> float:
-    precision, recall = pairs / len(sounded.key), pairs / len(wanted.key)
+def _f1(pairs: int, reference: _Notes, estimated: _Notes) -> float:
+    precision, recall = pairs / len(estimated.key), pairs / len(reference.key)
     return 2 * precision * recall / (precision + recall) if pairs else 0.0
 
 

@@ -45,7 +45,7 @@ class Servos:
     high: Array
     """(A,) upper bounds [m, rad]."""
     uses: tuple[Servo, ...]
-    """How planners and policies use each."""
+    """The servos as planners and policies use them."""
 
     @property
     def along_keyboard(self) -> list[int]:

@@ -40,7 +40,7 @@ class Key:
 
     @property
     def name(self) -> str:
-        """Such as "E-flat major"."""
+        """The name of the key, such as "E-flat major"."""
         tonic = _NAMES[self.sharps + _MOST_FLATS + self.minor * _FIFTHS_TO_MINOR]
         return f"{tonic} {'minor' if self.minor else 'major'}"
 
