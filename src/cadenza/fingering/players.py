@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.fingers import SIDES, Finger, Side
+from cadenza.hands.forearm import mount_y
 from cadenza.hands.reach import Array, Reach
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def players_at(
             return None
         if arm is not None:
             return arm if side == "right" else arm.mirrored
-        home = (1 if side == "right" else -1) * hand_spacing / 2
+        home = mount_y(side, hand_spacing)
         return Forearm(home, -end, end) if slides else Forearm(home, home, home)
 
     right, left = map(forearm, SIDES)

@@ -29,14 +29,14 @@ DRAWN_GROUP, COLLIDING_GROUP = 0, 3  # MuJoCo's viewers hide group 3
 _SITE_GROUP, _SITE_SIZE = 4, (0.004, 0.004, 0.004)
 _TOUCH_RADIUS = 1.1  # of the sphere in which contacts count, in radii of the tip
 
-_GEOM_TYPES = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+GEOM_TYPES = {
+    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, 1),
+    "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, 2),
+    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, 2),
+    "box": (mujoco.mjtGeom.mjGEOM_BOX, 3),
+    "ellipsoid": (mujoco.mjtGeom.mjGEOM_ELLIPSOID, 3),
 }
-
+"""Type of a `Geom` -> MuJoCo's type, and how many numbers its size has."""
 
 SERVO = "A_"
 """Prefix of the names of servos, before the name of the joint or tendon that they move."""
@@ -216,12 +216,6 @@ def add_touch_sensor(spec: mujoco.MjSpec, fingertip: str, radius: float) -> None
     )
 
 
-def mount_y(side: Side, options: Options) -> float:
-    """The place along the keyboard at which the forearm of one side is mounted [m]."""
-    sign = 1.0 if side == "right" else -1.0
-    return sign * options.hand_spacing / 2
-
-
 _CONTACT_BITS: dict[Side, int] = {"right": 8, "left": 16}  # bits of contype and conaffinity
 
 
@@ -234,6 +228,7 @@ class _Builder:
         self._locked = body.locked if options.reduced_action_space else ()
         # Hands that play apart collide with themselves and with keys, but not with each other.
         self._own_bits = _CONTACT_BITS[side] if options.apart and options.hand_collisions else 0
+        self._mount_y = forearm.mount_y(side, options.hand_spacing)
         self._forearm_dofs = () if body.mount else options.forearm_dofs
 
     def build(self) -> None:
@@ -291,7 +286,7 @@ class _Builder:
         turn, final = np.zeros(4), np.zeros(4)
         mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0, 1]), yaw)
         mujoco.mju_mulQuat(final, turn, np.array(forearm.MOUNT_QUAT))
-        body.pos, body.quat = (x, mount_y(self._side, self._options), z), final
+        body.pos, body.quat = (x, self._mount_y, z), final
         for name in self._forearm_dofs:
             dof = forearm.JOINTS[name]
             mirrored = dof.mirrored and self._side == "left"
@@ -305,8 +300,7 @@ class _Builder:
             )
 
     def _forearm_range(self, name: str) -> tuple[float, float]:
-        y = mount_y(self._side, self._options)
-        return forearm.joint_range(name, y, self._options.keyboard_half_length)
+        return forearm.joint_range(name, self._mount_y, self._options.keyboard_half_length)
 
     def _add_joint(self, body: mujoco.MjsBody, joint: Joint) -> None:
         axis = (_mirror if joint.slide else _mirror_axis)(joint.axis, self._side)
@@ -346,7 +340,8 @@ class _Builder:
             size = geom.left_size or size
         padded = np.zeros(3)
         padded[: len(size)] = size
-        body.add_geom(type=_GEOM_TYPES[geom.type], pos=pos, quat=quat, size=padded, **attributes)
+        kind, _ = GEOM_TYPES[geom.type]
+        body.add_geom(type=kind, pos=pos, quat=quat, size=padded, **attributes)
 
     def _add_actuators(self) -> None:
         ranges = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cadenza.fingers import Side
 from cadenza.hands.servo import Servo
 
 FOREARM = "forearm"
@@ -49,6 +50,11 @@ SERVOS: dict[str, Servo] = {
     "forearm_tx": Servo(0.0, 1000.0, 2.0, 0.05, noise=0.01, correction=0.03),
     "forearm_ty": Servo(0.01, 0.05, 8.0, 0.05, noise=0.005, correction=0.015),
 } | {f"forearm_{name}": _STIFF for name in ("tz", "roll", "pitch", "yaw")}
+
+
+def mount_y(side: Side, hand_spacing: float) -> float:
+    """The place along the keyboard at which the forearm of one side is mounted [m]."""
+    return (hand_spacing if side == "right" else -hand_spacing) / 2
 
 
 def joint_range(name: str, y: float, half_length: float) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from cadenza.errors import CadenzaError
 from cadenza.fingers import Side
 from cadenza.hands import forearm
 from cadenza.hands.body import (
+    GEOM_TYPES,
     Body,
     Geom,
     Link,
@@ -29,9 +30,8 @@ from cadenza.hands.servo import Servo
 MAX_FINGERS = 8
 """The search for fingers enumerates all sets of them."""
 
-# Of links and geoms, how many numbers a field has.
+# Field of a link -> how many numbers it has.
 _LINK_NUMBERS = {"pos": 3, "com": 3, "inertia": 3, "quat": 4, "inertia_quat": 4}
-_GEOM_NUMBERS = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 
 
 @dataclass(frozen=True)
@@ -243,10 +243,10 @@ def _faults_of_link(link: Link) -> Iterator[str]:
 
 
 def _faults_of_geom(of: str, geom: Geom) -> Iterator[str]:
-    if geom.type not in _GEOM_NUMBERS:
-        yield f"{of}: no geom of type {geom.type!r}; choose from {', '.join(_GEOM_NUMBERS)}"
+    if geom.type not in GEOM_TYPES:
+        yield f"{of}: no geom of type {geom.type!r}; choose from {', '.join(GEOM_TYPES)}"
         return
-    count = _GEOM_NUMBERS[geom.type]
+    _, count = GEOM_TYPES[geom.type]
     for size in (geom.size, geom.left_size):
         if size is not None and (not _are_numbers(size, count) or min(size) <= 0):
             numbers = "number" if count == 1 else "numbers"

@@ -43,10 +43,10 @@ def performed_score(
 
     A key that sounds from step i up to, not including, step j is a note from `i * dt` to `j * dt`,
     just as `score_to_goals` places it at the default of 0.05 s. Its velocity is 80, or where
-    `depth` is known `30 + 90 * travel`: how far the key went down within 0.1 s to where it is on the
-    step on which it begins to sound, from the highest that it stood in that time. A key pushed down
-    within 0.1 s gives 120, one let down slowly 30, one that comes up halfway before it is struck
-    again 75.
+    `depth` is known `30 + 90 * travel`: how far the key went down within 0.1 s to where it is on
+    the step on which it begins to sound, from the highest that it stood in that time. A key pushed
+    down within 0.1 s gives 120, one let down slowly 30, one that comes up halfway before it is
+    struck again 75.
 
     Args:
         key_activation: (T, K), whether each key sounds after the step.

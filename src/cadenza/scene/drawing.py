@@ -8,18 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.hands.body import COLLIDING_GROUP
+from cadenza.hands.body import COLLIDING_GROUP, GEOM_TYPES
 from cadenza.keyboards.keyboard import Keyboard
 from cadenza.scene.scene import Scene
 
 # MuJoCo's type of a geom -> its name, and how many numbers its size has.
-_SHAPES = {
-    mujoco.mjtGeom.mjGEOM_BOX: ("box", 3),
-    mujoco.mjtGeom.mjGEOM_CAPSULE: ("capsule", 2),
-    mujoco.mjtGeom.mjGEOM_CYLINDER: ("cylinder", 2),
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: ("ellipsoid", 3),
-    mujoco.mjtGeom.mjGEOM_SPHERE: ("sphere", 1),
-}
+_SHAPES = {kind: (name, count) for name, (kind, count) in GEOM_TYPES.items()}
 
 _DECIMALS = 6  # of lengths [m] and quaternions
 
