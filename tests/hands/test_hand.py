@@ -1,4 +1,4 @@
-"""Hands whose parts do not go together are refused in a line."""
+"""Hands whose parts do not go together are refused with a clear line."""
 
 from __future__ import annotations
 
