@@ -32,7 +32,7 @@ from cadenza.music.formats.reading import MUSIC
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
-from cadenza.music.tracks import Track
+from cadenza.music.score import Track
 from cadenza.studio.ages import ages
 from cadenza.studio.request import ROWS, TOLD, PlayRequest
 from cadenza.studio.stream import Stored, Stream
