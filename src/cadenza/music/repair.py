@@ -10,7 +10,7 @@ from cadenza.fingers import Finger
 
 
 @dataclass(slots=True)
-class Sounding:
+class RawNote:
     """A note as found in a file; equal times are exactly equal, in whatever unit."""
 
     start: float
@@ -21,15 +21,15 @@ class Sounding:
     finger: Finger | None = None
 
 
-def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
+def repaired(found: list[RawNote], counts: Counter[str]) -> list[RawNote]:
     """The notes without those of length zero, at most one of a pitch at a time.
 
     `counts` gets the number of each kind of repair.
     """
     lasting = [note for note in found if note.end > note.start]
     counts["zero"] = len(found) - len(lasting)
-    played: list[Sounding] = []
-    latest: dict[int, Sounding] = {}
+    played: list[RawNote] = []
+    latest: dict[int, RawNote] = {}
     for note in sorted(lasting, key=lambda note: note.start):
         before = latest.get(note.pitch)
         if before and before.start == note.start:
@@ -45,7 +45,7 @@ def repaired(found: list[Sounding], counts: Counter[str]) -> list[Sounding]:
     return played
 
 
-def _merge(note: Sounding, other: Sounding) -> None:
+def _merge(note: RawNote, other: RawNote) -> None:
     """Makes `note` as loud as the louder and as long as the longer; a known end beats none."""
     note.velocity = max(note.velocity, other.velocity)
     note.finger = note.finger or other.finger
@@ -55,14 +55,14 @@ def _merge(note: Sounding, other: Sounding) -> None:
         note.end, note.released = other.end, True
 
 
-def told(cases: Iterable[tuple[int, str, str]]) -> list[str]:
+def counted_remarks(cases: Iterable[tuple[int, str, str]]) -> list[str]:
     """Remarks on (count, what, what was done), for counts that are not zero."""
     return [f"{count} {what}{'s'[: count != 1]} {done}" for count, what, done in cases if count]
 
 
-def repairs(counts: Counter[str]) -> list[str]:
+def repair_remarks(counts: Counter[str]) -> list[str]:
     """Remarks on what was changed, in plain words."""
-    said = {
+    repairs = {
         "drums": "on the drum channel (10) left out",
         "outside": "outside the piano's 88 keys left out",
         "zero": "of no length left out",
@@ -70,4 +70,4 @@ def repairs(counts: Counter[str]) -> list[str]:
         "cut": "cut short where the same key is struck again",
         "unreleased": "never released: held to the end of the track",
     }
-    return told((counts[what], "note", done) for what, done in said.items())
+    return counted_remarks((counts[what], "note", done) for what, done in repairs.items())

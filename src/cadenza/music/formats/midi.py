@@ -18,7 +18,7 @@ from cadenza.music.formats.general_midi import INSTRUMENTS
 from cadenza.music.formats.midi_chunks import MidiFile, parsed
 from cadenza.music.formats.source import read_bytes
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import Sounding, repaired, repairs
+from cadenza.music.repair import RawNote, repair_remarks, repaired
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -103,7 +103,7 @@ def read_midi(path: str | Path, tracks: Collection[int] = ()) -> Score:
         drums = (part for part in parts if part.channel == _DRUM_CHANNEL)
         counts["drums"] = sum(len(part.notes) + part.outside for part in drums)
     played = repaired([note for part in melodic for note in part.notes], counts)
-    remarks += repairs(counts)
+    remarks += repair_remarks(counts)
     if any(part.sostenuto for part in melodic):
         remarks.append("the sostenuto pedal is left out")
 
@@ -169,7 +169,7 @@ class _Part:
     channel: int
     name: str = ""
     program: int | None = None
-    notes: list[Sounding] = field(default_factory=list)
+    notes: list[RawNote] = field(default_factory=list)
     outside: int = 0
     sostenuto: int = 0
 
@@ -240,7 +240,7 @@ def _collect(
 ) -> None:
     """Adds what the channels of a track of the file play to `parts`, the pedals' to `moves`."""
     here: dict[int, _Part] = {}
-    sounding: defaultdict[tuple[int, int], deque[Sounding]] = defaultdict(deque)
+    sounding: defaultdict[tuple[int, int], deque[RawNote]] = defaultdict(deque)
     pedals: defaultdict[int, int] = defaultdict(int)  # where they stand, by channel
     name, tick = "", 0
     for message in chunk:
@@ -257,7 +257,7 @@ def _collect(
                 part.outside += 1
                 continue
             now = clock.at(tick)
-            note = Sounding(now, now, message.note, message.velocity)
+            note = RawNote(now, now, message.note, message.velocity)
             part.notes.append(note)
             sounding[channel, message.note].append(note)
         elif kind in ("note_on", "note_off"):

@@ -10,7 +10,7 @@ import mido
 from mido.midifiles.meta import build_meta_message
 
 from cadenza.errors import CadenzaError
-from cadenza.music.repair import told
+from cadenza.music.repair import counted_remarks
 
 _NAME, _END, _TEMPO, _TIME = 0x03, 0x2F, 0x51, 0x58
 _WANTED = (_NAME, _END, _TEMPO, _TIME)
@@ -59,7 +59,7 @@ def parsed(data: bytes) -> MidiFile:
         (sum(track.clipped for track in tracks), "value", "over 127 taken for 127"),
         (sum(track.strange for track in tracks), "unreadable tempo or time signature", "left out"),
     )
-    return MidiFile(form, division, [track.messages for track in tracks], told(remarks))
+    return MidiFile(form, division, [track.messages for track in tracks], counted_remarks(remarks))
 
 
 @dataclass(frozen=True, slots=True)

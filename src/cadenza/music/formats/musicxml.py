@@ -24,7 +24,7 @@ from cadenza.music.formats.musicxml_marks import Marks, marks_of
 from cadenza.music.formats.musicxml_mending import mend
 from cadenza.music.formats.musicxml_tree import tree_of
 from cadenza.music.formats.titles import printable, title_of
-from cadenza.music.repair import Sounding, repaired, repairs, told
+from cadenza.music.repair import RawNote, counted_remarks, repair_remarks, repaired
 from cadenza.music.score import (
     HIGHEST_PITCH,
     LOWEST_PITCH,
@@ -76,7 +76,7 @@ def read_musicxml(path: str | Path, tracks: Collection[int] = ()) -> Score:
         Note(note.start - begin, note.end - begin, note.pitch, note.velocity, note.finger)
         for note in repaired(found, counts)
     )
-    remarks = (*sheet.remarks, *repairs(counts))
+    remarks = (*sheet.remarks, *repair_remarks(counts))
     if not notes:
         why = f" left ({'; '.join(remarks)})" if remarks else ""
         raise CadenzaError(f"{path}: there are no notes{why}; choose another file")
@@ -158,13 +158,13 @@ def _track(number: int, part: _Part) -> Track:
 
 def _played(
     parts: list[_Part], sheet: _Sheet, counts: Counter[str], path: Path
-) -> tuple[list[Sounding], list[tuple[float, int]], list[tuple[float, int]]]:
+) -> tuple[list[RawNote], list[tuple[float, int]], list[tuple[float, int]]]:
     """The notes, when [s] the pedal moves where, and when which bar begins, by sections."""
     at = _clock(sheet)
-    found: list[Sounding] = []
+    found: list[RawNote] = []
     pedal: list[tuple[float, int]] = []
     bars: list[tuple[float, int]] = []
-    tied: dict[tuple[int, int, float], Sounding] = {}  # by part, pitch and end
+    tied: dict[tuple[int, int, float], RawNote] = {}  # by part, pitch and end
     now = 0.0
     for first, beyond in sheet.sections:
         start, end = sheet.bars[first].start, sheet.bars[beyond - 1].end
@@ -207,12 +207,12 @@ def _within(items: list[_T], first: int, beyond: int) -> list[_T]:
     return items[begin:end]
 
 
-def _sounding(note: _Written, at: Callable[[float], float], later: float) -> Sounding:
+def _sounding(note: _Written, at: Callable[[float], float], later: float) -> RawNote:
     begin = at(note.start) + later - note.grace * _GRACE
     stop = begin + _GRACE if note.grace else at(note.end) + later
     # Rounded, so that what ends where another begins does so exactly.
     times = round(begin, 9), round(stop, 9)
-    return Sounding(*times, note.pitch, note.velocity, True, note.finger)
+    return RawNote(*times, note.pitch, note.velocity, True, note.finger)
 
 
 def _partitura() -> Any:
@@ -399,4 +399,4 @@ def _sections(marks: Marks) -> tuple[list[tuple[int, int]], list[str]]:
         (marks.in_words, "jump", "in words, without a sign for playback, left out"),
         (len(unplayed), "bar", "passed over by all repeats and jumps"),
     )
-    return sections, told(remarks)
+    return sections, counted_remarks(remarks)

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from xml.etree import ElementTree
 
-from cadenza.music.repair import told
+from cadenza.music.repair import counted_remarks
 
 Element = ElementTree.Element
 
@@ -51,7 +51,7 @@ def mend(root: Element) -> list[str]:
         (len([*root.iter("tremolo")]), "tremolo", "played as a plain note"),
         (len(_bar_repeats(root)), "bar-repeat sign", "left out"),
     )
-    return told(remarks)
+    return counted_remarks(remarks)
 
 
 def _order_by_parts(root: Element) -> None:

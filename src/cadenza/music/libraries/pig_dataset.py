@@ -33,7 +33,7 @@ from cadenza.music.libraries.folder import short, unique
 from cadenza.music.libraries.imported import Grade, NewLibrary, Progress, new_library, silent
 from cadenza.music.libraries.index import read_table
 from cadenza.music.libraries.pig import ALL, WEBSITE, published_name
-from cadenza.music.repair import Sounding, repaired, repairs
+from cadenza.music.repair import RawNote, repair_remarks, repaired
 from cadenza.music.score import MAX_SECONDS, PITCHES, Note, Score
 
 _LIST, _FINGERINGS = "list.csv", "FingeringFiles"
@@ -232,7 +232,7 @@ def read_fingered(content: bytes, where: str) -> Score:
     Raises:
         CadenzaError: it is no text or has no notes, it lasts over an hour, or a line is wrong.
     """
-    notes: list[Sounding] = []
+    notes: list[RawNote] = []
     ids: dict[int, int] = {}  # where the notes stand
     wrong: dict[int, str] = {}
     other_hand: list[int] = []
@@ -273,7 +273,7 @@ def _lines(content: bytes, where: str) -> list[str]:
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _note(line: str) -> tuple[int, Sounding, int]:
+def _note(line: str) -> tuple[int, RawNote, int]:
     """The number of a line's note, the note, and its channel.
 
     Raises:
@@ -293,7 +293,7 @@ def _note(line: str) -> tuple[int, Sounding, int]:
             f"channel {channel!a:.30}; expected 0 for the right hand or 1 for the left"
         )
     velocity, _ = _velocity("onset", loud, 1), _velocity("offset", release, 0)
-    note = Sounding(start, end, _pitch(pitch), velocity, True, _finger(finger))
+    note = RawNote(start, end, _pitch(pitch), velocity, True, _finger(finger))
     return int(id_), note, int(channel)
 
 
@@ -330,7 +330,7 @@ def _finger(text: str) -> Finger:
     return Finger(hand=1 if match[1] else 0, index=int(match[2]) - 1)
 
 
-def _score(found: list[Sounding], doubts: list[str], where: str) -> Score:
+def _score(found: list[RawNote], doubts: list[str], where: str) -> Score:
     counts = Counter[str]()
     notes = tuple(
         Note(note.start, note.end, note.pitch, note.velocity, note.finger)
@@ -338,7 +338,7 @@ def _score(found: list[Sounding], doubts: list[str], where: str) -> Score:
     )
     if not notes:
         raise CadenzaError(f"{where}: there are no notes")
-    return Score(notes, remarks=(*doubts, *(f"{where}: {said}" for said in repairs(counts))))
+    return Score(notes, remarks=(*doubts, *(f"{where}: {said}" for said in repair_remarks(counts))))
 
 
 def _and_lines(numbers: list[int]) -> str:
