@@ -1,6 +1,6 @@
 """Predictive sampling and iLQG at the paper's settings: how well they play, and where time goes.
 
-    python -m benchmarks.planners SONG [--steps N] [--iterations I ...]
+    python -m benchmarks.planners SONG [--steps N] [--iterations I ...] [--budgets B ...]
 
 With --whole-song instead those that plan the whole song: the plan of `Planner` as it is and
 refined, and `TrackedPresses`.
@@ -92,7 +92,10 @@ def main() -> None:
         "--steps", type=one_or_more, default=40, help="control steps, at most the song's"
     )
     parser.add_argument(
-        "--iterations", type=one_or_more, nargs="+", default=[1], help="a control step"
+        "--iterations", type=one_or_more, nargs="*", default=[1], help="a control step"
+    )
+    parser.add_argument(
+        "--budgets", type=float, nargs="*", default=[], help="of predictive sampling: time / music"
     )
     parser.add_argument("--seeds", type=one_or_more, default=3, help="of planners that sample")
     parser.add_argument("--centred", action="store_true", help="iLQG with centred differences")
@@ -121,6 +124,9 @@ def main() -> None:
         sampling = PredictiveSamplingConfig(iterations=iterations)
         name = f"predictive sampling, {iterations} iteration(s)"
         row(name, PredictiveSampling(sampling), options.seeds)
+    for budget in options.budgets:
+        name = f"predictive sampling, budget {budget:g}"
+        row(name, PredictiveSampling(PredictiveSamplingConfig(budget=budget)), options.seeds)
     for iterations in options.iterations:
         ilqg = ILQGConfig(iterations=iterations, centred=options.centred)
         row(f"iLQG, {iterations} iteration(s)", ILQG(ilqg))

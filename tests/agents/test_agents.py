@@ -381,10 +381,9 @@ def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> Non
         ({"iterations": 0}, "iterations 0: choose 1 to"),
         ({"sigma": -0.1}, "sigma -0.1: choose 0 to"),
         ({"sigma": float("nan")}, "sigma nan"),
-        ({"horizon": 0.0}, "the horizon must be at least one planning timestep"),
+        ({"horizon": 0.005}, "the horizon must be at least one planning timestep"),
         ({"horizon": float("inf")}, "horizon inf: choose 0 to 60"),
-        ({"planning_timestep": 0.3}, "planning_timestep 0.3 s"),
-        ({"planning_timestep": 0.012}, "not a multiple of the physics step"),
+        ({"planning_timestep": 0.3}, "planning_timestep 0.3: choose 0.0001 to 0.1"),
     ],
 )
 def test_says_what_is_wrong(right_hand: Scene, options: dict, message: str) -> None:

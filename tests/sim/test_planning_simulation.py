@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from random_controls import STEPS, assert_same, controls
 
 from cadenza.scene.config import SceneConfig
-from cadenza.scene.scene import Scene, build_scene
+from cadenza.scene.scene import Scene, build_scene, in_steps_of
+from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 from cadenza.sim.planning_simulation import PlanningSimulation
+
+DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +53,28 @@ def test_copies_the_state_of_another(scene: Scene) -> None:
     for _ in range(5):
         copies.step(np.tile(ctrl, (3, 1)))
     assert_array_equal(copies.state.key_qpos[2], original.state.key_qpos[0])
+
+
+def test_looks_ahead_in_coarser_steps() -> None:
+    """As MuJoCo does from that state with the other timestep, among keys that fingers press."""
+    scene = build_scene(SceneConfig(sleeping_keys=False))
+    original = PlanningSimulation(scene)
+    with np.load(DATA / "episode_d.npz") as recorded:
+        actions = recorded["action"][:41, None, :-1]
+    for ctrl in actions:
+        original.step(ctrl)
+    assert original.state.key_qpos.max() > 0.01
+    coarse = in_steps_of(scene, 0.01)
+    ahead = PlanningSimulation(coarse, 1, control_timestep=0.01)
+    ahead.copy_from(original, 0)
+    data = mujoco.MjData(coarse.model)
+    mujoco.mj_setState(coarse.model, data, original.physics_state(0), PHYSICS_STATE)
+    data.ctrl = actions[-1, 0]
+    for _ in range(5):
+        ahead.step(actions[-1])
+        mujoco.mj_step(coarse.model, data)
+    assert_array_equal(ahead.state.key_qpos[0], data.qpos[scene.key_qpos])
+    assert scene.model.opt.timestep == 0.005
 
 
 @pytest.mark.parametrize("sleeping", [False, True])

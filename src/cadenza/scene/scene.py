@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -147,6 +148,13 @@ def hand_alone(scene: Scene, side: Side) -> HandAlone:
     """The hand on one side in a scene of its own, which must not be changed."""
     alone = build_scene(replace(scene.config, hands=side))
     return HandAlone(alone, scene.servos_on(side), scene.joints_on(side))
+
+
+def in_steps_of(scene: Scene, seconds: float) -> Scene:
+    """The same scene with another physics timestep [s], to look ahead more coarsely."""
+    model = copy(scene.model)
+    model.opt.timestep = seconds
+    return replace(scene, model=model)
 
 
 Part = tuple[str, int]

@@ -22,7 +22,7 @@ so often that at 1e-6 the derivatives over a control step can be wrong by their 
 
 
 class Linearisation(NamedTuple):
-    """T control steps looked at P times each, and how what is seen there depends on small changes.
+    """T control steps of P physics steps, and how what is seen after each depends on small changes.
 
     K keys, V joints of keys and hands, A actuators, F fingers of two hands.
     """
@@ -45,7 +45,7 @@ class Linearisation(NamedTuple):
 class Lineariser:
     """Linearises a scene along a trajectory.
 
-    A control is held through a control step of many physics steps. Each physics step is
+    A control is held through a control step of some physics steps. Each physics step is
     differentiated by `mujoco.mjd_transitionFD`, on a pool of threads with an `MjData` for each, and
     the products of these matrices give the derivatives over the control step. So the results are
     the same bits for any number of threads.
@@ -55,7 +55,6 @@ class Lineariser:
         self,
         scene: Scene,
         num_steps: int,
-        num_looks: int,
         num_substeps: int,
         num_threads: int = 1,
         centred: bool = False,
@@ -63,8 +62,7 @@ class Lineariser:
         """Args:
             scene: what to linearise; its keys must not sleep.
             num_steps: T, control steps.
-            num_looks: P, how many times a control step is looked at, evenly, last at its end.
-            num_substeps: physics steps from one look to the next.
+            num_substeps: P, physics steps in each.
             num_threads: how many threads share the work.
             centred: whether differences are centred, which takes twice the time of forward ones.
 
@@ -76,9 +74,8 @@ class Lineariser:
                 "MuJoCo cannot compute derivatives with sleeping keys: set sleeping_keys=False"
             )
         self.scene = scene
-        self._shape, self._num_substeps = (num_steps, num_looks), num_substeps
-        total = num_steps * num_looks * num_substeps
-        self._data = [mujoco.MjData(scene.model) for _ in range(total)]
+        self._shape = num_steps, num_substeps
+        self._data = [mujoco.MjData(scene.model) for _ in range(num_steps * num_substeps)]
         self._ahead = mujoco.MjData(scene.model)
         self._pool, self._centred = ThreadPoolExecutor(num_threads), centred
 
@@ -90,7 +87,7 @@ class Lineariser:
         seen = self._roll_out(state, ctrl)
         transitions = np.array(list(self._pool.map(self._differentiate, self._data)))
         steps = np.split(transitions, self._shape[0])
-        return seen._replace(jacobian=np.array([self._chain(step) for step in steps]))
+        return seen._replace(jacobian=np.array([list(_products(step)) for step in steps]))
 
     def _blank(self) -> Linearisation:
         model, shape = self.scene.model, self._shape
@@ -105,17 +102,15 @@ class Lineariser:
         )
 
     def _roll_out(self, state: Array, ctrl: Array) -> Linearisation:
-        """Leaves in `_data` where each physics step begins; returns what is seen at the looks."""
+        """Leaves in `_data` where each physics step begins; returns what is seen after each."""
         model, data, seen = self.scene.model, self._ahead, self._blank()
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, state, PHYSICS_STATE)
-        beginnings = iter(self._data)
-        for step, look in np.ndindex(self._shape):
-            data.ctrl = ctrl[step]
-            for _ in range(self._num_substeps):
-                _copy_state(model, data, next(beginnings))
-                mujoco.mj_step(model, data)
-            self._look(seen, (step, look))
+        for row, beginning in zip(np.ndindex(self._shape), self._data, strict=True):
+            data.ctrl = ctrl[row[0]]
+            _copy_state(model, data, beginning)
+            mujoco.mj_step(model, data)
+            self._look(seen, row)
         return seen
 
     def _look(self, seen: Linearisation, row: tuple[int, int]) -> None:
@@ -139,10 +134,6 @@ class Lineariser:
         by_ctrl = np.empty((2 * model.nv, model.nu))
         mujoco.mjd_transitionFD(model, data, EPSILON, self._centred, by_state, by_ctrl, None, None)
         return np.concatenate([by_state, by_ctrl], axis=1)
-
-    def _chain(self, transitions: Array) -> Array:
-        """(P, 2 V, 2 V + A) of a control step, from those of its physics steps."""
-        return np.array(list(_products(transitions))[self._num_substeps - 1 :: self._num_substeps])
 
 
 def _products(transitions: Array) -> Iterator[Array]:

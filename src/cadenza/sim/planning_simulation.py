@@ -60,8 +60,15 @@ class PlanningSimulation(MujocoSimulation):
 
     @one_at_a_time
     def copy_from(self, other: MujocoSimulation, env_id: int) -> None:
-        """Puts every simulation of this batch into the physical state of `other`'s `env_id`."""
+        """Puts every simulation of this batch into the physical state of `other`'s `env_id`.
+
+        Its scene is the same but for the physics timestep.
+        """
         other.copy_to(self._data, env_id)
+        model = self.scene.model
+        if model.opt.timestep != other.scene.model.opt.timestep:
+            for data in self._data:
+                mujoco.mj_step1(model, data)  # how stiff constraints are depends on the timestep
         state = State.zeros(self.scene, self.num_envs)
         for i in range(self.num_envs):
             self._read(i, state, i)

@@ -1,4 +1,4 @@
-"""iLQG, the paper's second planner (Zakka et al., CoRL 2023, appendix on MPC).
+"""iLQG, the paper's second planner (Zakka et al., RoboPianist, CoRL 2023, appendix F).
 
 Linearises the simulation along the last plan, approximates the cost by a quadratic, and improves
 the plan within the limits of the controls (Tassa, Erez, Todorov, "Synthesis and stabilization of
@@ -22,11 +22,11 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.pairs import Pairs, pairs_of
-from cadenza.agents.planner.config import ILQGConfig
+from cadenza.agents.planner.config import PLANNING_TIMESTEPS, ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
 from cadenza.music.goals import Goals
-from cadenza.scene.scene import build_scene
+from cadenza.scene.scene import build_scene, in_steps_of
 from cadenza.sim.linearisation import Linearisation, Lineariser
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.tasks import reward
@@ -54,7 +54,7 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
 
     def begin(self, view: View, rng: np.random.Generator) -> ILQGPlanner:
         """Raises:
-        CadenzaError: the timesteps of task, plan and physics do not divide.
+        CadenzaError: the timesteps of task and plan do not divide.
         """
         return ILQGPlanner(view, self.config, self.threads)
 
@@ -81,7 +81,7 @@ class ILQGPlanner:
             num_threads: that share derivatives and rollouts.
 
         Raises:
-            CadenzaError: the timesteps of task, plan and physics do not divide.
+            CadenzaError: the timesteps of task and plan do not divide.
         """
         task = view.task
         self.config, hold = config, task.config.control_timestep
@@ -89,10 +89,10 @@ class ILQGPlanner:
         planning = config.planning_timestep
         self._looks = _times(hold, planning, "control_timestep", "planning_timestep")
         # MuJoCo has no derivatives of a scene in which keys sleep.
-        scene = build_scene(replace(task.scene.config, sleeping_keys=False))
+        waking = build_scene(replace(task.scene.config, sleeping_keys=False))
+        scene = in_steps_of(waking, planning)
         self._rollouts = PlanningSimulation(scene, 1 + config.num_step_sizes, planning, num_threads)
-        substeps = self._rollouts.num_substeps
-        shape = (self._steps, self._looks, substeps)
+        shape = (self._steps, self._looks)
         self._lineariser = Lineariser(scene, *shape, num_threads, config.centred)
         self._step_sizes = np.append(0.0, np.geomspace(1.0, 1e-3, config.num_step_sizes))
         self._goals = view.tracks[0].goals
@@ -201,7 +201,7 @@ class _Misses(NamedTuple):
 
 
 class _Cost:
-    """Distances of keys from how the goal wants them and of fingers from their keys.
+    """Distance of the keys from how they should be, and mean distance of fingers from theirs.
 
     Over K control steps, counted P times in each.
     """
@@ -221,6 +221,7 @@ class _Cost:
         misses = self._misses(steps, _flat(key_qpos), _flat(tips), _flat(centres))
         cost = _norm(misses.keys, _KEY_RADIUS) - _KEY_RADIUS
         fingers = _norm(misses.pairs.offset, _FINGER_RADIUS) - _FINGER_RADIUS
+        fingers *= misses.pairs.share
         cost += np.bincount(misses.pairs.row, fingers, minlength=len(cost))
         return cost.reshape(num, -1).sum(axis=1)
 
@@ -234,8 +235,9 @@ class _Cost:
         gradients, hessians = [], []
         for step in range(self._num_steps):
             mine, pairs = steps == step, steps[misses.pairs.row] == step
+            offset, share = misses.pairs.offset[pairs], misses.pairs.share[pairs]
             of_keys = _weighted(misses.keys[mine], by_keys[mine], _KEY_RADIUS)
-            of_fingers = _weighted(misses.pairs.offset[pairs], by_offset[pairs], _FINGER_RADIUS)
+            of_fingers = _weighted(offset, by_offset[pairs], _FINGER_RADIUS, share)
             residual, rows = map(np.concatenate, zip(of_keys, of_fingers, strict=True))
             gradients.append(rows.T @ residual)
             hessians.append(rows.T @ rows)
@@ -248,7 +250,7 @@ class _Cost:
 
         A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
         """
-        moment, finger, key, _ = misses.pairs
+        moment, finger, key = misses.pairs[:3]
         keys = self._task.scene.key_qpos
         of_keys = jacobian[:, keys]
         of_tips = _flat(seen.fingertip_jacobian)[moment, finger]
@@ -269,9 +271,11 @@ def _norm(residual: Array, radius: float) -> Array:
     return np.sqrt(np.vecdot(residual, residual) + radius**2)
 
 
-def _weighted(residual: Array, jacobian: Array, radius: float) -> tuple[Array, Array]:
+def _weighted(
+    residual: Array, jacobian: Array, radius: float, share: Array | float = 1.0
+) -> tuple[Array, Array]:
     """Rows (R r, ...) of a least squares problem: residuals (R, r), derivatives (R, r, z)."""
-    weight = _norm(residual, radius) ** -0.5
+    weight = (share / _norm(residual, radius)) ** 0.5
     return (residual * weight[:, None]).ravel(), _flat(jacobian * weight[:, None, None])
 
 
@@ -301,9 +305,15 @@ class _Damping:
 
 def _check(config: ILQGConfig) -> None:
     check_ranges(
-        config, {"iterations": (1, 10_000), "num_step_sizes": (1, 1000), "horizon": (0, 60)}
+        config,
+        {
+            "iterations": (1, 10_000),
+            "num_step_sizes": (1, 1000),
+            "horizon": (0, 60),
+            "planning_timestep": PLANNING_TIMESTEPS,
+        },
     )
-    for name in ("horizon", "planning_timestep", "control_weight"):
+    for name in ("horizon", "control_weight"):
         if not 0 < (value := getattr(config, name)) < math.inf:
             raise CadenzaError(f"{name} {value}: choose more than 0")
 

@@ -26,6 +26,8 @@ class Pairs(NamedTuple):
     """(P,)"""
     offset: Array
     """(P, 3) from where on its key the finger is wanted to where it is [m]."""
+    share: Array
+    """(P,) 1 over the number of pairs in its row, which makes a sum the mean over the fingers."""
 
 
 def pairs_of(
@@ -53,4 +55,4 @@ def pairs_of(
         row, key = (fingers >= 0).nonzero()
         finger = fingers[row, key].astype(np.intp)
     offset = fingertips[row, finger] - key_xpos[row, key] - press[key]
-    return Pairs(row, finger, key, offset)
+    return Pairs(row, finger, key, offset, 1.0 / np.bincount(row)[row])

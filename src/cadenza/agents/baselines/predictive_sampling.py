@@ -1,10 +1,13 @@
-"""Predictive sampling, the paper's planner (Zakka et al., CoRL 2023, appendix on MPC).
+"""Predictive sampling, the paper's planner (Zakka et al., RoboPianist, CoRL 2023, appendix F).
 
 Howell et al., "Predictive Sampling: Real-time Behaviour Synthesis with MuJoCo" (2022): of N plans
-drawn around the last one, itself among them, the cheapest in simulation is carried out.
+drawn around the last one, itself among them, the cheapest in simulation is kept, again and again.
 """
 
 from __future__ import annotations
+
+import time
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +15,10 @@ from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.pairs import pairs_of
-from cadenza.agents.planner.config import PredictiveSamplingConfig
+from cadenza.agents.planner.config import PLANNING_TIMESTEPS, PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
+from cadenza.scene.scene import in_steps_of
 from cadenza.sim.planning_simulation import PlanningSimulation, as_mujoco
 from cadenza.sim.protocol import State
 from cadenza.tasks import reward
@@ -57,18 +61,19 @@ class SamplingPlanner:
         config: how to plan.
         num_threads: that share the rollouts.
         """
-        task = view.task
+        task, step = view.task, config.planning_timestep
         self.config, self._task, self._rng = config, task, rng
         self._goals = view.tracks[0].goals
         self._low, self._high = task.action_low[:-1], task.action_high[:-1]
         self._rollouts = PlanningSimulation(
-            task.scene, config.num_candidates, config.planning_timestep, num_threads
+            in_steps_of(task.scene, step), config.num_candidates, step, num_threads
         )
+        self._seconds_left = 0.0  # of the budget; less than 0 where the last steps took too long
         self._knot_times = np.linspace(0.0, config.horizon, config.num_knots)
         self._nominal = np.tile(np.clip(0.0, self._low, self._high), (config.num_knots, 1))
 
     def act(self, view: View) -> Array:
-        for _ in range(self.config.iterations):
+        for _ in self._iterations():
             candidates = self._draw()
             self._nominal = candidates[np.argmin(self._roll_out(candidates, view))]
         best = CubicSpline(self._knot_times, self._nominal)
@@ -77,13 +82,25 @@ class SamplingPlanner:
         pedal = float(self._goals.sustain[view.steps[0]])
         return np.append(self._clip(best(0.0)), pedal)
 
+    def _iterations(self) -> Iterator[None]:
+        """Goes on while something is to be tried in this control step: once or more."""
+        if self.config.budget is None:
+            yield from [None] * self.config.iterations
+            return
+        self._seconds_left += self.config.budget * self._task.config.control_timestep
+        while True:
+            started = time.perf_counter()
+            yield
+            self._seconds_left -= time.perf_counter() - started
+            if self._seconds_left <= 0.0:
+                return
+
     def _draw(self) -> Array:
         """(num_candidates, num_knots, A - 1) knots; the first candidate is the nominal itself."""
         shape = (self.config.num_candidates, *self._nominal.shape)
-        noise = self._rng.standard_normal(shape)
+        noise = self.config.sigma * self._rng.standard_normal(shape)
         noise[0] = 0.0
-        half_range = (self._high - self._low) / 2.0
-        return self._clip(self._nominal + self.config.sigma * half_range * noise)
+        return self._clip(self._nominal + noise)
 
     def _clip(self, ctrl: Array) -> Array:
         return np.clip(ctrl, self._low, self._high)
@@ -101,7 +118,7 @@ class SamplingPlanner:
         return np.where(states.unstable.any(axis=1), np.inf, cost)
 
     def _cost(self, states: State, rows: NDArray[np.intp]) -> Array:
-        """Distances of keys from how the goal wants them and of fingers from their keys.
+        """Distance of the keys from how they should be, and mean distance of fingers from theirs.
 
         Args:
             states: with leading dimensions (num_candidates, K).
@@ -118,7 +135,7 @@ class SamplingPlanner:
         tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
         by_score = np.tile(fingers, (shape[0], 1))
         pairs = pairs_of(self._task, tips, centres, wanted, by_score)
-        distance = np.linalg.norm(pairs.offset, axis=1)
+        distance = pairs.share * np.linalg.norm(pairs.offset, axis=1)
         return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)
 
 
@@ -136,9 +153,12 @@ def _check(config: PredictiveSamplingConfig) -> None:
             "iterations": (1, 10_000),
             "sigma": (0, 1000),
             "horizon": (0, 60),
+            "planning_timestep": PLANNING_TIMESTEPS,
         },
     )
-    if not 0 < config.planning_timestep <= config.horizon:
+    if config.budget is not None:
+        check_ranges(config, {"budget": (0, 10_000)})
+    if config.planning_timestep > config.horizon:
         raise CadenzaError(
             f"horizon {config.horizon} s and planning_timestep {config.planning_timestep} s: "
             "the horizon must be at least one planning timestep"

@@ -11,22 +11,29 @@ ENOUGH = 8.0
 """Effort of practice: about 25 times the music of one core, half of that on two."""
 
 
+PLANNING_TIMESTEPS = 1e-4, 0.1
+"""The least and the most [s], which keep rollouts short and the simulation stable."""
+
+
 @dataclass(frozen=True)
 class PredictiveSamplingConfig:
-    """Predictive sampling. The defaults are the paper's."""
+    """Predictive sampling. The defaults are the paper's, which plans for longer, see budget."""
 
     num_candidates: int = 10
     """Candidate plans per iteration, including the best one so far."""
     sigma: float = 0.05
-    """Standard deviation of the noise on the knots, as a fraction of half the control range."""
+    """Standard deviation of the noise on the knots [rad; of forearms m]."""
     num_knots: int = 2
     """Knots of the cubic spline that parametrises a plan."""
     horizon: float = 0.2
     """Planning horizon [s]."""
     planning_timestep: float = 0.01
-    """Timestep at which the cost is evaluated in a rollout [s]."""
+    """Physics timestep of a rollout [s], after each of which the cost is evaluated."""
     iterations: int = 1
     """Iterations of sampling per control step."""
+    budget: float | None = None
+    """Plan for this long instead, as a multiple of the duration of the music: 1 is real time, 10
+    the paper's. The actions then depend on how fast the machine is, not on the seed alone."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +43,8 @@ class ILQGConfig:
     horizon: float = 0.2
     """Planning horizon [s]: a whole number of control steps."""
     planning_timestep: float = 0.01
-    """Timestep at which the cost is evaluated in a rollout [s]. It must divide the control
-    timestep."""
+    """Physics timestep of a plan [s], after each of which the cost is evaluated. It must divide the
+    control timestep."""
     iterations: int = 1
     """Iterations of optimisation per control step."""
     num_step_sizes: int = 10

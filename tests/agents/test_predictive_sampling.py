@@ -1,0 +1,217 @@
+"""Predictive sampling as the paper has it: what a plan costs, in which steps, and for how long."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from cadenza.agents.agent import Agent
+from cadenza.agents.baselines import predictive_sampling
+from cadenza.agents.baselines.ilqg import ILQG, ILQGPlanner
+from cadenza.agents.baselines.predictive_sampling import PredictiveSampling, SamplingPlanner
+from cadenza.agents.planner.config import ILQGConfig, PredictiveSamplingConfig
+from cadenza.errors import CadenzaError
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.scene.scene import Scene, build_scene
+from cadenza.sim.planning_simulation import PlanningSimulation
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from numbered import finger
+
+STEP = 0.05  # [s]
+CHORD = Score(tuple(Note(0.0, 1.0, 72 + 2 * i, finger=finger(i)) for i in range(1, 4)))
+
+
+@pytest.fixture(scope="module")
+def right_hand() -> Scene:
+    return build_scene(SceneConfig(hands="right"))
+
+
+def begun(agent: Agent, scene: Scene) -> PianoTask:
+    task = PianoTask([CHORD], TaskConfig(), scene)
+    task.reset([np.random.default_rng(0)], [0])
+    agent.reset([0], [np.random.default_rng(0)])
+    return task
+
+
+def test_the_defaults_are_the_figures_of_the_paper() -> None:
+    """RoboPianist (Zakka et al., CoRL 2023), appendix F, but for how long it searches."""
+    config = PredictiveSamplingConfig()
+    assert (config.num_candidates, config.sigma, config.num_knots) == (10, 0.05, 2)
+    assert (config.horizon, config.planning_timestep) == (0.2, 0.01)
+    assert config.budget is None  # what is played depends on the seed alone
+
+
+class Rollouts:
+    """What was tried, and what came of it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.timesteps: set[float] = set()
+        self.states: list[State] = []
+        self.costs: list[np.ndarray] = []
+        roll_out, plan = PlanningSimulation.rollout, SamplingPlanner._roll_out
+
+        def rolled(simulation: PlanningSimulation, ctrl: np.ndarray) -> State:
+            assert simulation.num_substeps == 1
+            self.timesteps.add(simulation.scene.model.opt.timestep)
+            self.states.append(roll_out(simulation, ctrl))
+            return self.states[-1]
+
+        def planned(planner: SamplingPlanner, *args: Any) -> np.ndarray:
+            self.costs.append(plan(planner, *args))
+            return self.costs[-1]
+
+        monkeypatch.setattr(PlanningSimulation, "rollout", rolled)
+        monkeypatch.setattr(SamplingPlanner, "_roll_out", planned)
+
+
+def test_a_plan_costs_the_distance_of_keys_and_the_mean_distance_of_fingers(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = Rollouts(monkeypatch)
+    agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=2))
+    agent.act(begun(agent, right_hand).view())
+    (states,), (costs,) = tried.states, tried.costs
+    assert states.key_qpos.shape == (2, 20, 88)  # a fifth of a second
+    assert_allclose(costs, [cost_of(states, i, right_hand) for i in range(2)])
+
+
+def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (0, 0)) -> float:
+    """The cost of a rollout of the chord; norms of keys and fingers are smooth over these radii."""
+    cost, keyboard = 0.0, scene.keyboard
+    for k in range(states.key_qpos.shape[1]):
+        wanted = np.zeros(88)
+        distances = []
+        for note in CHORD.notes:
+            key = note.pitch - 21
+            wanted[key] = 1.0
+            point = states.key_xpos[i, k, key].copy()
+            point[0] += 0.35 * keyboard.half_size[key, 0]
+            point[2] += 0.5 * keyboard.half_size[key, 2]
+            tip = states.fingertip_xpos[i, k, note.finger.index]
+            distances.append(np.hypot(np.linalg.norm(tip - point), smooth[1]) - smooth[1])
+        depth = np.clip(states.key_qpos[i, k] / keyboard.travel, 0, 1)
+        cost += np.hypot(np.linalg.norm(depth - wanted), smooth[0]) - smooth[0]
+        cost += sum(distances) / len(distances)
+    return cost
+
+
+def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner._search
+
+    def searched(planner: ILQGPlanner, *args: Any) -> Any:
+        controls, cost = search(planner, *args)
+        costs.append(cost - 1e-9 / 2 * ((controls - planner._rest) ** 2).sum(axis=(1, 2)))
+        return controls, cost
+
+    monkeypatch.setattr(ILQGPlanner, "_search", searched)
+    agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
+    agent.act(begun(agent, right_hand).view())
+    (states,) = tried.states
+    assert_allclose(costs[0], [cost_of(states, i, right_hand, (0.1, 0.01)) for i in range(3)])
+
+
+@pytest.mark.parametrize(
+    "agent", [PredictiveSampling(), ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2))]
+)
+def test_plans_in_physics_steps_of_10_ms(
+    right_hand: Scene, agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = Rollouts(monkeypatch)
+    agent.act(begun(agent, right_hand).view())
+    assert tried.timesteps == {0.01}
+    assert right_hand.model.opt.timestep == 0.005  # of the performance
+
+
+def test_candidates_lie_sigma_around_the_best(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In radians, whatever the range of a servo; metres, of forearms."""
+    drawn: list[np.ndarray] = []
+    monkeypatch.setattr(
+        PlanningSimulation, "rollout", lambda _, ctrl: drawn.append(ctrl) or _stop()
+    )
+    agent = PredictiveSampling(PredictiveSamplingConfig(num_candidates=500))
+    task = begun(agent, right_hand)
+    with pytest.raises(StopIteration):
+        agent.act(task.view())
+    low, high = task.action_low[:-1], task.action_high[:-1]
+    best, *others = drawn[0][:, 0]  # in the first step
+    far = np.minimum(best - low, high - best) > 0.2  # from the limits
+    assert far.sum() > 5
+    assert_allclose(np.std(np.array(others) - best, axis=0)[far], 0.05, rtol=0.15)
+
+
+def _stop() -> None:
+    raise StopIteration
+
+
+def test_iterations_never_make_a_plan_worse(
+    right_hand: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = Rollouts(monkeypatch)
+    agent = PredictiveSampling(PredictiveSamplingConfig(iterations=8))
+    agent.act(begun(agent, right_hand).view())
+    best = [cost.min() for cost in tried.costs]
+    assert len(best) == 8
+    assert all(after <= before for before, after in pairwise(best))
+    assert best[-1] < best[0]
+
+
+class Clock:
+    """Goes on only while plans are tried out."""
+
+    def __init__(self, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now, self.iterations = 0.0, 0
+
+        def tried(_: SamplingPlanner, candidates: np.ndarray, *__: Any) -> np.ndarray:
+            self.now += seconds
+            self.iterations += 1
+            return np.arange(len(candidates), dtype=float)
+
+        monkeypatch.setattr(SamplingPlanner, "_roll_out", tried)
+        monkeypatch.setattr(predictive_sampling, "time", self)
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize(
+    ("budget", "seconds", "iterations"),
+    [
+        (1.0, 0.04, [2, 1, 1]),  # what a step takes too long is left out of the next
+        (10.0, 0.04, [13, 12, 13]),
+        (1.0, 3.0, [1, 1, 1]),  # too slow a machine
+        (0.0, 0.001, [1, 1, 1]),
+    ],
+)
+def test_a_budget_of_time_ends_the_search(
+    right_hand: Scene,
+    monkeypatch: pytest.MonkeyPatch,
+    budget: float,
+    seconds: float,
+    iterations: list[int],
+) -> None:
+    clock = Clock(seconds, monkeypatch)
+    agent = PredictiveSampling(PredictiveSamplingConfig(budget=budget, iterations=7))
+    task = begun(agent, right_hand)
+    done = []
+    for _ in iterations:
+        before = clock.iterations
+        task.step(agent.act(task.view()))
+        done.append(clock.iterations - before)
+    assert done == iterations
+
+
+@pytest.mark.parametrize("budget", [-1.0, float("inf"), float("nan")])
+def test_a_budget_that_makes_no_sense_is_refused(budget: float) -> None:
+    with pytest.raises(CadenzaError, match=f"budget {budget}: choose 0 to"):
+        PredictiveSampling(PredictiveSamplingConfig(budget=budget))
