@@ -3,14 +3,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SONG ?= TwinkleTwinkleLittleStar
+# The shell takes it from its environment: make and the shell change nothing, whatever its characters.
+override export SONG := $(value SONG)
 
-.PHONY: play studio test test-ray check docs bench sb3 lock clean
+.PHONY: play studio install test test-ray check docs bench sb3 lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
 help:
-	@echo "make play    two robot hands play SONG=$(SONG), and leave a page to open"
+	@echo "make play    two robot hands play SONG=$$SONG, and leave a page to open"
 	@echo "make studio  a page to drop songs on, which the hands play while you watch"
+	@echo "make install  everything that Cadenza can use, such as JAX for training"
 	@echo "make test    run the tests"
 	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
@@ -18,40 +21,50 @@ help:
 	@echo "make bench   measure speed, as ratios in one run"
 	@echo "make sb3     test the environments with Stable-Baselines3, which installs gigabytes"
 
-# The lock file pins every version; the stamp is renewed when it or the project changes.
-$(VENV)/installed: pyproject.toml requirements.lock
+# Two lock files, which agree, pin every version: of what playing and the studio need, and of everything.
+# A stamp for each is renewed when it or the project changes.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PLAYS := $(VENV)/plays
+ALL := $(VENV)/installed
+
+$(PLAYS): pyproject.toml requirements.lock
 	$(PYTHON) -c 'import sys; assert (3, 11) <= sys.version_info[:2] <= (3, 13), "cadenza needs Python 3.11 to 3.13, this is " + sys.version.split()[0] + ": make PYTHON=python3.11"'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(PIP) -r requirements.lock
+	$(PIP) --no-deps --editable .
 	@touch $@
 
-play: $(VENV)/installed
-	$(BIN)/cadenza play $(SONG)
+$(ALL): $(PLAYS) requirements-dev.lock
+	$(PIP) -r requirements-dev.lock
+	@touch $@
 
-# The server is an extra, but the lock file has it.
-studio: $(VENV)/installed
+play: $(PLAYS)
+	$(BIN)/cadenza play -- "$$SONG"
+
+studio: $(PLAYS)
 	$(BIN)/cadenza studio
 
+install: $(ALL)
+
 # In two processes of 2 to 3 GB each. Tests of one file stay together, as they share what they set up.
-test: $(VENV)/installed
+test: $(ALL)
 	$(BIN)/python -m pytest -n 2
 
-check: $(VENV)/installed
+check: $(ALL)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
 # Ray is large and optional, so it is installed only here; its tests start clusters of their own.
-test-ray: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[ray]'
+test-ray: $(ALL)
+	$(PIP) --editable '.[ray]'
 	$(BIN)/python -m pytest -m slow tests/evaluation/test_ray.py
 
-docs: $(VENV)/installed
+docs: $(ALL)
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs
 	@echo "open build/docs/index.html"
 
-bench: $(VENV)/installed
+bench: $(ALL)
 	@test -x .venv-published/bin/python || tools/published_setup.sh .venv-published || echo "without the published environment to compare with"
 	$(BIN)/python -m benchmarks.speed tests/data/episode_d.npz $$(test -x .venv-published/bin/python && echo --published .venv-published)
 
@@ -63,7 +76,8 @@ sb3:
 	.venv-sb3/bin/python -m pytest -m slow tests/test_examples.py -k stable_baselines3
 
 lock:
-	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements.lock
+	uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --output-file requirements-dev.lock
+	uv pip compile pyproject.toml --extra studio --universal --python-version 3.11 --constraint requirements-dev.lock --output-file requirements.lock
 
 clean:
 	rm -rf $(VENV) .venv-sb3 .pytest_cache .ruff_cache .mypy_cache
