@@ -929,17 +929,57 @@ def test_a_plan_for_something_else(
     assert "13 steps, but the song has 15" in refused_in_a_line(capsys, *longer)
 
 
+WITHOUT_GRAPHICS = """
+import ctypes
+load = ctypes.CDLL.__init__
+def without_graphics(self, name, *more, **other):
+    if any(part in str(name) for part in ("OSMesa", "EGL")):
+        raise OSError(f"{name}: no such library")
+    load(self, name, *more, **other)
+ctypes.CDLL.__init__ = without_graphics
+"""
+
+
 @pytest.mark.parametrize(
     ("backend", "message"),
-    [("bogus", "MUJOCO_GL: bogus; unset it"), ("off", "disabled by MUJOCO_GL=off")],
+    [
+        ("bogus", "install EGL or OSMesa, or unset MUJOCO_GL"),
+        ("egl", "install EGL, or unset MUJOCO_GL"),
+        ("osmesa", "install OSMesa, or unset MUJOCO_GL"),
+        ("", "install EGL or OSMesa"),
+        ("off", "disabled by MUJOCO_GL=off"),
+    ],
 )
-def test_a_graphics_backend_that_cannot_draw(backend: str, message: str) -> None:
-    result = subprocess.run(
-        [sys.executable, "-m", "cadenza", "info"],
-        env={**os.environ, "MUJOCO_GL": backend},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert message in result.stdout + result.stderr
-    assert "Traceback" not in result.stderr
+def test_a_machine_that_cannot_draw_does_all_else(
+    backend: str, message: str, tune: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_GRAPHICS)
+    folders = [str(tmp_path), os.environ.get("PYTHONPATH", "")]
+    env = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": os.pathsep.join(folders)}
+
+    def said(*arguments: object) -> str:
+        command = [sys.executable, *map(str, arguments)]
+        result = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stderr
+        assert "Traceback" not in result.stderr
+        return result.stdout + result.stderr
+
+    assert message in said("-m", "cadenza", "info")
+    played = ("-m", "cadenza", "play", tune, "--agent", "zero", "-o", tmp_path / "played")
+    assert "no video" not in said(*played, "--no-video")
+    (told,) = [line for line in said(*played).splitlines() if line.startswith("no video: ")]
+    assert told.endswith((message, "unset it to render"))
+    code = "import cadenza, gymnasium as gym; gym.make('cadenza/OdeToJoy-v0').reset(seed=0)"
+    assert not said("-c", code)
+
+
+@pytest.mark.parametrize("flag", ["-O", "-OO"])
+def test_without_assertions_and_docstrings(flag: str, tune: Path, tmp_path: Path) -> None:
+    def said(*arguments: object) -> str:
+        command = [sys.executable, flag, "-m", "cadenza", *map(str, arguments)]
+        return subprocess.check_output(command, text=True)
+
+    assert "F1 " in said("play", tune, *QUICK, "-o", tmp_path / "played")
+    assert "Fingering in" in said("plan", tune, "-o", tmp_path / "plan.npz")
+    assert "--seed" in said("play", "--help")
+    assert "practice" in said("--help")

@@ -4,6 +4,7 @@ Importing the package registers its environments with Gymnasium as `cadenza/<Son
 named here is imported when it is first used.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -105,4 +106,6 @@ def __dir__() -> list[str]:
     return [*globals(), *__all__]
 
 
+if "MUJOCO_GL" in os.environ:  # and so before anything else of ours imports MuJoCo
+    import_module("cadenza.sim.without_graphics")
 register_envs()

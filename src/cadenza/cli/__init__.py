@@ -92,11 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (CadenzaError, OSError) as error:
         _exit(2, explained(error))
     except Exception as error:
-        if lacks_memory(error):
-            _exit(2, explained(error))
-        if "MUJOCO_GL" not in str(error):  # what MuJoCo says of a backend that it does not know
+        if not lacks_memory(error):
             raise
-        _exit(2, f"{error}; unset it, or choose egl or osmesa")
+        _exit(2, explained(error))
     except KeyboardInterrupt:
         _exit(130, "interrupted")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
+import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, make_dataclass, replace
@@ -93,18 +94,19 @@ def parse(
     """
     words = arguments[: arguments.index("--")] if "--" in arguments else arguments
     asked = {"-h", "--help", "--help-all"}.intersection(words)
-    with _plain_errors(kind, default, prog, words):
+    options = _registry(
+        [kind],
+        short=bool(asked) and "--help-all" not in asked,
+        left_out=getattr(kind, "refused", ()) if asked else (),
+    )
+    with _plain_errors(kind, default, prog, words), options as registry:
         return tyro.cli(
             kind,
             prog=prog,
-            description=inspect.getdoc(kind),
+            description=_about(kind),
             args=["--help"] if asked else arguments,
             default=tyro.MISSING_NONPROP if default is None else default,
-            registry=_registry(
-                [kind],
-                short=bool(asked) and "--help-all" not in asked,
-                left_out=getattr(kind, "refused", ()) if asked else (),
-            ),
+            registry=registry,
         )
 
 
@@ -135,13 +137,8 @@ def help_or_completion(
     )
     if arguments[0] == "--completion":
         arguments = ["--tyro-write-completion", *arguments[1:], "-"]
-    tyro.cli(
-        overall,
-        prog=prog,
-        description=description,
-        args=arguments,
-        registry=_registry([*_all(commands)], short=False),
-    )
+    with _registry([*_all(commands)], short=False) as registry:
+        tyro.cli(overall, prog=prog, description=description, args=arguments, registry=registry)
 
 
 def _any_of(commands: Mapping[str, Any], about: Mapping[str, str]) -> Any:
@@ -170,7 +167,12 @@ def _subcommand(name: str, kind: Any, about: Mapping[str, str]) -> Any:
 
 def about_in_a_line(kind: type) -> str:
     """The first line of what the help of a command says."""
-    return (inspect.getdoc(kind) or "").split("\n")[0]
+    return _about(kind).split("\n")[0]
+
+
+def _about(kind: type) -> str:
+    """Empty under `python -OO`, where a dataclass has a list of its fields for a docstring."""
+    return "" if sys.flags.optimize > 1 else inspect.getdoc(kind) or ""
 
 
 def similar(word: str, known: Sequence[str]) -> str:
@@ -185,10 +187,15 @@ def similar(word: str, known: Sequence[str]) -> str:
 _HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
 
 
+@contextmanager
 def _registry(
     commands: Collection[type], short: bool, left_out: Collection[str] = ()
-) -> ConstructorRegistry:
-    """How tyro makes options of the fields of `commands` and of their configurations."""
+) -> Iterator[ConstructorRegistry]:
+    """How tyro makes options of the fields of `commands` and of their configurations.
+
+    It does so within the block only. Under `python -O`, tyro's registries stay in force once they
+    were used, and one would change the options of the next command line, too.
+    """
     registry = ConstructorRegistry()
     asking = False
 
@@ -223,7 +230,10 @@ def _registry(
         options = common if short else fields
         return StructConstructorSpec(instantiate, (_option(_HELP_ALL), *options))
 
-    return registry
+    try:
+        yield registry
+    finally:
+        asking = True
 
 
 def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:

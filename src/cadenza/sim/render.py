@@ -191,12 +191,15 @@ def _palm_geoms(scene: Scene) -> list[int]:
     return np.flatnonzero(np.isin(scene.model.geom_bodyid, scene.palm_bodies)).tolist()
 
 
+_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _RENDERED_IN: set[int] = set()  # this process, or the one that it was forked from
 
 
 def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjrContext]:
     """A graphics context of the first backend that works; MUJOCO_GL, if set, names the only one."""
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted in ("on", "enable", "enabled", "1", "true"):
+        wanted = ""
     if wanted in ("off", "disable", "disabled", "0", "false"):
         raise CadenzaError(f"rendering is disabled by MUJOCO_GL={wanted}: unset it to render")
     if any(process != os.getpid() for process in _RENDERED_IN):
@@ -204,7 +207,7 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
             "this process was forked from one that has rendered, and its graphics are unusable: "
             "start it with spawn, as in multiprocessing.get_context('spawn')"
         )
-    default = ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
+    default = tuple(_LIBRARIES) if sys.platform == "linux" else ("glfw",)
     reasons = []
     for backend in (wanted,) if wanted else default:
         try:
@@ -212,12 +215,14 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.M
             gl.make_current()
             context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # missing libraries show in many ways
-            reasons.append(f"{backend}: {str(error).splitlines()[0] if str(error) else error!r}")
+            reason, *_ = (str(error) or repr(error)).splitlines()
+            reasons.append(f"{backend}: {reason}")
             _forget_opengl()
         else:
             _RENDERED_IN.add(os.getpid())
             return gl, context
-    raise CadenzaError(f"this machine cannot render ({'; '.join(reasons)}): install EGL or OSMesa")
+    missing = _LIBRARIES.get(wanted, "EGL or OSMesa") + ", or unset MUJOCO_GL" * bool(wanted)
+    raise CadenzaError(f"this machine cannot render ({'; '.join(reasons)}): install {missing}")
 
 
 def _free(context: mujoco.MjrContext, gl: Any) -> None:
