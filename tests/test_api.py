@@ -247,3 +247,18 @@ def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
     (tmp_path / TUNE.title / "plan.npz").write_bytes(b"of another song")
     selection = select(TUNE)
     assert (selection.name, selection.score) == ("planner", TUNE)
+
+
+def test_what_a_prompt_shows_is_a_short_line() -> None:
+    plan = cadenza.plan(TUNE)
+    performance = plan.performance
+    env = cadenza.PianoEnv(TUNE)
+    env.reset(seed=0)
+    view = env.task.view()
+    library = cadenza.open_library("bundled")
+    parts = (performance.score, performance.episode, performance.track, performance.scene)
+    for value in (plan, performance, *parts, view, view.task, library):
+        assert repr(value).startswith(f"{type(value).__name__}(")
+        assert len(repr(value)) <= 160
+        assert "\n" not in repr(value)
+    assert plan._repr_html_() == performance._repr_html_()

@@ -946,7 +946,6 @@ ctypes.CDLL.__init__ = without_graphics
         ("bogus", "install EGL or OSMesa, or unset MUJOCO_GL"),
         ("egl", "install EGL, or unset MUJOCO_GL"),
         ("osmesa", "install OSMesa, or unset MUJOCO_GL"),
-        ("", "install EGL or OSMesa"),
         ("off", "disabled by MUJOCO_GL=off"),
     ],
 )
@@ -965,9 +964,8 @@ def test_a_machine_that_cannot_draw_does_all_else(
         return result.stdout + result.stderr
 
     assert message in said("-m", "cadenza", "info")
-    played = ("-m", "cadenza", "play", tune, "--agent", "zero", "-o", tmp_path / "played")
-    assert "no video" not in said(*played, "--no-video")
-    (told,) = [line for line in said(*played).splitlines() if line.startswith("no video: ")]
+    played = said("-m", "cadenza", "play", tune, "--agent", "zero", "-o", tmp_path / "played")
+    (told,) = [line for line in played.splitlines() if line.startswith("no video: ")]
     assert told.endswith((message, "unset it to render"))
     code = "import cadenza, gymnasium as gym; gym.make('cadenza/OdeToJoy-v0').reset(seed=0)"
     assert not said("-c", code)

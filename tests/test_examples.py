@@ -6,10 +6,13 @@ import json
 import re
 import runpy
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from IPython.core.interactiveshell import InteractiveShell
+from traitlets.config import Config
 
 import cadenza
 from cadenza.music.formats.midi import write_midi
@@ -39,6 +42,60 @@ def test_every_example_is_run() -> None:
     tests = Path(__file__).read_text()
     for path in EXAMPLES.glob("*.py"):
         assert f'run("{path.stem}"' in tests
+
+
+@pytest.fixture
+def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Runs the cells of a notebook as IPython does; returns what each of them displays."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    shell = InteractiveShell.instance(config=Config({"HistoryManager": {"enabled": False}}))
+
+    def shown(name: str) -> list[dict[str, str]]:
+        cells = json.loads((EXAMPLES / name).read_text())["cells"]
+        sources = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+        results = [shell.run_cell(source) for source in sources]
+        for result in results:
+            result.raise_error()
+        return [shell.display_formatter.format(result.result)[0] for result in results]
+
+    yield shown
+    InteractiveShell.clear_instance()
+
+
+def framed_in(html: str) -> str:
+    """The page in a frame of it, as a browser reads it."""
+    found: list[dict[str, str]] = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, attributes: found.append(dict(attributes))
+    parser.feed(html)
+    (frame,) = found
+    return frame["srcdoc"]
+
+
+def test_a_notebook_shows_a_page_with_sound(shown) -> None:
+    played, metrics, shape, step, nothing = shown("play.ipynb")
+    assert len(played["text/plain"]) < 100
+    assert played["text/plain"].startswith("Performance('Twinkle, Twinkle, Little Star' by planner")
+    page = framed_in(played["text/html"])
+    assert page.startswith("<!doctype html>")
+    assert page.rstrip().endswith("</html>")
+    assert "Twinkle, Twinkle, Little Star" in page
+    assert "audio/mpeg" in page
+    assert 100_000 < len(page) < 3_000_000
+    assert eval(metrics["text/plain"])["f1"] > 0.95
+    assert eval(shape["text/plain"])[1] == 88
+    assert step["text/plain"].startswith("((")
+    assert nothing == {"text/plain": "None"}
+    assert Path("played/notebook/report.html").exists()
+
+
+def test_what_a_notebook_shows_is_bounded() -> None:
+    long = cadenza.Score((*UP.notes, Note(250.0, 250.5, 60)), title="<Long>")
+    performance = cadenza.play(long, "zero", task=cadenza.TaskConfig(control_timestep=0.5))
+    html = performance._repr_html_()
+    assert len(html) < 300
+    assert "&lt;Long&gt;" in html
 
 
 def test_a_random_agent(run) -> None:

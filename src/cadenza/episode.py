@@ -134,6 +134,9 @@ class Episode:
     scene: Mapping[str, Any]
     """The shapes with which a page draws it, see `cadenza.scene.drawing`."""
 
+    def __repr__(self) -> str:
+        return f"Episode({self.song!r}, {self.num_steps} steps of {self.dt:g} s)"
+
     def __getitem__(self, name: str) -> NDArray[Any]:
         """The array of this name.
 

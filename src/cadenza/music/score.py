@@ -131,6 +131,9 @@ class Score:
         object.__setattr__(self, "pedal", pedal)
         object.__setattr__(self, "bars", tuple(sorted(self.bars, key=lambda bar: bar.time)))
 
+    def __repr__(self) -> str:
+        return f"Score({self.title!r}, {len(self.notes)} notes, {self.total_time:.1f} s)"
+
     @property
     def total_time(self) -> float:
         """The end of the last note [s]; 0 without notes."""

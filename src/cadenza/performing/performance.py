@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +28,7 @@ from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
-from cadenza.report.page import write_report
+from cadenza.report.page import framed, write_report
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
@@ -47,6 +49,8 @@ RESULTS = (
     "video.mp4",
 )
 """Files that a performance leaves."""
+
+_IN_A_NOTEBOOK = 240.0  # [s] of music: the page, which the notebook keeps, is of up to 10 MB
 
 Loudness = Literal["struck", "score"]
 """Of a note that was played: as its key was struck, or as the score writes it."""
@@ -72,6 +76,20 @@ class Performance:
     """The song with the fingers that play it, if the agent plans the whole of it."""
     misses: list[Miss] | None
     """Notes that were missed or let go early, and why; None without a plan to tell by."""
+
+    def __repr__(self) -> str:
+        agent, f1 = self.settings["agent"], self.metrics["f1"]
+        return f"Performance({self.score.title!r} by {agent}, {self.seconds:.1f} s, F1 {f1:.3f})"
+
+    def _repr_html_(self) -> str:
+        """The page of `save`, as notebooks show it; of long music only how to see the page."""
+        if self.seconds > _IN_A_NOTEBOOK:
+            what, how = html.escape(repr(self)), "<code>.save(folder)</code> writes report.html"
+            return f"<p>{what} is long; {how}, the page to watch and hear it.</p>"
+        with TemporaryDirectory() as folder:
+            self.save(folder)
+            page = (Path(folder) / "report.html").read_text(encoding="utf-8")
+        return framed(page)
 
     @property
     def played(self) -> Score:

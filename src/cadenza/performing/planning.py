@@ -39,6 +39,13 @@ class Plan:
     practised: Practised | None = None
     """What leads hands back to it that are pushed off, if it was practised."""
 
+    def __repr__(self) -> str:
+        found = sum(finger is not None for finger in self.fingering)
+        return f"Plan({self.score!r}, fingers for {found}, F1 {self.metrics['f1']:.3f})"
+
+    def _repr_html_(self) -> str:
+        return self.performance._repr_html_()
+
     @property
     def actions(self) -> NDArray[np.float64]:
         """(T, A) in actuator units, the pedal last."""

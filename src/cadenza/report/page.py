@@ -74,6 +74,12 @@ def write_report(
     write_page(path, "page.html", own | shared_parts())
 
 
+def framed(page: str) -> str:
+    """A whole page as a part of another, such as a notebook."""
+    text = page.replace("&", "&amp;").replace('"', "&quot;")
+    return f'<iframe srcdoc="{text}" style="width: 100%; height: 800px; border: 0"></iframe>'
+
+
 def own_parts(
     episode: Episode,
     metrics: Mapping[str, Any],

@@ -76,6 +76,10 @@ class Scene:
     slide_joints: Ids
     """Indices of the J joints that slide the hands along the keyboard."""
 
+    def __repr__(self) -> str:
+        hands, hand, keyboard = self.config.hands, self.config.hand, self.config.keyboard
+        return f"Scene(hands={hands!r}, hand={hand!r}, keyboard={keyboard!r})"
+
     @property
     def action_low(self) -> NDArray[np.float64]:
         """(A + 1,) lower bounds of actions in actuator units, the pedal last."""

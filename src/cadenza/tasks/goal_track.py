@@ -34,6 +34,9 @@ class GoalTrack:
     """Whether all its fingers were found for these hands: the song gives none."""
     _made: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
+    def __repr__(self) -> str:
+        return f"GoalTrack({self.score!r}, {self.scene!r})"
+
     @property
     def rewarded_fingers(self) -> Literal["score", "found", "transport", "off"]:
         """Whose fingers the task rewards.

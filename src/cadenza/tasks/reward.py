@@ -50,6 +50,9 @@ class Outcome(NamedTuple):
     ctrl: Array
     """(N, A) the action in actuator units, the pedal last."""
 
+    def __repr__(self) -> str:
+        return f"Outcome({len(self.ctrl)} environments)"
+
 
 RewardTerm = Callable[[Outcome], Array]
 """A term of the reward, (N,)."""

@@ -45,6 +45,10 @@ class TaskSpec:
     observation_layout: dict[str, slice]
     """Name -> slice of an observation."""
 
+    def __repr__(self) -> str:
+        sizes = f"{self.action_size} actions, {self.observation_size} observations"
+        return f"TaskSpec({self.scene!r}, {sizes})"
+
     @property
     def action_size(self) -> int:
         """A: actuators and the pedal."""
@@ -90,6 +94,9 @@ class View:
     """(N,) of the last step, 0 before the first."""
     simulation: Simulation
     """The physics of all environments of the task, for planners that copy it. Not to be stepped."""
+
+    def __repr__(self) -> str:
+        return f"View({len(self.env_ids)} environments, {self.task!r})"
 
     @property
     def scores(self) -> tuple[Score, ...]:

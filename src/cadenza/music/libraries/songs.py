@@ -53,6 +53,9 @@ class Library:
     name: str
     songs: tuple[Song, ...]
 
+    def __repr__(self) -> str:
+        return f"Library({self.name!r}, {len(self.songs)} songs)"
+
     @property
     def splits(self) -> tuple[str, ...]:
         """Those that the songs are divided into, in alphabetical order."""
