@@ -899,6 +899,61 @@ def test_another_parser_refuses_too(
     assert "--loud" in refused(capsys, "play", "OdeToJoy", "--loud")
 
 
+@pytest.mark.parametrize(
+    ("tried", "hint"),
+    [
+        ("--tempo 60", "there is --stretch: 2 plays half as fast"),
+        ("--speed=0.5", "there is --stretch"),
+        ("--bpm 90", "there is --stretch"),
+        ("--out joy", "there is --output"),
+        ("--camera side", "did you mean --video-camera?"),
+        ("--open", "there is --watch"),
+        ("--no-sound", "there is --no-video"),
+        ("--policy run/best", "there is --agent"),
+        ("--duration 5", "there is --first-seconds"),
+        ("--midi joy.mid", "name the song without an option"),
+        ("-i joy.mid", "name the song without an option"),
+        ("--gpu", "it runs on the CPU"),
+        ("-v", "it prints all there is"),
+        ("--seeds 1", "did you mean --seed?"),
+        ("--reward 2", "--help-all lists them"),
+    ],
+)
+def test_what_people_try_gets_a_hint(
+    tried: str, hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    option = tried.split("=")[0].split()[0]
+    said = refused_in_a_line(capsys, "play", "OdeToJoy", *tried.split())
+    assert said.startswith(f"cadenza: there is no option {option}; ")
+    assert hint in said
+
+
+def test_a_hint_is_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is --num-steps" in refused(capsys, "train", "OdeToJoy", "--steps", "9")
+    assert "--help-all lists them" in refused(capsys, "play", "OdeToJoy", "--steps", "9")
+    assert "did you mean --songs?" in refused(capsys, "bench", "--song", "debug")
+    assert "stretch" not in refused(capsys, "info", "OdeToJoy", "--tempo", "2")
+
+
+@pytest.mark.parametrize("tracks", ["1,3", "1 3", "1, 3", "=1,3"])
+def test_tracks_with_commas_or_spaces(
+    tracks: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    midi = mido.MidiFile()
+    for pitch in (60, 64, 67):
+        track = midi.add_track(f"of {pitch}")
+        track += [
+            mido.Message("note_on", note=pitch),
+            mido.Message("note_off", note=pitch, time=480),
+        ]
+    midi.save(tmp_path / "three.mid")
+    option = f"--tracks{tracks}" if tracks[0] == "=" else f"--tracks {tracks}"
+    main(["info", str(tmp_path / "three.mid"), *option.split()])
+    assert "C4 to G4" in capsys.readouterr().out
+    main(["info", str(tmp_path / "three.mid"), "--tracks", "1,2"])
+    assert "C4 to E4" in capsys.readouterr().out
+
+
 def test_options_of_other_commands_are_not_suggested(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--seeds" not in refused_in_a_line(capsys, "plan", "OdeToJoy", "--seds")
     assert "--agent" not in refused_in_a_line(capsys, "train", "OdeToJoy", "--agnet").split(";")[1]

@@ -67,7 +67,7 @@ def framed_in(html: str) -> str:
     """The page in a frame of it, as a browser reads it."""
     found: list[dict[str, str]] = []
     parser = HTMLParser()
-    parser.handle_starttag = lambda tag, attributes: found.append(dict(attributes))
+    parser.handle_starttag = lambda _, attributes: found.append(dict(attributes))
     parser.feed(html)
     (frame,) = found
     return frame["srcdoc"]

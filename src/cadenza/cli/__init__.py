@@ -38,6 +38,7 @@ from cadenza.cli.arguments import (
     option_parts,
     parse,
     similar,
+    with_numbers_apart,
 )
 from cadenza.cli.performing import Options, with_options_of_agents
 from cadenza.cli.progress import QUIET
@@ -114,7 +115,7 @@ def _run(arguments: list[str]) -> None:
             return
         name, chosen, rest = f"{name} {rest[0]}", chosen[rest[0]], rest[1:]
     kind, run = chosen
-    rest = with_options_of_setup(kind, rest)
+    rest = with_options_of_setup(kind, with_numbers_apart(rest))
     _check_output(rest)
     _load_chosen(rest)
     if issubclass(kind, Options):

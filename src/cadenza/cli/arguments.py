@@ -175,10 +175,48 @@ def _about(kind: type) -> str:
     return "" if sys.flags.optimize > 1 else inspect.getdoc(kind) or ""
 
 
+_MEANT = (
+    ("tempo bpm speed rate slow slower fast faster", "--stretch", "2 plays half as fast"),
+    ("out folder dir save", "--output", "a folder for the results"),
+    ("open show view browser gui render live", "--watch", "shows the hands on a page"),
+    ("no-sound no-audio mute sound audio", "--no-video", "the page has sound anyway"),
+    ("model policy checkpoint player", "--agent", "the folder of a policy, or a name"),
+    ("track channel channels instrument instruments", "--tracks", "numbers as in cadenza info"),
+    ("start end length duration seconds max-seconds", "--first-seconds", "from the first note on"),
+    ("key pitch semitones octave", "--transpose", "in semitones"),
+    ("left right one-hand left-hand right-hand", "--hands", "left, right or both"),
+    ("resolution width height", "--video-size", "such as 1280 720"),
+    ("volume velocity dynamics", "--loudness", "struck or score"),
+    ("cores cpus jobs workers parallel", "--num-threads", "of a planner"),
+    ("steps epochs timesteps total-timesteps", "--num-steps", "how long to train"),
+    (
+        "song file input midi mid i f",
+        "",
+        "name the song without an option, as in cadenza play x.mid",
+    ),
+    ("mp3 wav", "", "report.html has the sound, and played.mid the notes"),
+    ("verbose v debug", "", "it prints all there is"),
+    ("gpu cuda device cpu", "", "it runs on the CPU, without a choice"),
+    ("force overwrite yes y", "", "it replaces its own results without asking"),
+)
+"""Names that people try, the option that does what they want, and what it takes."""
+
+
+def _meant(word: str, known: Collection[str]) -> str:
+    """What to do instead of giving an option that there is not; empty where that is unclear."""
+    if f"{word}s" in known:
+        return ""
+    for tried, option, about in _MEANT:
+        if word.lstrip("-") in tried.split() and (not option or option in known):
+            return f"; there is {option}: {about}" if option else f"; {about}"
+    return ""
+
+
 def similar(word: str, known: Sequence[str]) -> str:
     """Asks whether one of `known` was meant; empty where none is like `word`."""
+    bare = {name.lstrip("-"): name for name in known}
     close = [name for name in known if name.endswith("." + word.lstrip("-"))]
-    close = close or difflib.get_close_matches(word, known, 1)
+    close = close or [bare[each] for each in difflib.get_close_matches(word.lstrip("-"), bare, 1)]
     return f"; did you mean {' or '.join(close)}?" if close else ""
 
 
@@ -326,11 +364,11 @@ def _what_is_wrong(
     unknown = [name for name in names if name.startswith("--") and name not in known]
     match event:
         case errors.UnrecognizedArgs() | errors.MissingArgs() | errors.BadValue() if unknown:
-            hint = similar(unknown[0], known) or f"; {prog} --help-all lists them"
-            return f"there is no option {unknown[0]}{hint}"
+            hint = _meant(unknown[0], known) or similar(unknown[0], known)
+            return f"there is no option {unknown[0]}{hint or f'; {prog} --help-all lists them'}"
         case errors.UnrecognizedArgs(tokens=tokens):
             about = "there is no option" if tokens[0].startswith("-") else "one argument too many:"
-            return f"{about} {tokens[0]}; see {prog} --help"
+            return f"{about} {tokens[0]}{_meant(tokens[0], known) or f'; see {prog} --help'}"
         case errors.MissingArgs(missing_arguments=missing):
             names, verb = [_name(m.arg) for m in missing], "is" if len(missing) == 1 else "are"
             return f"{' and '.join(names)} {verb} missing; see {prog} --help"
@@ -350,6 +388,20 @@ def _what_is_wrong(
 
 def _name(argument: Any) -> str:
     return argument.lowered.metavar if argument.is_positional() else argument.display_name()
+
+
+_OF_NUMBERS = ("--tracks", "--video-size")
+
+
+def with_numbers_apart(words: Sequence[str]) -> list[str]:
+    """With `--tracks 1,2` as `--tracks 1 2`, and `--video-size 640x360` as two numbers, too."""
+    parted, option = [], ""
+    for word in words:
+        if word.startswith("-"):
+            option = word.partition("=")[0].replace("_", "-")
+        joined = option in _OF_NUMBERS and re.fullmatch(r"(--[\w-]+=)?\d+([,x]\d*)+", word)
+        parted += filter(None, re.split("[=,x]", word)) if joined else (word,)
+    return parted
 
 
 def option_parts(words: Sequence[str]) -> list[str]:
