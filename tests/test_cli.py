@@ -911,8 +911,8 @@ def test_another_parser_refuses_too(
         ("--no-sound", "there is --no-video"),
         ("--policy run/best", "there is --agent"),
         ("--duration 5", "there is --first-seconds"),
-        ("--midi joy.mid", "name the song without an option"),
-        ("-i joy.mid", "name the song without an option"),
+        ("--midi joy.mid", "name the song alone"),
+        ("-i joy.mid", "name the song alone"),
         ("--gpu", "it runs on the CPU"),
         ("-v", "it prints all there is"),
         ("--seeds 1", "did you mean --seed?"),
@@ -930,7 +930,7 @@ def test_what_people_try_gets_a_hint(
 
 def test_a_hint_is_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert "there is --num-steps" in refused(capsys, "train", "OdeToJoy", "--steps", "9")
-    assert "--help-all lists them" in refused(capsys, "play", "OdeToJoy", "--steps", "9")
+    assert "--help-all lists them" in refused(capsys, "play", "OdeToJoy", "--epochs", "9")
     assert "did you mean --songs?" in refused(capsys, "bench", "--song", "debug")
     assert "stretch" not in refused(capsys, "info", "OdeToJoy", "--tempo", "2")
 

@@ -189,11 +189,7 @@ _MEANT = (
     ("volume velocity dynamics", "--loudness", "struck or score"),
     ("cores cpus jobs workers parallel", "--num-threads", "of a planner"),
     ("steps epochs timesteps total-timesteps", "--num-steps", "how long to train"),
-    (
-        "song file input midi mid i f",
-        "",
-        "name the song without an option, as in cadenza play x.mid",
-    ),
+    ("song file input midi mid i f", "", "name the song alone, as in cadenza play song.mid"),
     ("mp3 wav", "", "report.html has the sound, and played.mid the notes"),
     ("verbose v debug", "", "it prints all there is"),
     ("gpu cuda device cpu", "", "it runs on the CPU, without a choice"),
@@ -204,10 +200,11 @@ _MEANT = (
 
 def _meant(word: str, known: Collection[str]) -> str:
     """What to do instead of giving an option that there is not; empty where that is unclear."""
-    if f"{word}s" in known:
+    bare = word.lstrip("-")
+    if any(name == f"{word}s" or name.endswith(f".{bare}") for name in known):
         return ""
     for tried, option, about in _MEANT:
-        if word.lstrip("-") in tried.split() and (not option or option in known):
+        if bare in tried.split() and (not option or option in known):
             return f"; there is {option}: {about}" if option else f"; {about}"
     return ""
 
@@ -395,7 +392,8 @@ _OF_NUMBERS = ("--tracks", "--video-size")
 
 def with_numbers_apart(words: Sequence[str]) -> list[str]:
     """With `--tracks 1,2` as `--tracks 1 2`, and `--video-size 640x360` as two numbers, too."""
-    parted, option = [], ""
+    parted: list[str] = []
+    option = ""
     for word in words:
         if word.startswith("-"):
             option = word.partition("=")[0].replace("_", "-")
