@@ -627,7 +627,7 @@ def test_a_plan_replays_bit_for_bit(
 
 def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
     main(["plan", str(tune), "-o", str(tmp_path / "plan.npz"), "--stretch", "2"])
-    fingered = read_fingering(tmp_path / "plan.fingering", read_midi(tune))
+    fingered = read_fingering(tmp_path / "plan.npz.fingering", read_midi(tune))
     fingers = numbers(fingered)
     assert min(fingers) >= 0
     with np.load(tmp_path / "plan.npz") as plan:
@@ -676,16 +676,16 @@ def test_a_plan_is_an_npz_file(
     assert "tune.fingering: a plan is a .npz file" in message
 
 
-def test_a_plan_does_not_replace_the_fingering_of_the_song(
-    tune: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])
+def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> None:
     own = tune.with_suffix(".fingering")
-    said = refused_in_a_line(capsys, "plan", tune, "-o", tune.with_suffix(".npz"))
-    assert f"would be {own}, which goes with the song; choose another name" in said
-    assert not own.exists()  # else the song had the plan's fingers from then on
-    own.write_text("mine")
-    refused_in_a_line(capsys, "plan", tune, "-o", tune.with_suffix(".npz"))
-    assert own.read_text() == "mine"
+    if mine is not None:
+        own.write_text(mine)
+    before = cadenza.load_song(tune)
+    main(["plan", str(tune), "-o", str(tune.with_suffix(".npz"))])
+    assert cadenza.load_song(tune) == before  # its fingers have not become those of the plan
+    assert (own.read_text() if own.exists() else None) == mine
+    assert read_fingering(f"{tune.with_suffix('.npz')}.fingering", TUNE).has_fingering
 
 
 def test_a_plan_is_no_folder(

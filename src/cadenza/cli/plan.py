@@ -23,7 +23,6 @@ from cadenza.cli.performing import (
     setting_up,
 )
 from cadenza.cli.progress import stages
-from cadenza.errors import CadenzaError
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
@@ -38,7 +37,7 @@ class PlanCommand(Performing):
 
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The plan, a .npz file; played/SONG/plan.npz by default. The fingering is written beside it as
-    text, to a file that ends in .fingering."""
+    text, to a file that ends in .npz.fingering."""
     seed: int = 0
     """Random seed."""
     quiet: Quiet = False
@@ -47,19 +46,10 @@ class PlanCommand(Performing):
 
 
 def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
-    from cadenza.music.formats.fingering_file import SUFFIX
-    from cadenza.performing.planning import make_plan
+    from cadenza.performing.planning import fingering_of, make_plan
 
     if command.output is not None:
         check_name(command.output, ".npz", "a plan is a .npz file")
-        fingering = command.output.with_suffix(SUFFIX)
-        song = Path(command.song)
-        ours = song.is_file() and fingering.resolve() == song.with_suffix(SUFFIX).resolve()
-        if ours:
-            raise CadenzaError(
-                f"{command.output}: the plan's fingering would be {fingering}, which goes with the "
-                "song; choose another name or folder"
-            )
     selection = selected(command, PLANNER)
     path = command.output or default_folder(selection) / "plan.npz"
     with setting_up(selection, command, command.seed) as setup:
@@ -70,7 +60,7 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
     planned.save(path)
     print_scores(planned.performance)
     print_what_was_lost(planned.performance)
-    print(f"\nFingering in {path.with_suffix(SUFFIX)}. To see and hear the plan:")
+    print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 
 

@@ -62,9 +62,10 @@ class Plan:
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:
-        """Writes the actions to `path`, a .npz file, and the fingers beside it as .fingering.
+        """Writes the actions to `path`, a .npz file, and the fingers beside it.
 
-        `cadenza.play(song, "playback", plan=path)` plays them.
+        `cadenza.play(song, "playback", plan=path)` plays the actions. The fingers go to a file
+        whose name ends in .npz.fingering; call it `song.fingering`, and they go with `song.mid`.
         """
         path = Path(path)
         save_plan(
@@ -76,7 +77,12 @@ class Plan:
             self.hands,
             self.practised,
         )
-        write_fingering(self.score, path.with_suffix(SUFFIX))
+        write_fingering(self.score, fingering_of(path))
+
+
+def fingering_of(plan: Path) -> Path:
+    """The file for a plan's fingers, which goes with no song: that of `song.mid` is called else."""
+    return plan.with_name(plan.name + SUFFIX)
 
 
 def plan(
