@@ -18,7 +18,7 @@ import tyro
 from cadenza.cli.arguments import Advanced, Quiet, option_parts
 from cadenza.cli.output import check_name, check_writable
 from cadenza.cli.play import keep
-from cadenza.cli.progress import progress, stages
+from cadenza.cli.progress import QUIET, progress, stages
 from cadenza.cli.setups import SETUP_HELP
 from cadenza.cli.stopping import asked_to_stop
 from cadenza.errors import CadenzaError
@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training
     from cadenza.report.training import Curve
+
+_PLAYS_WELL = {False: 50_000, True: 30_000}
+"""Whether it corrects a plan -> steps to an F1 of 0.9, as in docs/curves: Twinkle's, Au Clair's."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,7 @@ def _train(command: Train, folder: Path) -> None:
         if command.song is not None:
             config = command.training
             training = begin(config, score, run)
+            _tell_how_long(command)
         else:
             run.set_end(command.training)
             config, score = run.settings()
@@ -162,6 +166,21 @@ def _train(command: Train, folder: Path) -> None:
             print(f"Learning curves in {folder / 'report.html'}")
         if not finished:
             raise KeyboardInterrupt
+
+
+def _tell_how_long(command: Train) -> None:
+    """Says on stderr when it will play well, which is long before the end, by docs/learning.md."""
+    config = command.training
+    usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
+    if QUIET.get() or not usual or config.num_steps <= _PLAYS_WELL[config.residual]:
+        return
+    steps = f"{_PLAYS_WELL[config.residual]:,} of {config.num_steps:,} steps"
+    harder = "" if config.residual else "; harder pieces take ten times as many"
+    print(
+        f"a short tune plays well (F1 0.9) after about {steps}{harder}. "
+        "Ctrl-C keeps the best so far",
+        file=sys.stderr,
+    )
 
 
 @contextmanager

@@ -132,8 +132,8 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
     if len(score.tracks) > 2 and not arrangement.chosen:
         warnings.warn(
-            f"{song}: all {len(score.tracks)} tracks are played at once; if that is too much for two "
-            'hands, use --reduce melody-bass, or --tracks with some that "cadenza info" lists',
+            f"{song}: all {len(score.tracks)} tracks are played at once; if that is too much for "
+            'two hands, use --reduce melody-bass, or --tracks with some that "cadenza info" lists',
             CadenzaWarning,
             stacklevel=2,
         )
