@@ -8,14 +8,18 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
+import av
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import RecordVideo
 from numpy.testing import assert_allclose, assert_array_equal
 
 import cadenza
@@ -281,6 +285,29 @@ def test_rendered_keys_light_up() -> None:
     change = env.render().astype(int) - before
     reddened = (change[..., 1] < -40) & (change[..., 0] > -40)
     assert 20 < reddened.sum() < 4000
+
+
+def test_gymnasium_records_a_video(tmp_path: Path) -> None:
+    env = gym.make("cadenza/Piano-v0", song=SHORT, render_mode="rgb_array")
+    with closing(RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)) as recorded:
+        recorded.reset(seed=0)
+        for _ in range(SHORT_STEPS):
+            recorded.step(recorded.action_space.sample())
+    (video,) = tmp_path.glob("*.mp4")
+    with av.open(video) as file:
+        frames = list(file.decode(video=0))
+    assert len(frames) == 1 + SHORT_STEPS
+    assert (frames[0].width, frames[0].height) == (640, 360)
+
+
+@pytest.mark.parametrize(
+    ("options", "meant"),
+    [({"song": "OdeToJy"}, "OdeToJoy"), ({"sng": "OdeToJoy"}, "song"), ({"hnds": "left"}, "hands")],
+)
+def test_what_is_misspelt_is_suggested(options: dict[str, Any], meant: str) -> None:
+    for make in (gym.make, gym.make_vec):
+        with pytest.raises(CadenzaError, match=rf"did you mean {meant}\?"):
+            make("cadenza/Piano-v0", **options)
 
 
 def test_keys_are_drawn_by_what_was_wanted_when_they_were_pressed(

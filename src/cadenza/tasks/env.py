@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +58,10 @@ def configure(
     }
     names = set().union(*known.values())
     if unknown := sorted(options.keys() - names):
+        close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
+        hint = f"did you mean {close[0]}? " if close else ""
         raise CadenzaError(
-            f"unknown option {', '.join(unknown)}: choose from "
+            f"unknown option {', '.join(unknown)}: {hint}choose from "
             f"{', '.join(sorted({*names, 'setup'}))}"
         )
 
@@ -101,11 +104,11 @@ def make_task(
         if num_envs != task.num_envs:
             raise CadenzaError(f"num_envs {num_envs}: the task has {task.num_envs}; give the same")
         return task
+    config, scene = configure(options, task, scene)  # first: it may be the song that is misspelt
     if song is None:
         raise CadenzaError(
             "no song to play: give song='OdeToJoy', the path of a MIDI file, a Score, or several"
         )
-    config, scene = configure(options, task, scene)
     return PianoTask(load_songs(song), config, scene, num_envs, num_threads, reward_terms)
 
 
