@@ -6,7 +6,7 @@ SONG ?= TwinkleTwinkleLittleStar
 # The shell takes it from its environment: make and the shell change nothing, whatever its characters.
 override export SONG := $(value SONG)
 
-.PHONY: play studio install test test-ray check docs bench sb3 lock clean
+.PHONY: play studio install test smoke test-ray check docs bench sb3 lock clean
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -50,6 +50,10 @@ install: $(ALL)
 test: $(ALL)
 	$(BIN)/python -m pytest -n 2
 
+# What may differ from one Python to another, in a minute or two.
+smoke: $(ALL)
+	$(BIN)/python -m pytest -n 2 tests/test_api.py tests/test_configs.py tests/test_registry.py tests/tasks/test_env.py tests/tasks/test_env_in_threads.py
+
 check: $(ALL)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -80,4 +84,4 @@ lock:
 	uv pip compile pyproject.toml --extra studio --universal --python-version 3.11 --constraint requirements-dev.lock --output-file requirements.lock
 
 clean:
-	rm -rf $(VENV) .venv-sb3 .pytest_cache .ruff_cache .mypy_cache
+	rm -rf $(VENV) .venv-sb3 .venv-3.* .pytest_cache .ruff_cache .mypy_cache
