@@ -36,7 +36,7 @@ LIBRARIES: dict[str, set[str]] = {
     "music": {"numpy", "scipy", "mido", "partitura", "filelock", "platformdirs"},
     "keyboards": {"numpy", "mujoco"},
     "hands": {"numpy", "mujoco"},
-    "scene": {"numpy", "mujoco"},
+    "scene": {"numpy", "mujoco", "threadpoolctl"},
     "fingering": {"numpy"},
     "sim": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium", "dm_env"},

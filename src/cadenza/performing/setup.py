@@ -47,7 +47,7 @@ from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
-from cadenza.sim.threads import MOST_THREADS, default_threads
+from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
@@ -378,11 +378,11 @@ def _settings(
 
 @contextmanager
 def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
-    """Has the agent, and linear algebra, use so many; closes the agent afterwards."""
+    """Has the agent use so many, and linear algebra one; closes the agent afterwards."""
     if num_threads is not None and hasattr(agent, "num_threads"):
         agent.num_threads = num_threads
     try:
-        with threadpool_limits(getattr(agent, "num_threads", None) or default_threads()):
+        with threadpool_limits(1):  # its last bits depend on how many threads share it
             yield
     finally:
         if hasattr(agent, "close"):

@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from cadenza.hands.body import SERVO
 from cadenza.hands.forearm import ALONG_KEYBOARD
@@ -55,7 +56,8 @@ class Servos:
     @cached_property
     def of_joints(self) -> Array:
         """(J, A) map from joint positions to coordinates: the pseudoinverse of `joints`."""
-        return np.asarray(np.linalg.pinv(self.joints), np.float64)
+        with threadpool_limits(1):  # the last bits depend on how many threads share it
+            return np.asarray(np.linalg.pinv(self.joints), np.float64)
 
     @cached_property
     def noise(self) -> Array:
