@@ -28,8 +28,8 @@ _MOTION = 0.6  # [s] for which postures are planned
 _LED = 0.3  # [s] for which controls are found
 _PRESSES = 1.3  # [s] whose presses matter to them
 _PAST = 0.5  # [s] for which is remembered what was pressed
-_FREED = Effort(iterations=2, trials=0, converged=0.1, damping=10.0)
-_IMPROVED = _FREED._replace(damping=20.0, derivatives_kept=True)  # in 0.7 of the time
+_FREED = Effort(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
+_IMPROVED = _FREED._replace(damping=20.0, keep_derivatives=True)  # in 0.7 of the time
 _SETTLED = 0.1  # of what is in sight, in which fingers do not change
 _MOMENTS = 12  # at which notes begin, for which fingers are found at once
 _ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again

@@ -44,8 +44,12 @@ class Overlaps(NamedTuple):
         return int(np.count_nonzero(met)), (met.cumsum() - 1)[self.pair]
 
 
-class _Pairs:
-    """C pairs of links, each of a finger and its number on it."""
+class LinkPairs:
+    """C pairs of links, each of a finger and its number on it.
+
+    Attributes:
+        min_distance: (C,) that the axes of a pair keep from each other [m].
+    """
 
     def __init__(self, pairs: list[tuple[tuple[int, int], tuple[int, int]]], radii: Array) -> None:
         """`radii` are (F, links) [m]."""
@@ -54,7 +58,7 @@ class _Pairs:
         begin = self._finger * (radii.shape[1] + 1) + self._link  # as points of all in a row
         self._ends = np.stack([begin, begin + 1])  # (2, 2, C)
         least = radii[self._finger, self._link].sum(axis=0) + _CLEARANCE
-        self._least = least.astype(np.float32)  # of any precision
+        self.min_distance = least.astype(np.float32)  # of any precision
 
     def overlaps(self, points: Array) -> Overlaps:
         """Those of fingers in N postures; points are (N, F, P, 3) [m], see `Kinematics`."""
@@ -66,7 +70,7 @@ class _Pairs:
         at = begin + share[..., None] * along
         gap = at[0] - at[1]
         distance = np.sqrt(np.vecdot(gap, gap)) + 1e-9
-        depth = distance - self._least
+        depth = distance - self.min_distance
         row, pair = np.nonzero(depth < 0.0)
         away = gap[row, pair] / distance[row, pair, None]
         links = self._finger[:, pair], self._link[:, pair]
@@ -81,8 +85,8 @@ class LinkCollisions:
     both hands; not the first links of neighbours, which are mounted far enough apart.
 
     Attributes:
-        of_hand: pairs of one hand; fingers are counted from its thumb.
-        of_both: pairs of the right hand and the left, whose fingers are counted on.
+        within_hand: pairs of one hand; fingers are counted from its thumb.
+        between_hands: pairs of the right hand and the left, whose fingers are counted on.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -107,7 +111,8 @@ class LinkCollisions:
             for j in links[1:]
         ]
         radii = np.array([finger.radii for finger in hand.fingers])  # (F, links)
-        self.of_hand, self.of_both = _Pairs(of_one, radii), _Pairs(between, np.tile(radii, (2, 1)))
+        self.within_hand = LinkPairs(of_one, radii)
+        self.between_hands = LinkPairs(between, np.tile(radii, (2, 1)))
         self._inner, self._most = len(inner), 2 * radii[inner].max() + _CLEARANCE
 
     def hands_near(self, points: Array) -> NDArray[np.bool_]:

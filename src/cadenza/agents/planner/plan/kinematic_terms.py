@@ -1,0 +1,263 @@
+"""The terms of inverse kinematics, in the least squares of a trajectory of postures.
+
+Terms of one posture are called with `PosedHands` and return their residuals and Jacobian, in
+standard deviations. Terms of the motion are linear in three postures in a row, each servo by
+itself: a `Stencil`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planner.plan.link_collisions import LinkCollisions, LinkPairs
+from cadenza.hands.forearm import WIDTH
+from cadenza.scene.kinematics import TIP, Links
+from cadenza.scene.servos import Servos, within
+
+Array = NDArray[Any]
+Ids = NDArray[np.intp]
+
+# The weight of a term is the inverse square of what counts as one standard deviation. That of
+# fingertips outside their boxes comes with `Targets`.
+_WALL_SIGMA = 0.001  # [m] into black keys: strict, as a finger that touches them is caught
+_OVERLAP_SIGMA = 0.002  # [m] of links: a little does no harm, as fingers give way
+_FOREARMS_SIGMA = 0.002  # [m] of forearms; with 0.005, close hands are planned 2 cm into each other
+# By how much a servo falls short as its control would leave its range, in strides: strict, as it
+# cannot be.
+_RANGE_SIGMA = 0.02
+# How far a servo is from its rest, and how much it accelerates: `Servo.ease` and
+# `Servo.acceleration` of the hand, which are large, so that these terms only decide what the
+# others leave open.
+
+_FOREARMS_APART = WIDTH + 0.011  # [m] from middle to middle: room for what is not modelled
+
+
+class PosedHands(NamedTuple):
+    """H hands with A servos each in N postures of a trajectory."""
+
+    rows: Ids
+    """(N,) which of the trajectory's postures they are."""
+    postures: Array
+    """(N, H, A)"""
+    links: Links
+
+    def part(self, which: Ids) -> PosedHands:
+        """The hands in some of the postures."""
+        links = self.links._replace(
+            points=self.links.points[which],
+            tips=self.links.tips[which],
+            screws=self.links.screws[which],
+        )
+        return PosedHands(self.rows[which], self.postures[which], links)
+
+
+Term = tuple[Array, Array]
+"""Residuals (N, H, R) of each hand, or (N, R) between hands, and their Jacobian (N, H, R, A)."""
+
+
+def stacked(terms: Iterable[Term]) -> Term:
+    """All residuals, and their Jacobian."""
+    residuals, jacobians = zip(*terms, strict=True)
+    return np.concatenate(residuals, axis=-1), np.concatenate(jacobians, axis=-2)
+
+
+# Of each hand by itself
+
+
+class TipsInBoxes:
+    """Distances of fingertips from their boxes, three for each."""
+
+    def __init__(self, low: Array, high: Array, sigma: Array) -> None:
+        """Boxes (S, H, F, 3) as in `Targets`."""
+        self._boxes = low, high, sigma
+
+    def __call__(self, hands: PosedHands) -> Term:
+        low, high, sigma = (values[hands.rows] for values in self._boxes)
+        tips, jacobian = hands.links.points[:, :, :, TIP], hands.links.tips
+        outside = (tips - within(tips, low, high)) / sigma
+        slope = jacobian * ((outside != 0) / sigma)[..., None]
+        count, of = outside.shape[:2]
+        return outside.reshape(count, of, -1), slope.reshape(count, of, -1, slope.shape[-1])
+
+
+class TipsBehindBlackKeys:
+    """Distances of fingertips into the wall that black keys are to who presses white ones."""
+
+    def __init__(self, wall: Array) -> None:
+        """`wall` (S, H, F) as in `Targets`."""
+        self._wall = wall
+
+    def __call__(self, hands: PosedHands) -> Term:
+        tips, jacobian = hands.links.points[:, :, :, TIP, 0], hands.links.tips[..., 0, :]
+        into = np.minimum(tips - self._wall[hands.rows], 0.0) / _WALL_SIGMA
+        weight = ((into < 0) / _WALL_SIGMA).astype(into.dtype)
+        return into, jacobian * weight[..., None]
+
+
+class LinksApart:
+    """Overlaps of links of one hand."""
+
+    def __init__(self, pairs: LinkPairs) -> None:
+        self._pairs = pairs
+
+    def __call__(self, hands: PosedHands) -> Term:
+        links, points = hands.links, hands.links.points
+        count, of, fingers, _, size = links.tips.shape
+        overlaps = self._pairs.overlaps(points.reshape(count * of, *points.shape[2:]))
+        posture, hand = np.divmod(overlaps.row, of)
+        met, column = overlaps.columns
+        residual = np.zeros((count, of, met), points.dtype)
+        residual[posture, hand, column] = overlaps.depth / _OVERLAP_SIGMA
+        finger = hand * fingers + overlaps.finger
+        apart = links.along(posture, finger, overlaps.link, overlaps.at, overlaps.away)
+        jacobian = np.zeros((*residual.shape, size), points.dtype)
+        jacobian[posture, hand, column] = apart.sum(axis=0) / _OVERLAP_SIGMA
+        return residual, jacobian
+
+
+# Between hands
+
+
+class HandLinksApart:
+    """Overlaps of links of the right hand and the left."""
+
+    def __init__(self, collisions: LinkCollisions) -> None:
+        self._collisions = collisions
+
+    def near(self, hands: PosedHands) -> NDArray[np.bool_]:
+        """(N,) whether there could be any."""
+        return self._collisions.hands_near(hands.links.points)
+
+    def __call__(self, hands: PosedHands) -> Term:
+        links, points = hands.links, hands.links.points
+        overlaps = self._collisions.between_hands.overlaps(
+            points.reshape(len(points), -1, *points.shape[3:])
+        )
+        met, column = overlaps.columns
+        residual = np.zeros((len(points), met), points.dtype)
+        residual[overlaps.row, column] = overlaps.depth / _OVERLAP_SIGMA
+        away = links.along(overlaps.row, overlaps.finger, overlaps.link, overlaps.at, overlaps.away)
+        jacobian = np.zeros((len(points), 2, met, links.tips.shape[-1]), points.dtype)
+        jacobian[overlaps.row, [[0], [1]], column] = away / _OVERLAP_SIGMA
+        return residual, jacobian
+
+
+class ForearmsApart:
+    """The overlap of the forearms, which slide along the keyboard."""
+
+    def __init__(self, slide: int, mounted_apart: float) -> None:
+        """Args:
+        slide: which of a hand's servos moves its forearm.
+        mounted_apart: the distance of the forearms where those are at 0 [m].
+        """
+        self._slide, self._mounted_apart = slide, mounted_apart
+
+    def near(self, hands: PosedHands) -> NDArray[np.bool_]:
+        """(N,) whether there is one."""
+        return self._overlap(hands.postures) < 0
+
+    def __call__(self, hands: PosedHands) -> Term:
+        residual = self._overlap(hands.postures)[:, None]
+        jacobian = np.zeros((len(residual), 2, 1, hands.postures.shape[-1]), residual.dtype)
+        sign = np.array([1.0, -1.0]) / _FOREARMS_SIGMA
+        jacobian[:, :, 0, self._slide] = sign * (residual < 0)
+        return residual, jacobian
+
+    def _overlap(self, postures: Array) -> Array:
+        right, left = postures[:, :, self._slide].T
+        apart: Array = self._mounted_apart + right - left
+        return np.minimum(apart - _FOREARMS_APART, 0.0) / _FOREARMS_SIGMA
+
+
+# Of the motion
+
+
+class Stencil(NamedTuple):
+    """A linear combination of three postures in a row: coefficients (H, A), or one for all."""
+
+    first: Array | float
+    second: Array | float
+    third: Array | float
+
+    def __call__(self, postures: Array) -> Array:
+        """(N, H, A) of postures (N + 2, H, A)."""
+        before, now, after = postures[:-2], postures[1:-1], postures[2:]
+        return self.first * before + self.second * now + self.third * after
+
+    def normal_equations(self, weight: Array) -> Array:
+        """(3, N, H, A) the blocks of its weighted squares, which are diagonal.
+
+        They are those of each of N postures with itself, with the one before, and with the one
+        before that; two postures before all are known. `weight` (N, H, A) is that of each square.
+        """
+        diagonals = np.zeros((3, *weight.shape), weight.dtype)
+        itself, one_before, two_before = diagonals
+        itself += weight * self.third**2
+        itself[:-1] += weight[1:] * self.second**2
+        itself[:-2] += weight[2:] * self.first**2
+        one_before[1:] += weight[1:] * (self.second * self.third)
+        one_before[1:-1] += weight[2:] * (self.first * self.second)
+        two_before[2:] += weight[2:] * (self.first * self.third)
+        return diagonals
+
+    def add_gradient(self, gradient: Array, weighted: Array) -> None:
+        """Adds the gradient of its squares to one (N, H, A); `weighted` are weighted residuals."""
+        gradient += weighted * self.third
+        gradient[:-1] += weighted[1:] * self.second
+        gradient[:-2] += weighted[2:] * self.first
+
+
+class MotionTerm(NamedTuple):
+    """Weighted squares of residuals whose derivatives are the coefficients of a stencil."""
+
+    stencil: Stencil
+    weight: Array
+    """(H, A)"""
+
+
+class MotionTerms(NamedTuple):
+    """The terms of the motion of H hands with A servos each, and what is known of these."""
+
+    rest: MotionTerm
+    """How far servos are from their rest."""
+    smoothness: MotionTerm
+    """Second differences."""
+    control_range: MotionTerm
+    """How far the controls that lead along the motion, see `Servos.lead`, are out of range."""
+    stride: Array
+    """(H, A) the most that an iteration moves a servo."""
+    low: Array
+    """(H, A) the range of the servos, and of their controls."""
+    high: Array
+    """(H, A)"""
+    per_force: Array
+    """(H, A) how much further a control is for a force that stands against the servo."""
+
+    @property
+    def terms(self) -> tuple[MotionTerm, MotionTerm, MotionTerm]:
+        """The three terms."""
+        return self.rest, self.smoothness, self.control_range
+
+
+@lru_cache(maxsize=8)  # short plans ask again and again
+def motion_terms(servos: Servos, hands: int, dt: float, dtype: np.dtype[Any]) -> MotionTerms:
+    """The terms of a motion in steps of `dt` [s]."""
+    figures = np.array([(use.ease, use.acceleration, use.stride) for use in servos.uses]).T
+    ends = servos.low, servos.high, 1 / servos.stiffness
+    ease, acceleration, stride, *lead, low, high, per_force = (
+        values.reshape(hands, -1).astype(dtype) for values in (*figures, *servos.lead(dt), *ends)
+    )
+    return MotionTerms(
+        MotionTerm(Stencil(0.0, 0.0, 1.0), ease**-2.0),
+        MotionTerm(Stencil(1.0, -2.0, 1.0), (acceleration / (1 / dt) ** 2) ** -2.0),
+        MotionTerm(Stencil(*lead), (_RANGE_SIGMA * stride * lead[2]) ** -2.0),
+        stride,
+        low,
+        high,
+        per_force,
+    )

@@ -1,0 +1,25 @@
+"""Short songs, and plans of them for one hand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+
+BUFFER = TaskConfig(initial_buffer_time=0.5)
+FINER, COARSER = 0.025, 0.1  # control steps [s] other than the usual 0.05
+
+
+def melody(*pitches: int, length: float = 0.4) -> Score:
+    return Score(tuple(Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches)))
+
+
+def whole_plan(score: Score, later: int | np.ndarray = 0, haste: float = 1.0) -> SongPlan:
+    task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
+    task.reset([np.random.default_rng(0)], [0])
+    start = task.state.hand_qpos[0]
+    return plan_song(task.sheets.tracks[0], start, later=later, haste=haste)
