@@ -20,10 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from benchmarks.arguments import one_or_more
-from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
-from cadenza.agents.planner.plan.nominal_trajectory import forearm_places
 from cadenza.agents.planner.plan.presses import presses_of
-from cadenza.agents.planner.plan.release_times import let_go_in_time
+from cadenza.agents.planner.plan.release_times import release_in_time
+from cadenza.agents.planner.plan.rest_poses import forearm_places
 from cadenza.errors import errors_in_a_line
 from cadenza.fingering.search import COSTS, find_fingering
 from cadenza.fingering.transitions import Costs
@@ -106,14 +105,14 @@ class Holding:
     def __init__(self, scene: Scene, times: JumpTimes) -> None:
         servos = servos_of(scene)
         self._fingers, self._is_black = scene.fingers, scene.keyboard.is_black
-        self._places = forearm_places(scene, Kinematics(scene, servos), rest_posture(servos))
+        self._places = forearm_places(scene, Kinematics(scene, servos), servos)
         self._hand = replace(scene.hand, jump_times=times)
 
     def f1(self, track: GoalTrack) -> Array:
         """(T,) after each step, if what is held sounds and nothing else."""
         goals, held = track.goals, np.zeros_like(track.goals.keys)
         presses = presses_of(goals.keys, goals.fingers, self._fingers)
-        for press in let_go_in_time(presses, self._places, self._is_black, DT, self._hand):
+        for press in release_in_time(presses, self._places, self._is_black, DT, self._hand):
             held[press.first - 1 : press.last - 1, press.key] = True
         return step_metrics(held, goals.keys)[2]
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
-from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
+from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.errors import errors_in_a_line
 from cadenza.hands.forearm import ALONG_KEYBOARD
 from cadenza.scene.config import SceneConfig

@@ -15,7 +15,6 @@ from cadenza.agents.planner.plan.inverse_kinematics import (
     Evaluation,
     Linearisation,
     PostureProblem,
-    rest_posture,
     solve_postures,
 )
 from cadenza.agents.planner.plan.kinematic_terms import (
@@ -29,6 +28,7 @@ from cadenza.agents.planner.plan.kinematic_terms import (
 from cadenza.agents.planner.plan.link_collisions import LinkCollisions
 from cadenza.agents.planner.plan.nominal_trajectory import nominal_plans
 from cadenza.agents.planner.plan.presses import Press
+from cadenza.agents.planner.plan.rest_poses import rest_posture
 from cadenza.hands.forearm import WIDTH
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
 from cadenza.agents.planner.plan.presses import Press, presses_of
-from cadenza.agents.planner.plan.release_times import let_go_in_time
+from cadenza.agents.planner.plan.release_times import release_in_time
 from cadenza.fingers import SIDES
 from cadenza.hands.hand import Hand
 from cadenza.hands.shadow import SHADOW
@@ -45,8 +45,8 @@ def places(rest_y: np.ndarray) -> np.ndarray:
 def let_go(
     presses: list[Press], there: np.ndarray, dt: float = 0.05, hand: Hand = SHADOW
 ) -> list[Press]:
-    """`let_go_in_time` at a piano."""
-    return let_go_in_time(presses, there, PIANO.is_black, dt, hand)
+    """`release_in_time` at a piano."""
+    return release_in_time(presses, there, PIANO.is_black, dt, hand)
 
 
 def test_a_hand_lets_go_in_time_for_a_jump_only() -> None:

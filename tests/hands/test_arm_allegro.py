@@ -12,8 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from cadenza.agents.planner.config import ICPConfig
-from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
-from cadenza.agents.planner.plan.rest_poses import RestPoses
+from cadenza.agents.planner.plan.rest_poses import RestPoses, rest_posture
 from cadenza.agents.registry import make_agent
 from cadenza.episode import load_episode
 from cadenza.files import read_json
@@ -198,8 +197,7 @@ def test_the_arm_brings_its_hand_level_to_where_it_is_said_to(side: Side) -> Non
     assert mount is not None
     places = np.linspace(mount.low - mount.home, mount.high - mount.home, 9)
     places *= 1 if side == "right" else -1
-    postures = np.tile(rest, (len(places), 1))
-    RestPoses(scene, kinematics, servos, rest).stand(postures, side, places)
+    postures = RestPoses(scene, kinematics, servos).at({side: places}, len(places))
     points, at_home = kinematics.points(postures), kinematics.points(rest[None])
     moved = np.stack([np.zeros(9), places, np.zeros(9)], axis=1)[:, None, None]
     np.testing.assert_allclose(points, at_home + moved, atol=0.004)

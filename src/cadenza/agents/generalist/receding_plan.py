@@ -17,7 +17,11 @@ from threadpoolctl import ThreadpoolController
 from cadenza.agents.agent import Array
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, Effort
-from cadenza.agents.planner.plan.nominal_trajectory import Found, Motion, NominalTrajectory
+from cadenza.agents.planner.plan.nominal_trajectory import (
+    MotionPlanner,
+    NominalTrajectory,
+    PostureTrajectory,
+)
 from cadenza.agents.planner.plan.presses import Press
 from cadenza.fingering.online import OnlineFingering
 from cadenza.fingering.players import Players
@@ -67,15 +71,15 @@ class InSight:
         haste: times the acceleration with which the hands are known to jump.
         """
         self._scene, self._dt = scene, dt
-        self._motion = Motion(scene, dt, haste)
+        self._motion = MotionPlanner(scene, dt, scene.hand.jump_times.hurried(haste))
         self._fingers = OnlineFingering(players, _MOMENTS)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
         self._seen = 0
         self._lifted: dict[tuple[int, int], int] = {}  # finger and key, and since when
         self._blas = ThreadpoolController()
-        self._plan = self._motion.at_rest(hand_qpos, 0)  # from its first step on, as what follows
-        self._found: Found | None = None
+        self._plan = self._motion.still(hand_qpos, 0)  # from its first step on, as what follows
+        self._found: PostureTrajectory | None = None
 
     def look(self, step: int, keys: NDArray[np.bool_], tips: Array) -> NominalTrajectory:
         """The plan of what is in sight at a step; its first step is this one.
@@ -93,22 +97,20 @@ class InSight:
         )
         presses = self._motion.presses(self._asked(step, past, concern))
         if self._found is None:
-            before, known, effort = self._plan, None, THOROUGH
+            before, warm_start, effort = self._plan, None, THOROUGH
         else:
             before = self._plan.part(0, 1)
             presses = self._again(presses, step, past, tips, before.fingertips[1])
             effort = _FREED if self._lifted else _IMPROVED  # what is lifted has far to go
-            known = self._found.improved[2:]
-            known = np.concatenate([known, known[-1:]])  # as far as is planned now
+            warm_start = self._found.correction[2:]
+            warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `nominal_plans`
-            found = self._motion.found(
-                before, presses, past, past + ahead, known=known, effort=effort
+            found = self._motion.solve(
+                before, presses, past, past + ahead, warm_start=warm_start, effort=effort
             )
-            plan = self._motion.led_along(before, presses, found.part(led + 1), played=1)
-        presses = [
-            press._replace(first=press.first - past, last=press.last - past) for press in presses
-        ]
-        self._found, self._plan = found, plan._replace(presses=presses)
+            presses = [press.moved(-past) for press in presses]
+            self._plan = self._motion.track(before, presses, found.part(led + 1), played=1)
+        self._found = found
         return self._plan
 
     def _again(

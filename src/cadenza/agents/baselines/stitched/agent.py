@@ -12,22 +12,13 @@ from cadenza.agents.agent import Array, PlannerPerEnv, Progress
 from cadenza.agents.baselines.stitched.motions import Motions
 from cadenza.agents.baselines.stitched.stitching import stitched
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
-from cadenza.agents.planner.plan.inverse_kinematics import rest_posture
-from cadenza.agents.planner.plan.nominal_trajectory import (
-    NominalTrajectory,
-    controls_along,
-    forearm_places,
-)
-from cadenza.agents.planner.plan.presses import RISE, Press, presses_of
-from cadenza.agents.planner.plan.release_times import let_go_in_time
+from cadenza.agents.planner.plan.nominal_trajectory import MotionPlanner, PostureTrajectory
+from cadenza.agents.planner.plan.presses import RISE
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.errors import CadenzaError
-from cadenza.fingers import NO_FINGER
-from cadenza.hands.hand import Hand
-from cadenza.music.goals import Goals
-from cadenza.scene.kinematics import Kinematics
-from cadenza.scene.scene import Scene, build_scene, hand_alone
-from cadenza.scene.servos import Reaction, Servos, servos_of
+from cadenza.hands.reach import JumpTimes
+from cadenza.scene.scene import build_scene, hand_alone
+from cadenza.scene.servos import servos_of
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
@@ -88,47 +79,24 @@ def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
             "agent stitched moves hands along the keyboard, which these cannot: "
             "add tx to --forearm-dofs, or choose another agent"
         )
-    kinematics = Kinematics(scene, servos)
-    presses = _presses(scene, servos, kinematics, goals, dt)
-    here, states = start @ servos.of_joints, goals.num_steps + 1
-    postures = np.empty((states, len(here)))
+    planner = MotionPlanner(scene, dt, _unhurried(scene.hand.jump_times))
+    presses = planner.presses(planner.fingers_for(goals.keys, goals.fingers))
+    before, states = planner.still(start, 0), goals.num_steps + 1
+    postures = np.empty((states, len(servos.names)))
     for side in scene.sides:
         hand = hand_alone(scene, side)
         mine = [press for press in presses if press.side == side]
         motions = Motions(hand.scene, dt, progress)
-        postures[:, hand.servos] = stitched(mine, motions, here[hand.servos], states)
+        postures[:, hand.servos] = stitched(mine, motions, before.postures[0, hand.servos], states)
     targets = targets_of(scene, presses, states, dt)
     for press in presses:
         if not scene.keyboard.is_black[press.key]:
             targets.force[press.first : press.last, press.finger] *= _FIRMLY
-    at_rest = np.stack([here, np.zeros_like(here)], axis=1)
-    fingertips, tracking = controls_along(
-        scene,
-        kinematics,
-        servos,
-        Reaction(scene, servos),
-        targets,
-        postures,
-        postures[:0],
-        at_rest,
-        dt,
-    )
-    return SongPlan(scene, track, goals, NominalTrajectory(presses, postures, fingertips, tracking))
+    found = PostureTrajectory(postures, postures, targets)
+    return SongPlan(scene, track, goals, planner.track(before, presses, found))
 
 
-def _presses(
-    scene: Scene, servos: Servos, kinematics: Kinematics, goals: Goals, dt: float
-) -> list[Press]:
-    """What hands hold when, which take their time to get from key to key."""
-    fingers = np.where(scene.has_fingers(goals.fingers), goals.fingers, np.int8(NO_FINGER))
-    places = forearm_places(scene, kinematics, rest_posture(servos))
-    wanted = presses_of(goals.keys, fingers, scene.fingers)
-    is_black = scene.keyboard.is_black
-    return let_go_in_time(wanted, places, is_black, dt, _unhurried(scene.hand))
-
-
-def _unhurried(hand: Hand) -> Hand:
-    slower = hand.jump_times.hurried(_UNHURRIED)
-    near = _NEAR * slower.within_reach
+def _unhurried(times: JumpTimes) -> JumpTimes:
+    slower = times.hurried(_UNHURRIED)
     # Onto black keys no sooner: that has cost more than it gained.
-    return replace(hand, jump_times=replace(slower, within_reach=near, climb=RISE))
+    return replace(slower, within_reach=_NEAR * slower.within_reach, climb=RISE)

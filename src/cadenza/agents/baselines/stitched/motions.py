@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.plan.fingertip_targets import Targets, targets_of
-from cadenza.agents.planner.plan.inverse_kinematics import rest_posture, solve_postures
-from cadenza.agents.planner.plan.nominal_trajectory import forearm_places
+from cadenza.agents.planner.plan.inverse_kinematics import solve_postures
 from cadenza.agents.planner.plan.presses import Press
+from cadenza.agents.planner.plan.rest_poses import forearm_places, rest_posture
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
@@ -72,7 +72,7 @@ class Motions:
         self._servos = servos_of(scene)
         self._kinematics = Kinematics(scene, self._servos)
         self._rest = rest_posture(self._servos)
-        self._places = forearm_places(scene, self._kinematics, self._rest)
+        self._places = forearm_places(scene, self._kinematics, self._servos)
         (self._side,) = scene.sides
         (self._slide,) = self._servos.along_keyboard
         self.before, self.after = steps_in(_BEFORE, dt), steps_in(_AFTER, dt)

@@ -68,7 +68,7 @@ def by_hand(rows: Array, hands: int) -> Array:
     return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
 
 
-def pressing(sinking: Array, force: Array) -> Array:
+def pressing_forces(sinking: Array, force: Array) -> Array:
     """(S, H, A) the force along each servo's coordinate that presses keys.
 
     Args:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, lapack
 
 from cadenza.agents.agent import Progress, silent
-from cadenza.agents.planner.plan.fingertip_targets import Targets, by_hand, pressing
+from cadenza.agents.planner.plan.fingertip_targets import Targets, by_hand, pressing_forces
 from cadenza.agents.planner.plan.kinematic_terms import (
     ForearmsApart,
     HandLinksApart,
@@ -67,12 +67,6 @@ class Effort(NamedTuple):
 
 
 THOROUGH = Effort(max_iterations=25, max_trials=8, tolerance=1e-3, damping=1.0)
-
-
-def rest_posture(servos: Servos) -> Array:
-    """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
-    rest = np.array([use.rest for use in servos.uses])
-    return servos.clip(rest)
 
 
 def solve_postures(
@@ -302,7 +296,7 @@ class PostureProblem:
             gradient[some] = (residual[:, :, None] @ jacobian)[:, :, 0]
             blocks[some] = jacobian.swapaxes(2, 3) @ jacobian
             force = self._force[rows[some]]
-            pressed[some] = pressing(links.tips[:, :, :, 2], force) * self._motion.per_force
+            pressed[some] = pressing_forces(links.tips[:, :, :, 2], force) * self._motion.per_force
             near = np.flatnonzero(sum(term.near(posed) for term in self._between_hands))
             if not len(near):
                 continue

@@ -37,6 +37,10 @@ class Press(NamedTuple):
     later: int = 0
     """So many states later than usual the hand lets go of what is before it, to be in time."""
 
+    def moved(self, states: int) -> Press:
+        """The same press, so many states later."""
+        return self._replace(first=self.first + states, last=self.last + states)
+
 
 def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Fingers) -> list[Press]:
     """The presses that goals ask for, by time.

@@ -20,7 +20,7 @@ _LEAST = 0.05  # [s] that a press lasts
 _HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
 
 
-def let_go_in_time(
+def release_in_time(
     presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
 ) -> list[Press]:
     """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
@@ -39,8 +39,8 @@ def let_go_in_time(
     if not presses:
         return []
     line = _TimeLine(presses, places, is_black, dt, hand)
-    line.let_hand_go()
-    line.let_fingers_go()
+    line.release_for_jumps()
+    line.release_for_other_keys()
     result = list(presses)
     for i, last, flies_off, flies_to in line.rows():
         before = presses[i]
@@ -79,7 +79,7 @@ class _TimeLine:
         self._sizes = np.diff(self._heads, append=len(rows))
         self._begins, self._later = self._first[self._heads], later[self._heads]
 
-    def let_hand_go(self) -> None:
+    def release_for_jumps(self) -> None:
         """Where the hand is to strike what it does not reach from there."""
         heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
         until = np.maximum.reduceat(self._last, heads) + self._ahead
@@ -111,7 +111,7 @@ class _TimeLine:
         """So many control steps, or as many as it takes."""
         return np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
 
-    def let_fingers_go(self) -> None:
+    def release_for_other_keys(self) -> None:
         """Where the same finger presses another key next."""
         order = np.lexsort((self._key, self._first, self._number))
         press, following = order[:-1], order[1:]

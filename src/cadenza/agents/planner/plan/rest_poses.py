@@ -1,4 +1,4 @@
-"""Postures of hands at rest, anywhere along the keyboard: where inverse kinematics begins."""
+"""Hands at rest, all fingers over neighbouring white keys, anywhere along the keyboard."""
 
 from __future__ import annotations
 
@@ -12,40 +12,59 @@ from cadenza.scene.servos import Servos
 
 Array = NDArray[np.float64]
 
-_SPACING = 0.03  # [m] between places for which an arm's posture is computed
+# Inverse kinematics of arms.
+_SPACING = 0.03  # [m] between places for which a posture is computed
 _ITERATIONS = 6
-_NEAR = 1e-4  # what a radian from the posture beside it weighs, against a metre of a point's way
+_NEAR_BEFORE = 1e-4  # [m^2/rad^2] weight of the distance from the posture beside it
+
+
+def rest_posture(servos: Servos) -> Array:
+    """(A,) all fingers over neighbouring white keys, the forearms where they are mounted."""
+    return servos.clip(np.array([use.rest for use in servos.uses]))
+
+
+def forearm_places(scene: Scene, kinematics: Kinematics, servos: Servos) -> Array:
+    """(K, F) where a forearm is when one of its fingers presses a key at rest, from its mount [m].
+
+    Fingers that are not in the scene count as those at 0.
+    """
+    rest_y = np.zeros(scene.fingers.count)
+    tips, _ = kinematics.fingertips(rest_posture(servos)[None])
+    rest_y[scene.fingers_there] = tips[0, :, 1]
+    return scene.keyboard.centre[:, 1, None] - rest_y
 
 
 class RestPoses:
-    """The hands of a scene, all fingers over neighbouring white keys.
+    """The hands of a scene at rest.
 
     Places of a hand are counted from that of its rest posture, to the player's right [m].
     """
 
-    def __init__(self, scene: Scene, kinematics: Kinematics, servos: Servos, rest: Array) -> None:
+    def __init__(self, scene: Scene, kinematics: Kinematics, servos: Servos) -> None:
         """Args:
         scene: with one hand or two.
         kinematics: of the scene.
         servos: of the scene.
-        rest: (A,) the rest posture.
         """
-        self._scene, self._kinematics, self._servos, self._rest = scene, kinematics, servos, rest
-        self._points = kinematics.points(rest[None])[0]
+        self._scene, self._kinematics, self._servos = scene, kinematics, servos
+        self._rest = rest_posture(servos)
+        self._points = kinematics.points(self._rest[None])[0]
         slides = servos.along_keyboard
         self._slides = dict(zip(scene.sides, slides, strict=bool(slides)))
-        self._of_arms = {} if scene.hand.body.mount is None else self._computed()
+        self._of_arms = {} if scene.hand.body.mount is None else self._arm_postures()
 
-    def stand(self, postures: Array, side: Side, places: Array) -> None:
-        """Puts the hand of one side at `places` (S,) into its rows of `postures` (S, A)."""
-        servos = self._servos
-        if side in self._of_arms:
-            known, there = self._of_arms[side]
-            for servo in np.flatnonzero(np.ptp(there, axis=0)):
-                postures[:, servo] = np.interp(places, known, there[:, servo])
-        elif side in self._slides:
-            slide = self._slides[side]
-            postures[:, slide] = np.clip(places, servos.low[slide], servos.high[slide])
+    def at(self, places: dict[Side, Array], num_states: int) -> Array:
+        """Postures (S, A) of hands at places (S,); those without any are where they are mounted."""
+        servos, postures = self._servos, np.tile(self._rest, (num_states, 1))
+        for side, wanted in places.items():
+            if side in self._of_arms:
+                known, there = self._of_arms[side]
+                for servo in np.flatnonzero(np.ptp(there, axis=0)):
+                    postures[:, servo] = np.interp(wanted, known, there[:, servo])
+            elif side in self._slides:
+                slide = self._slides[side]
+                postures[:, slide] = np.clip(wanted, servos.low[slide], servos.high[slide])
+        return postures
 
     def place(self, posture: Array, side: Side) -> float:
         """About where the hand of one side is in a posture (A,)."""
@@ -54,7 +73,7 @@ class RestPoses:
         moved = self._kinematics.points(posture[None])[0] - self._points
         return float(moved[self._scene.fingertips_on(side), 0, 1].mean())
 
-    def _computed(self) -> dict[Side, tuple[Array, Array]]:
+    def _arm_postures(self) -> dict[Side, tuple[Array, Array]]:
         """Side -> places (N,) of the hand that an arm brings it to, and postures (N, A)."""
         mount = self._scene.hand.body.mount
         assert mount is not None
@@ -62,39 +81,42 @@ class RestPoses:
         for side in self._scene.sides:
             sign = 1.0 if side == "right" else -1.0
             ends = sorted(sign * (end - mount.home) for end in (mount.low, mount.high))
-            down, up = (self._on_the_way(side, end) for end in ends)
+            down, up = (self._postures_towards(side, end) for end in ends)
             places = [-_SPACING * i for i in range(len(down) - 1, 0, -1)]
             places += [_SPACING * i for i in range(len(up))]
             found[side] = np.array(places), np.stack([*down[:0:-1], *up])
         return found
 
-    def _on_the_way(self, side: Side, end: float) -> list[Array]:
-        """Postures from rest on, `_SPACING` apart, as far as the arm reaches."""
+    def _postures_towards(self, side: Side, end: float) -> list[Array]:
+        """Postures from rest to the place `end`, `_SPACING` apart."""
         steps = int(np.ceil(abs(end) / _SPACING))
         postures = [self._rest]
         for i in range(1, steps + 1):
-            postures.append(self._moved(side, postures[-1], np.copysign(_SPACING * i, end)))
+            postures.append(self._posture_at(side, np.copysign(_SPACING * i, end), postures[-1]))
         return postures
 
-    def _moved(self, side: Side, near: Array, place: float) -> Array:
-        """The posture nearest to `near` in which all points of a hand have moved by `place`."""
+    def _posture_at(self, side: Side, place: float, before: Array) -> Array:
+        """The posture nearest to the one `before` in which a hand is at a place, as at rest.
+
+        Gauss-Newton over the servos of the arm; the fingers stay.
+        """
         scene, servos = self._scene, self._servos
         mine = scene.fingertips_on(side)
         own = range(len(servos.names))[scene.servos_on(side)]
         arm = [a for a in own if servos.finger[a] < 0]
         finger, link, axis = np.indices(self._points[mine].shape).reshape(3, -1)
         finger += mine.start
-        goal, posture = self._points[finger, link], near.copy()
+        goal, posture = self._points[finger, link], before.copy()
         goal[:, 1] += place
         directions = np.eye(3)[axis]
         for _ in range(_ITERATIONS):
             links = self._kinematics.links(posture[None])
             points = links.points.reshape(self._points.shape)[finger, link]
-            error = ((goal - points) * directions).sum(axis=1)
-            slope = links.along(np.zeros_like(finger), finger, link, points, directions)
-            slope = slope[:, np.array(arm) - own.start]
-            normal = slope.T @ slope + _NEAR * np.eye(len(arm))
-            pull = slope.T @ error + _NEAR * (near - posture)[arm]
-            posture[arm] += np.linalg.solve(normal, pull)
+            residual = ((goal - points) * directions).sum(axis=1)
+            jacobian = links.along(np.zeros_like(finger), finger, link, points, directions)
+            jacobian = jacobian[:, np.array(arm) - own.start]
+            normal = jacobian.T @ jacobian + _NEAR_BEFORE * np.eye(len(arm))
+            gradient = jacobian.T @ residual + _NEAR_BEFORE * (before - posture)[arm]
+            posture[arm] += np.linalg.solve(normal, gradient)
             posture = servos.clip(posture)
         return posture
