@@ -1,4 +1,4 @@
-"""Where the fingertips have to be when: boxes in space that they keep to."""
+"""Targets of fingertips over time: boxes in space that they keep to."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ _OVER_KEYS = (-0.04, 0.066)  # idle ones
 
 _TOLERANCE = np.array([0.003, 0.001])  # [m] along the key, across it
 _DEEP = 0.0015  # [m] below where the key stops
-_HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is pressed next
+_HOVER, _HOVER_ROOM = 0.006, 0.006  # [m] above a key that is about to be pressed
+_APPROACH_HOVER = 0.01  # [m] above it before that
 _LIFTED = 0.008  # [m] above a key that was let go, and above all keys for an idle finger
 _APPROACH = 0.2  # [s] before a press in which its finger gets over the key
 _READY = 0.05  # [s] of them in which it is just above it
@@ -36,7 +37,7 @@ _FORCE_MARGIN = 1.6
 _STRIKE = 1.5
 _STRIKING = 0.05  # [s]
 
-# What a box is worth: the distance from it [m] that counts as one standard deviation.
+# The weight of a box: the distance from it [m] that counts as one standard deviation.
 _X_ON_BLACK = 0.5  # times as far on black keys, in front of which a fingertip is caught
 # Closely along it as well: friction holds a fingertip that is to slide, and the hand is late.
 _AT_KEY = np.array([0.003, 0.0015, 0.001])
@@ -47,14 +48,14 @@ _BEFORE_LANDING_ON_BLACK = np.array([2.0, 2.0, 1.0])  # just before
 
 
 class Targets(NamedTuple):
-    """Boxes for the fingertips in S states, (S, F, 3) each, and what they press with."""
+    """Boxes for F fingertips in S states, (S, F, 3) each, and the forces that they press with."""
 
     low: Array
     high: Array
     sigma: Array
-    """Distances from the box that count as one [m]."""
+    """Distances from the box that count as one standard deviation [m]."""
     wall: Array
-    """(S, F) nearest to the player that black keys are: the least x [m]."""
+    """(S, F) least x of a tip that presses a white key: there, black keys begin [m]."""
     force: Array
     """(S, F) downwards [N]."""
 
@@ -64,12 +65,12 @@ class Targets(NamedTuple):
 
 
 def by_hand(rows: Array, hands: int) -> Array:
-    """(N, H, X, ...) of rows (N, H X, ...), in which what belongs to a hand stands together."""
+    """(N, H, X, ...) of rows (N, H X, ...), in which values of a hand stand together."""
     return rows.reshape(len(rows), hands, -1, *rows.shape[2:])
 
 
 def pressing_forces(sinking: Array, force: Array) -> Array:
-    """(S, H, A) the force along each servo's coordinate that presses keys.
+    """(S, H, A) the force along each servo's coordinate that presses keys, by virtual work.
 
     Args:
         sinking: (S, H, F, A) how the heights of a hand's fingertips change with its coordinates.
@@ -79,19 +80,19 @@ def pressing_forces(sinking: Array, force: Array) -> Array:
 
 
 def targets_of(scene: Scene, presses: Sequence[Press], num_states: int, dt: float) -> Targets:
-    """Where `presses` want the fingertips of a scene's hands; idle ones stay above all keys.
+    """Targets of the fingertips of a scene's hands for `presses`, in states `dt` [s] apart.
 
-    States are `dt` [s] apart.
+    Idle fingers stay above all keys.
     """
-    return _Writer(scene, num_states, dt).write(presses)
+    return _TargetWriter(scene, num_states, dt).write(presses)
 
 
-class _Writer:
+class _TargetWriter:
     """Writes presses into targets that begin with all fingers idle."""
 
     def __init__(self, scene: Scene, num_states: int, dt: float) -> None:
-        self._dt, self._keyboard, figures = dt, scene.keyboard, _figures(scene)
-        self._radius, self._on_white, self._walls, self._above_all = figures
+        self._dt, self._keyboard, geometry = dt, scene.keyboard, _finger_geometry(scene)
+        self._radius, self._on_white, self._walls, self._above_all = geometry
         shape = (num_states, len(self._radius), 3)
         low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
         low[:, :, 0], high[:, :, 0] = _OVER_KEYS
@@ -100,22 +101,23 @@ class _Writer:
         self._targets = Targets(low, high, sigma, np.full(shape[:2], -np.inf), np.zeros(shape[:2]))
 
     def write(self, presses: Sequence[Press]) -> Targets:
+        """The targets."""
         if presses:
-            some = _Presses.of(presses, len(self._targets.low))
+            some = _PressArrays.of(presses, len(self._targets.low))
             over = self._at(some, np.zeros(len(presses)))
             self._hold(some)
             self._let_go(some, over)
             self._approach(some, over)
         return self._targets
 
-    def _approach(self, some: _Presses, over: Array) -> None:
+    def _approach(self, some: _PressArrays, over: Array) -> None:
         """Over the key, the nearer in time the more closely, and low when it is ready."""
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
         risen = some.before + steps_in(RISE, self._dt)
         which, states = self._spread(np.maximum(some.first - approach, risen), some.first)
         ahead, height = some.first[which] - states, over[which, 2]
         is_ready = ahead <= ready
-        low = height + np.where(is_ready, _HOVER, _HOVER + 0.004)
+        low = height + np.where(is_ready, _HOVER, _APPROACH_HOVER)
         high = np.where(is_ready, height + _HOVER + _HOVER_ROOM, np.inf)
         from_above = some.from_above[which] & ~is_ready
         above_all = self._above_all[some.finger[which]]
@@ -127,7 +129,7 @@ class _Writer:
         sigma[flies & ~lands] *= _IN_FLIGHT
         self._box(some, which, states, over, (low, high), sigma)
 
-    def _hold(self, some: _Presses) -> None:
+    def _hold(self, some: _PressArrays) -> None:
         keyboard, key = self._keyboard, some.key
         at = self._at(some, keyboard.travel[key])
         which, states = self._spread(some.first, some.last)
@@ -139,7 +141,7 @@ class _Writer:
         force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
         self._targets.force[states, some.finger[which]] = force
 
-    def _let_go(self, some: _Presses, over: Array) -> None:
+    def _let_go(self, some: _PressArrays, over: Array) -> None:
         """Straight up, or it would drag along the key; in a jump just up."""
         risen = some.last + steps_in(RISE, self._dt)
         which, states = self._spread(some.last, np.minimum(risen, some.until))
@@ -157,7 +159,7 @@ class _Writer:
 
     def _box(
         self,
-        some: _Presses,
+        some: _PressArrays,
         which: Ids,
         states: Ids,
         at: Array,
@@ -176,7 +178,7 @@ class _Writer:
         targets.sigma[states, finger] = sigma
         targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
 
-    def _at(self, some: _Presses, angle: Array) -> Array:
+    def _at(self, some: _PressArrays, angle: Array) -> Array:
         """(P, 3) where fingertips touch the keys when those are down by `angle` (P,) [rad]."""
         keyboard, key = self._keyboard, some.key
         centre, half = keyboard.centre[key], keyboard.half_size[key]
@@ -188,47 +190,47 @@ class _Writer:
         return np.column_stack([x, centre[:, 1], height])
 
 
-class _Figures(NamedTuple):
-    """Of F fingers, (F,) each [m]."""
+class _FingerGeometry(NamedTuple):
+    """Lengths of F fingers, (F,) each [m]."""
 
     radius: Array
-    """Of their tips."""
+    """Radius of the tip."""
     on_white: Array
-    """Where they press white keys, from the middle of those towards the player."""
+    """Place on white keys that the finger presses, from their middle towards the player."""
     walls: Array
-    """How near they come to black keys, likewise."""
+    """Place on white keys up to which black keys leave room, likewise."""
     above_all: Array
-    """The height in which they are above all keys."""
+    """Height of the tip above all keys."""
 
 
 @lru_cache(maxsize=8)  # short plans ask again and again
-def _figures(scene: Scene) -> _Figures:
+def _finger_geometry(scene: Scene) -> _FingerGeometry:
     fingers, black = scene.hand.fingers * len(SIDES), scene.keyboard.black
     radius = np.array([finger.tip_radius for finger in fingers])
     # To the micrometre: the sum must not depend on how its parts are written.
     front = black.centre_x + black.half_size[0]
     walls = np.round(front + np.maximum(_BEFORE_BLACK, radius + _BESIDE_BLACK), 6)
     on_white = np.array([finger.on_white for finger in fingers])
-    return _Figures(radius, on_white, walls, black.top + _LIFTED + radius)
+    return _FingerGeometry(radius, on_white, walls, black.top + _LIFTED + radius)
 
 
-class _Presses(NamedTuple):
-    """P presses, each (P,)."""
+class _PressArrays(NamedTuple):
+    """P presses as arrays (P,)."""
 
     finger: Ids
     key: Ids
     first: Ids
     last: Ids
     before: Ids
-    """Until when the finger holds another key."""
+    """State up to which the finger holds the key before."""
     until: Ids
-    """Where it holds the next one."""
+    """State from which on it holds the next one."""
     flies_off: NDArray[np.bool_]
     flies_to: NDArray[np.bool_]
     from_above: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, presses: Sequence[Press], num_states: int) -> _Presses:
+    def of(cls, presses: Sequence[Press], num_states: int) -> _PressArrays:
         before, until = np.zeros(len(presses), np.intp), np.full(len(presses), num_states)
         earlier: dict[int, int] = {}
         for i, press in enumerate(presses):

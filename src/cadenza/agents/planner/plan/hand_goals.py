@@ -1,4 +1,4 @@
-"""What one hand has to do of a plan, step by step."""
+"""Goals of one hand in a plan, step by step."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from cadenza.music.metrics import ONSET_TOLERANCE
 Mask = NDArray[np.bool_]
 
 ABOUT_TO_PRESS = 0.1  # [s] before a press
-ASTRAY = 3000.0  # [1 / m^2] squared distance of a playing fingertip from where it should be
-_IDLE_ASTRAY = 200.0
+ASTRAY = 3000.0  # [1 / m^2] weight of a playing fingertip's squared distance from the plan
+_IDLE_ASTRAY = 200.0  # [1 / m^2] the same of an idle one, which only has to be out of the way
 _LEAVING = 0.1  # [s] that a hand needs to leave a key of the other's
+_ROUNDING = 1e-9  # so that a whole number of steps counts as such
 
 
 class HandGoals:
-    """What one hand has to do over T steps, of which the first P are planned.
+    """Goals of one hand over T steps, of which the first P are planned.
 
     Attributes:
         mine: (T, K) keys that this hand should hold down.
@@ -68,18 +69,18 @@ class HandGoals:
         self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
 
     def holding(self, sounding: Mask) -> HandGoals:
-        """The same, of a plan that holds those keys (T, K), as far as they are of this hand."""
+        """The same goals, of a plan that holds those of this hand's keys that are `sounding` (T, K)."""
         part = copy(self)
         part.planned = self.mine & sounding
         return part
 
 
 def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
-    """(T, K) where a note of `keys` (T, K) begins in time for the last time; elsewhere -1.
+    """(T, K) the last step in which a note of `keys` (T, K) still begins in time; elsewhere -1.
 
-    What stands there is how many control steps of `dt` [s] that is after the note's first one. A
-    note is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two
-    steps before may have been struck again, so that it begins a step late at best.
+    The value is the number of control steps of `dt` [s] from the note's first one to there. A note
+    is in time as `cadenza.music.metrics` counts onsets, or sooner: one whose key was down two steps
+    before may have been struck again, so that it begins a step late at best.
     """
     first, steps = first_steps(keys), _steps_in_time(dt)
     again, sooner = first & later(keys, 2), max(steps - 1, 0)
@@ -89,7 +90,7 @@ def last_in_time(keys: Mask, dt: float) -> NDArray[np.int8]:
 
 
 def may_begin(keys: Mask, dt: float) -> Mask:
-    """(T, K) where notes of `keys` (T, K) may begin: on their first control step, or a little late.
+    """(T, K) steps in which notes of `keys` (T, K) may begin: their first one, or a little late.
 
     `dt` is the control step [s].
     """
@@ -103,9 +104,10 @@ def first_steps(keys: Mask) -> Mask:
 
 
 def _steps_in_time(dt: float) -> int:
-    return int(ONSET_TOLERANCE / dt + 1e-9)
+    """Control steps of `dt` [s] by which an onset may be late."""
+    return int(ONSET_TOLERANCE / dt + _ROUNDING)
 
 
 def later(keys: Mask, steps: int) -> Mask:
-    """(T, K) `keys` (T, K), so many steps later."""
+    """The same keys (T, K), so many steps later."""
     return np.pad(keys, ((steps, 0), (0, 0)))[: len(keys)]

@@ -1,4 +1,4 @@
-"""Keeps fingers out of each other: where and how far their links overlap."""
+"""Collisions of fingers: where and how far their links, which are capsules, overlap."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 _CLEARANCE = 0.0015  # [m]
-_POINT = 1e-12  # [m^2] no link is shorter, squared
+_POINT = 1e-12  # [m^2] least squared length of a link, so that nothing is divided by 0
+_TOUCHING = 1e-9  # [m] least distance, likewise
 
 
 class Overlaps(NamedTuple):
-    """M times that two links are nearer to each other than allowed: the first and the second."""
+    """M overlaps of two links, the first and the second, which are nearer than allowed."""
 
     row: Ids
-    """(M,) in which of N postures."""
+    """(M,) the posture, of N."""
     pair: Ids
-    """(M,) which pair of links."""
+    """(M,) the pair of links."""
     depth: Array
-    """(M,) by how much, as negative lengths [m]."""
+    """(M,) how much nearer they are than allowed, as negative lengths [m]."""
     finger: Ids
-    """(2, M) on which the links are."""
+    """(2, M) the fingers of the links."""
     link: Ids
-    """(2, M) of the finger."""
+    """(2, M) the number of each link on its finger."""
     at: Array
-    """(2, M, 3) where they are nearest to each other [m]."""
+    """(2, M, 3) the points of both that are nearest to each other [m]."""
     away: Array
     """(2, M, 3) the directions away from each other."""
 
     @property
     def columns(self) -> tuple[int, Ids]:
-        """How many different pairs these are, and (M,) which of them."""
+        """The number of different pairs, and (M,) which of these each overlap is of."""
         met = np.bincount(self.pair) > 0
         return int(np.count_nonzero(met)), (met.cumsum() - 1)[self.pair]
 
@@ -61,7 +62,7 @@ class LinkPairs:
         self.min_distance = least.astype(np.float32)  # of any precision
 
     def overlaps(self, points: Array) -> Overlaps:
-        """Those of fingers in N postures; points are (N, F, P, 3) [m], see `Kinematics`."""
+        """The overlaps in N postures of fingers with points (N, F, P, 3) [m], see `Kinematics`."""
         count, fingers, each, _ = points.shape
         in_a_row = points.reshape(count, fingers * each, 3)
         begin, end = np.moveaxis(in_a_row.take(self._ends, axis=1), 0, 2)  # (2, N, C, 3)
@@ -69,7 +70,7 @@ class LinkPairs:
         share = _closest(begin[0] - begin[1], *along)
         at = begin + share[..., None] * along
         gap = at[0] - at[1]
-        distance = np.sqrt(np.vecdot(gap, gap)) + 1e-9
+        distance = np.sqrt(np.vecdot(gap, gap)) + _TOUCHING
         depth = distance - self.min_distance
         row, pair = np.nonzero(depth < 0.0)
         away = gap[row, pair] / distance[row, pair, None]
@@ -129,7 +130,7 @@ link_collisions = lru_cache(maxsize=8)(LinkCollisions)  # plans that are short a
 
 
 def _closest(between: Array, along_a: Array, along_b: Array) -> Array:
-    """(2, ...) where segments are nearest to each other, as fractions of their lengths.
+    """(2, ...) the points of segments that are nearest to each other, as shares of their lengths.
 
     Ericson, Real-Time Collision Detection (2005), 5.1.9; parallel ones anywhere.
 

@@ -1,4 +1,4 @@
-"""Which finger holds which key down when."""
+"""Presses: a finger holds a key down for some time."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ def presses_of(keys: NDArray[np.bool_], fingers: NDArray[np.int8], hands: Finger
 def steps_between(
     key: Key, other: Key, is_black: NDArray[np.bool_], times: JumpTimes, dt: float
 ) -> Ids:
-    """How many control steps of `dt` [s] a finger takes from one key to another.
+    """Control steps of `dt` [s] that a finger takes from one key to another.
 
     Args:
-        key: that it lets go, or several (N,).
-        other: that it presses next, or several (N,).
+        key: the key that it lets go, or several (N,).
+        other: the key that it presses next, or several (N,).
         is_black: (K,) whether the keys are.
         times: of the hand.
         dt: control step [s].

@@ -1,4 +1,4 @@
-"""Lets go of keys in time to be elsewhere, as far as the hands can be there."""
+"""Release times: keys are let go in time for what hand and finger press next."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
 _FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
-_LEAST = 0.05  # [s] that a press lasts
-_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
+_MIN_LENGTH = 0.05  # [s] that a press lasts
+_MIN_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
 
 
 def release_in_time(
     presses: list[Press], places: Array, is_black: Mask, dt: float, hand: Hand
 ) -> list[Press]:
-    """The presses, cut short where finger or hand must be elsewhere soon after, and jumps marked.
+    """Cuts presses short where finger or hand must be elsewhere soon after, and marks jumps.
 
-    A press keeps `_LEAST`. One that the hand can hold together with all that it strikes is not
-    cut.
+    A press lasts `_MIN_LENGTH` at least. One that the hand can hold together with all that it
+    strikes is not cut.
 
     Args:
         presses: by time, those that begin together by key.
@@ -61,12 +61,12 @@ class _TimeLine:
         self._dt, self._is_black = dt, is_black
         self._reach, self._times = hand.reach, hand.jump_times
         widest = self._times.seconds(np.ptp(places), 2, 2)
-        self._ahead, self._least = self._steps(widest), steps_in(_LEAST, dt)
+        self._ahead, self._least = self._steps(widest), steps_in(_MIN_LENGTH, dt)
         rows = np.array([(p.finger, p.key, p.first, p.last, p.later) for p in presses])
         left = rows[:, 0] >= len(hand.fingers)
-        self._of = np.argsort(left, kind="stable")
-        self._number, self._key, first, last, later = rows[self._of].T
-        left = left[self._of]
+        self._index = np.argsort(left, kind="stable")
+        self._number, self._key, first, last, later = rows[self._index].T
+        left = left[self._index]
         self._since = left * (last.max() + self._ahead + 1)  # where the line of a hand begins
         self._first, self._last = first + self._since, last + self._since
         self._place = places[self._key, self._number]
@@ -80,7 +80,7 @@ class _TimeLine:
         self._begins, self._later = self._first[self._heads], later[self._heads]
 
     def release_for_jumps(self) -> None:
-        """Where the hand is to strike what it does not reach from there."""
+        """Cuts presses where the hand is to strike what it does not reach from there."""
         heads, chord, begins, sizes = self._heads, self._chord, self._begins, self._sizes
         until = np.maximum.reduceat(self._last, heads) + self._ahead
         ends = np.append(heads, len(chord))
@@ -108,11 +108,11 @@ class _TimeLine:
         np.minimum.at(self._last, press[too_late], in_time[too_late])
 
     def _steps(self, seconds: Array) -> Ids:
-        """So many control steps, or as many as it takes."""
+        """Control steps that last `seconds` at least."""
         return np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
 
     def release_for_other_keys(self) -> None:
-        """Where the same finger presses another key next."""
+        """Cuts presses whose finger presses another key next."""
         order = np.lexsort((self._key, self._first, self._number))
         press, following = order[:-1], order[1:]
         moves = self._number[press] == self._number[following]
@@ -122,13 +122,13 @@ class _TimeLine:
         rise, later = steps_in(RISE, self._dt), self._later[self._chord[following]]
         key, other = self._key[press], self._key[following]
         steps = steps_between(key, other, self._is_black, self._times, self._dt)
-        spare = begins - first - steps_in(_HEARD, self._dt)
+        spare = begins - first - steps_in(_MIN_HEARD, self._dt)
         risen = begins - np.maximum(np.minimum(spare, steps - later), rise)
         in_time = np.maximum(risen, first + self._least)
         self._last[press] = np.minimum(self._last[press], in_time)
 
     def rows(self) -> Iterator[tuple[int, int, bool, bool]]:
-        """Of each press: which it is, the end of it, and whether the hand flies off it, and to it.
+        """Each press: its index, its end, and whether the hand flies off it, and to it.
 
         A hand flies between presses at most `_FLIGHT` apart and beyond reach; to single keys only.
         """
@@ -139,12 +139,12 @@ class _TimeLine:
         left, reached = (np.zeros(len(first), bool) for _ in range(2))
         left[press[far]], reached[other[far]] = True, True
         reached &= self._sizes[self._chord] == 1
-        columns = self._of, last - self._since, left, reached
+        columns = self._index, last - self._since, left, reached
         return zip(*(column.tolist() for column in columns), strict=True)
 
 
 def _pairs(first: Ids, last: Ids) -> tuple[Ids, Ids]:
-    """All i and j with first[i] <= j < last[i], (N,) each, by i."""
+    """All pairs i and j with first[i] <= j < last[i], (N,) each, by i."""
     counts = last - first
     i = np.repeat(np.arange(len(counts)), counts)
     return i, np.arange(len(i)) + (first - np.cumsum(counts) + counts)[i]

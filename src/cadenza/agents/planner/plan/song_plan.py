@@ -1,4 +1,4 @@
-"""What all that plan a song begin with: its fingers, its goals, and the nominal plan."""
+"""The plan of a song: its fingers, its goals, and the nominal trajectory."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class SongPlan(NamedTuple):
     track: GoalTrack
     """The song, with the fingers that play it."""
     goals: Goals
-    """Those of the track, all of it."""
+    """Goals of the whole track."""
     nominal: NominalTrajectory
-    """Of the first steps."""
+    """The trajectory of the first steps."""
 
     @property
     def complete(self) -> bool:
@@ -42,7 +42,7 @@ def plan_song(
     later: NDArray[np.integer] | int = 0,
     haste: float = 1.0,
 ) -> SongPlan:
-    """The last of `song_plans`: all of the song."""
+    """The plan of the whole song: the last of `song_plans`."""
     *_, whole = song_plans(track, start, progress, later, haste)
     return whole
 
@@ -80,9 +80,9 @@ def song_plans(
 
 
 def scene_planned_with(track: GoalTrack) -> Scene:
-    """The one that the task's configuration describes: if the task's was changed, no plan knows.
+    """The scene that a task's configuration describes: if the task's was changed, no plan knows.
 
-    It is the same for the same task, and nobody changes it.
+    It is the same object for the same task, and nobody changes it.
 
     Raises:
         CadenzaError: there are no hands in it.

@@ -16,7 +16,10 @@ from cadenza.sim.protocol import State
 
 Array = NDArray[np.float64]
 
-_MOST_KEPT = 2000  # steps of plans whose tables are kept, 2 kB each for two hands
+_LONGEST_CACHED = 2000  # steps of plans whose gains are kept, 2 kB each for two hands
+# Weight of a control's squared distance from what leads along the reference, where that of the
+# servo's distance is 1: small, so that the servo is in place, but not 0, so that controls are calm.
+_CONTROL_WEIGHT = 0.02
 
 
 class Tracking(NamedTuple):
@@ -25,25 +28,25 @@ class Tracking(NamedTuple):
     ctrl: Array
     """(T, A)"""
     gain: Array
-    """(T, A, 2) what a deviation of position and speed takes from the control."""
+    """(T, A, 2) the feedback of position and speed, which is subtracted from the control."""
     expected: Array
     """(T + 1, A, 2) position and speed of each servo."""
 
     def of(self, servos: slice) -> Tracking:
-        """That of some of the servos, as views."""
+        """The tracking of some of the servos, as views."""
         return Tracking._make(values[:, servos] for values in self)
 
     def by_hand(self, hands: int) -> Tracking:
-        """That of H hands with A servos each, (T, H, A, ...), as views."""
+        """The tracking of H hands with A servos each, (T, H, A, ...), as views."""
         return Tracking._make(by_hand(values, hands) for values in self)
 
     def feedback(self, step: int, here: Array) -> Array:
-        """(..., A) what positions and speeds `here` (..., A, 2) take from a step's controls."""
+        """(..., A) the feedback at positions and speeds (..., A, 2), which controls are less by."""
         return (self.gain[step] * (here - self.expected[step])).sum(axis=-1)
 
 
 class Follower:
-    """Follows what was tracked, from the states that a scene's hands are really in."""
+    """Plays tracked controls with feedback from the states that a scene's hands are really in."""
 
     def __init__(self, scene: Scene, tracking: Tracking) -> None:
         """Args:
@@ -53,12 +56,12 @@ class Follower:
         self._tracking, self._servos = tracking, servos_of(scene)
 
     def posture(self, hand_qpos: Array, hand_qvel: Array) -> Array:
-        """(..., A, 2) position and speed of each servo, of joints (..., J)."""
+        """(..., A, 2) position and speed of each servo at joints (..., J)."""
         to_posture = self._servos.of_joints
         return np.stack([hand_qpos @ to_posture, hand_qvel @ to_posture], axis=-1)
 
     def ctrl(self, steps: NDArray[np.intp], state: State) -> Array:
-        """(N, A) controls before `steps` (N,); where the hands are as expected, those tracked."""
+        """(N, A) controls of `steps` (N,): those tracked, less the feedback, within their range."""
         ctrl, gain, expected = (values[steps] for values in self._tracking)
         here = self.posture(state.hand_qpos, state.hand_qvel)
         feedback = (gain * (here - expected)).sum(axis=2)
@@ -67,10 +70,6 @@ class Follower:
     def clip(self, ctrl: Array) -> Array:
         """Controls (..., A) within their range."""
         return self._servos.clip(ctrl)
-
-
-# How much less a control's distance from what leads along the reference weighs than the servo's.
-_CONTROL_WEIGHT = 0.02
 
 
 def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: float) -> Tracking:
@@ -91,40 +90,41 @@ def track(servos: Servos, reference: Array, start: Array, offset: Array, dt: flo
     """
     step, push = discretised(servos, dt)
     steps, count = len(reference) - 1, len(servos.low)
-    feedback = _kept_feedback if steps <= _MOST_KEPT else _feedback
+    feedback = _cached_feedback if steps <= _LONGEST_CACHED else _feedback
     gain, curvature, closed = feedback(servos, dt, steps)
     before, now, after = servos.lead(dt)
     earlier = np.concatenate([reference[:1] - dt * start[:, 1], reference[:-2]])
     leading = before * earlier + now * reference[:-1] + after * reference[1:]
     leading = servos.clip(leading)
-    towards = np.zeros((steps, count))
-    slope = np.zeros((count, 2))
+    feedforward = np.zeros((steps, count))
+    linear = np.zeros((count, 2))  # term of the cost-to-go, see `_feedback`
     for t in range(steps - 1, -1, -1):
-        slope[:, 0] -= reference[t + 1]
-        pull = _CONTROL_WEIGHT * leading[t]
-        towards[t] = (pull - np.vecdot(push, slope)) / curvature[t]
-        slope = np.einsum("aji,aj->ai", closed[t], slope) + gain[t] * pull[:, None]
+        linear[:, 0] -= reference[t + 1]
+        weighted = _CONTROL_WEIGHT * leading[t]
+        feedforward[t] = (weighted - np.vecdot(push, linear)) / curvature[t]
+        linear = np.einsum("aji,aj->ai", closed[t], linear) + gain[t] * weighted[:, None]
     expected = np.zeros((steps + 1, count, 2))
     expected[0] = start
     ctrl = np.zeros((steps, count))
     for t in range(steps):
-        wanted = towards[t] - np.vecdot(gain[t], expected[t])
+        wanted = feedforward[t] - np.vecdot(gain[t], expected[t])
         ctrl[t] = servos.clip(wanted)
         expected[t + 1] = np.einsum("aij,aj->ai", step, expected[t]) + push * ctrl[t][:, None]
     return Tracking(servos.clip(ctrl + offset), gain, expected)
 
 
 def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Array]:
-    """What of the tracker does not depend on the reference: (T, A, 2), (T, A) and (T, A, 2, 2).
+    """The Riccati recursion, which does not depend on the reference.
 
-    Those are the gains, the curvature of what a control costs, and what a step makes of position
-    and speed with feedback.
+    Returns:
+        The gains (T, A, 2), the curvature (T, A) of the cost-to-go as a function of the control,
+        and the closed-loop transition (T, A, 2, 2) of position and speed.
     """
     step, push = discretised(servos, dt)
     count = len(servos.low)
     gain, curvature = np.zeros((steps, count, 2)), np.zeros((steps, count))
     closed = np.zeros((steps, count, 2, 2))
-    value = np.zeros((count, 2, 2))  # the cost to go is x' value x / 2 + slope' x
+    value = np.zeros((count, 2, 2))  # the cost-to-go is x' value x / 2 + linear' x
     for t in range(steps - 1, -1, -1):
         value[:, 0, 0] += 1.0
         pushed = np.einsum("aij,aj->ai", value, push)
@@ -138,12 +138,12 @@ def _feedback(servos: Servos, dt: float, steps: int) -> tuple[Array, Array, Arra
     return gain, curvature, closed
 
 
-_kept_feedback = lru_cache(maxsize=8)(_feedback)  # it takes most of the time of short plans
+_cached_feedback = lru_cache(maxsize=8)(_feedback)  # it takes most of the time of short plans
 
 
 @lru_cache(maxsize=8)
 def discretised(servos: Servos, dt: float) -> tuple[Array, Array]:
-    """(A, 2, 2) and (A, 2): what a step of `dt` [s] makes of position and speed, and of control."""
+    """(A, 2, 2) transition of position and speed in a step of `dt` [s], and (A, 2) of control."""
     k, d, m = servos.stiffness, servos.damping, servos.inertia
     motion = np.zeros((len(k), 3, 3))
     motion[:, 0, 1] = 1.0
