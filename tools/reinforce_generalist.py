@@ -160,7 +160,7 @@ class Player:
 
     def see(self, state: State) -> Array:
         """(H, D) what is told of each hand, in a state of one simulation."""
-        told, self._planned = self._hands.see(self._step, state)
+        told, self._planned = self._hands.observe(self._step, state)
         return told
 
     def ctrl(self, answers: Array) -> Array:

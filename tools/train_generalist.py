@@ -86,7 +86,7 @@ def lesson_of(recorded: Recorded) -> Lesson:
     hands = CorrectedHands(plan)
     played = played_actions(rows, scene)
     for step in range(recorded.about.num_steps):
-        seen, planned = hands.see(step, state_of(rows[step : step + 1], nothing, scene))
+        seen, planned = hands.observe(step, state_of(rows[step : step + 1], nothing, scene))
         inputs.append(seen)
         answers.append(hands.recommended(rows["action"][step, hands.servos], planned))
         hands.played(played[step, hands.servos], planned)

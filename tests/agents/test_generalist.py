@@ -19,7 +19,7 @@ from cadenza.agents.generalist import generalist
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import Generalist
-from cadenza.agents.generalist.receding_plan import InSight
+from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
@@ -145,10 +145,10 @@ def test_left_hand_is_told_what_the_right_hand_would_be_in_the_mirror(
     scene_of_both: SongPlan, step: int
 ) -> None:
     images = elsewhere(scene_of_both, lambda key: 82 - key, [1, 0], -1.0)
-    told, _ = CorrectedHands(scene_of_both).see(
+    told, _ = CorrectedHands(scene_of_both).observe(
         step, state_on(scene_of_both, step, {39: 0.02, 41: 0.05})
     )
-    mirrored, _ = CorrectedHands(images).see(step, state_on(images, step, {43: 0.02, 41: 0.05}))
+    mirrored, _ = CorrectedHands(images).observe(step, state_on(images, step, {43: 0.02, 41: 0.05}))
     # Black keys are up to a millimetre from where their images would be.
     np.testing.assert_allclose(told, mirrored[::-1], atol=0.05)
 
@@ -171,16 +171,16 @@ def scene_of_both() -> SongPlan:
 
 def test_same_wherever_on_the_keyboard(scene_of_both: SongPlan) -> None:
     higher = elsewhere(scene_of_both, lambda key: key + 12, [0, 1], 1.0)
-    here, _ = CorrectedHands(scene_of_both).see(25, state_on(scene_of_both, 25, {39: 0.02}))
-    there, _ = CorrectedHands(higher).see(25, state_on(higher, 25, {51: 0.02}))
+    here, _ = CorrectedHands(scene_of_both).observe(25, state_on(scene_of_both, 25, {39: 0.02}))
+    there, _ = CorrectedHands(higher).observe(25, state_on(higher, 25, {51: 0.02}))
     np.testing.assert_allclose(here[0], there[0], atol=1e-3)
 
 
 def test_told_how_it_corrected_the_step_before(scene_of_both: SongPlan) -> None:
     hands = CorrectedHands(scene_of_both)
-    ctrl = hands.see(24, state_on(scene_of_both, 24, {}))[1]
+    ctrl = hands.observe(24, state_on(scene_of_both, 24, {}))[1]
     hands.played(ctrl + 0.01 * np.sin(np.arange(len(ctrl))), ctrl)
-    told = hands.see(25, state_on(scene_of_both, 25, {}))[0]
+    told = hands.observe(25, state_on(scene_of_both, 25, {}))[0]
     assert hands.answer.any(axis=1).all()
     np.testing.assert_allclose(told[:, hands.about.previous], hands.answer, rtol=1e-6)
 
@@ -199,7 +199,7 @@ def test_a_hand_is_told_the_same_without_the_other(scene_of_both: SongPlan, side
         state.fingertip_xpos[0, plan.scene.fingers.of_hand(number)],
         state.key_qpos[0],
     )
-    np.testing.assert_allclose(hands.see(25, state)[0][[number]], told, atol=1e-6)
+    np.testing.assert_allclose(hands.observe(25, state)[0][[number]], told, atol=1e-6)
 
 
 @pytest.mark.parametrize("seen", [4, 8, 16])
@@ -221,8 +221,8 @@ def test_told_the_same_by_a_plan_of_what_is_in_sight(scene_of_both: SongPlan, se
         )
     )
     state = state_on(plan, now, {39: 0.02, 60: 0.01})
-    told = CorrectedHands(in_sight).see(0, state)[0]
-    np.testing.assert_allclose(told, CorrectedHands(whole).see(now, state)[0], atol=1e-6)
+    told = CorrectedHands(in_sight).observe(0, state)[0]
+    np.testing.assert_allclose(told, CorrectedHands(whole).observe(now, state)[0], atol=1e-6)
 
 
 # How it plays
@@ -403,7 +403,7 @@ def test_weights_are_kept_as_they_were_read(tmp_path: Path) -> None:
 
 def test_fingers_share_what_they_have_learnt(scene_of_both: SongPlan) -> None:
     hands, weights = CorrectedHands(scene_of_both), Weights.load(SHIPPED)
-    told = hands.see(25, state_on(scene_of_both, 25, {}))[0][0]
+    told = hands.observe(25, state_on(scene_of_both, 25, {}))[0][0]
     ring = told + np.where((hands.about.finger == 3) & hands.about.private, 0.3, 0.0).astype(
         np.float32
     )
@@ -478,15 +478,15 @@ def test_a_look_takes_as_much_work_late_in_a_song_as_early(monkeypatch: pytest.M
     notes = tuple(Note(i / 8, (i + 1) / 8, WHITE[i % 8], 80) for i in range(160))
     task = PianoTask([Score(notes)], TASK)
     (track,) = task.tracks
-    in_sight = InSight(
+    in_sight = RecedingPlanner(
         task.scene, players_of(task.scene), task.state.hand_qpos[0], TASK.control_timestep
     )
     tips = task.state.fingertip_xpos[0]  # astray most of the time
-    in_sight.look(0, track.goals.keys[:11], tips)
+    in_sight.replan(0, track.goals.keys[:11], tips)
     monkeypatch.setattr(Kinematics, "links", noted)
     for step in range(1, 380):
         work.append(0)
-        in_sight.look(step, track.goals.keys[step : step + 11], tips)
+        in_sight.replan(step, track.goals.keys[step : step + 11], tips)
     task.close()
     assert 0 < max(work) <= 8 * 12
     assert sum(work[-30:]) < 1.5 * sum(work[20:50])
@@ -498,14 +498,14 @@ def test_finger_that_is_caught_beside_its_key_is_lifted_over_all_keys_and_presse
 ) -> None:
     task = PianoTask([Score((Note(0.0, 4.0, 64, 80),))], TASK)
     (track,), dt = task.tracks, TASK.control_timestep
-    in_sight = InSight(task.scene, players_of(task.scene), task.state.hand_qpos[0], dt)
-    plan, tips = in_sight.look(0, track.goals.keys[:11], task.state.fingertip_xpos[0]), None
+    in_sight = RecedingPlanner(task.scene, players_of(task.scene), task.state.hand_qpos[0], dt)
+    plan, tips = in_sight.replan(0, track.goals.keys[:11], task.state.fingertip_xpos[0]), None
     heights = []
     for step in range(1, 36):
         (finger,) = {press.finger for press in plan.presses}
         tips = plan.fingertips[1].copy()
         tips[finger, 0] -= astray if step == 24 else 0.0  # it should be down since step 10
-        plan = in_sight.look(step, track.goals.keys[step : step + 11], tips)
+        plan = in_sight.replan(step, track.goals.keys[step : step + 11], tips)
         heights.append(plan.fingertips[1, finger, 2])
     black = task.scene.keyboard.black.top
     task.close()

@@ -17,17 +17,17 @@ class CorrectedHands:
     """All H hands of a scene, and what is corrected of their plan.
 
     Attributes:
-        steps_seen: how many steps of the plan matter to one.
-        servos: which of the scene's are theirs: all.
-        corrections: how answers are read.
-        about: what is told of each.
-        answer: (H, A) by how much the step before was corrected.
+        steps_seen: number of steps ahead that the networks' inputs need a plan of.
+        servos: the hands' servos among all of the scene, which are all.
+        corrections: what makes controls of the networks' answers.
+        about: what each of a hand's inputs is about.
+        answer: (H, A) the correction of the step before, as the networks answer.
     """
 
     steps_seen = FAR
 
     def __init__(self, plan: SongPlan, weights: Weights | None = None) -> None:
-        """`weights` are what corrects them, when they play."""
+        """`weights` are those of the networks, which correct the hands when they act."""
         scene, self._weights = plan.scene, weights
         self._sides, self._fingers = scene.sides, scene.fingers_there
         self._alone = hand_alone(scene, self._sides[0]).scene
@@ -38,36 +38,36 @@ class CorrectedHands:
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
+        """Plays on from a step by a plan that goes further than the one before."""
         self._inputs = HandInputs(plan, self._sides, self._alone, step)
         self._tracking = plan.nominal.tracking
         self._follower = Follower(plan.scene, self._tracking)
 
-    def see(self, step: int, state: State) -> tuple[Floats, Array]:
-        """(H, D) what is told before a step, and (H A,) the controls that are corrected."""
+    def observe(self, step: int, state: State) -> tuple[Floats, Array]:
+        """The networks' inputs (H, D) before a step, and the controls (H A,) that they correct."""
         (posture,) = self._follower.posture(state.hand_qpos[:1], state.hand_qvel[:1])
         planned = self._tracking.ctrl[step] - self._tracking.feedback(step, posture)
         tips, key_qpos = state.fingertip_xpos[0, self._fingers], state.key_qpos[0]
         posture = posture.reshape(*self.answer.shape, 2)
-        told = self._inputs.at(step, posture, self.answer, tips, key_qpos)
-        return told, self._follower.clip(planned)
+        inputs = self._inputs.at(step, posture, self.answer, tips, key_qpos)
+        return inputs, self._follower.clip(planned)
 
     def act(self, step: int, state: State) -> Array:
         """(H A,) the next controls."""
         assert self._weights is not None
-        told, planned = self.see(step, state)
-        return self.corrected(planned, self._weights(told))
+        inputs, planned = self.observe(step, state)
+        return self.corrected(planned, self._weights(inputs))
 
     def corrected(self, planned: Array, answers: Floats) -> Array:
-        """(H A,) the controls of a step: those planned (H A,), with the answers (H, A) to it."""
+        """(H A,) the controls of a step: those planned (H A,), corrected by the answers (H, A)."""
         ctrl = self._follower.clip(planned + self.corrections.ctrl(answers).ravel())
         self.played(ctrl, planned)
         return ctrl
 
     def played(self, ctrl: Array, planned: Array) -> None:
-        """Keeps how the controls (H A,) of a step differ from those that were planned (H A,)."""
+        """Remembers the correction of a step: controls (H A,), less those that were planned."""
         self.answer = self.recommended(ctrl, planned)
 
     def recommended(self, ctrl: Array, planned: Array) -> Array:
-        """(H, A) the answers that would make controls (H A,) of those that were planned (H A,)."""
+        """(H, A) the answers that would make controls (H A,) of those that were planned."""
         return self.corrections.answer((ctrl - planned).reshape(self.answer.shape))

@@ -19,7 +19,7 @@ from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
-from cadenza.agents.generalist.receding_plan import InSight
+from cadenza.agents.generalist.receding_plan import RecedingPlanner
 from cadenza.agents.generalist.rehearsed_hand import RehearsedHand
 from cadenza.agents.planner.plan.song_plan import SongPlan, scene_planned_with, song_plans
 from cadenza.agents.planner.search.networks.inputs import sizes_of
@@ -32,10 +32,10 @@ from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
 HASTE = 2.0
-"""Times the acceleration with which hands jump, where networks see to it that they land."""
+"""Factor of the acceleration with which hands jump where networks see to it that they land."""
 
 _LEARNT = Path(__file__).parent
-_REHEARSALS, _MOST_REHEARSALS = 4, 100
+_DEFAULT_REHEARSALS, _MAX_REHEARSALS = 4, 100
 
 
 class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
@@ -53,7 +53,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         if self.config.look_ahead is not None:
             check_ranges(self.config, {"look_ahead": (0.2, 10.0)})
         if self.config.rehearsals is not None:
-            whole_number(self.config.rehearsals, "rehearsals", 0, _MOST_REHEARSALS)
+            whole_number(self.config.rehearsals, "rehearsals", 0, _MAX_REHEARSALS)
         for other in ("weights", "look_ahead"):
             if self.config.rehearsals and getattr(self.config, other) is not None:
                 raise CadenzaError(
@@ -79,8 +79,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         )
         plan = next(plans)
         if weights is None:
-            takes = rehearsals + 1
-            rehearsed = [RehearsedHand(plan, side, takes) for side in plan.scene.sides]
+            rehearsed = [RehearsedHand(plan, side, rehearsals) for side in plan.scene.sides]
             return GeneralistSong(plan, plans, rehearsed)
         return GeneralistSong(plan, plans, [CorrectedHands(plan, weights)])
 
@@ -92,7 +91,7 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
         learnt = self.config.weights is not None or (
             known is not None and known.sizes == sizes_of(scene)
         )
-        return 0 if learnt else _REHEARSALS
+        return 0 if learnt else _DEFAULT_REHEARSALS
 
     def _weights(self, scene: Scene) -> Weights:
         own = self.config.weights
@@ -102,19 +101,20 @@ class Generalist(PlannerPerEnv["GeneralistSong | SightReader"]):
                 f"generalist: has not learnt to play with hand {scene.hand.name}; choose from "
                 f"{', '.join(sorted(shipped(_LEARNT)))}, or another agent"
             )
-        return _fitting(weights, scene)
+        _check_sizes(weights, scene)
+        return weights
 
 
 class PlanPlayer(Protocol):
-    """One hand that plays a plan, or all."""
+    """One hand that plays a plan, or all of them."""
 
     servos: slice
-    """Which of all the scene's are theirs."""
+    """Its servos among all of the scene."""
     steps_seen: int
-    """How many steps of the plan it looks at before one."""
+    """Number of steps ahead that it needs a plan of."""
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
+        """Plays on from a step by a plan that goes further than the one before."""
 
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
@@ -124,7 +124,7 @@ class GeneralistSong:
     """Plays one song.
 
     Attributes:
-        plan: before anything of it is changed, as far as it goes; all of it when the song is over.
+        plan: as far as it goes, without corrections; all of it when the song is over.
     """
 
     plan: SongPlan
@@ -156,8 +156,8 @@ class GeneralistSong:
 class SightReader:
     """Plays one song, of which it knows only what is in sight.
 
-    That are the goals of the step that it decides on and of those that it looks ahead: no fingers,
-    no ends of notes that are beyond, nothing of how long the song is.
+    In sight are the goals of the step that it decides on and of those that it looks ahead: no
+    fingers, no ends of notes further ahead, nothing of how long the song is.
     """
 
     def __init__(self, track: GoalTrack, start: State, look_ahead: float, weights: Weights) -> None:
@@ -172,35 +172,32 @@ class SightReader:
         self._ahead = np.arange(steps_in(look_ahead, dt) + 1)
         self._scene = scene_planned_with(track)
         players = players_of(self._scene)
-        self._in_sight = InSight(self._scene, players, start.hand_qpos[0], dt, HASTE)
-        self._looked, plan = 0, self._look(0, start)
-        self._hands = CorrectedHands(plan, weights)
+        self._receding = RecedingPlanner(self._scene, players, start.hand_qpos[0], dt, HASTE)
+        self._hands = CorrectedHands(self._plan_from(0, start), weights)
 
     def act(self, view: View) -> Array:
         step = int(view.steps[0])
-        while self._looked < step:  # once, unless others have played
-            self._hands.follow(self._look(self._looked + 1, view.state), 0)
-        ctrl = self._hands.act(step - self._looked, view.state)
+        while self._planned < step:  # once, unless others have played
+            self._hands.follow(self._plan_from(self._planned + 1, view.state), 0)
+        ctrl = self._hands.act(step - self._planned, view.state)
         return np.append(ctrl, self._goals.sustain[step])
 
-    def _look(self, step: int, state: State) -> SongPlan:
-        """The plan of what is in sight at a step; its first step is this one."""
-        self._looked = step
+    def _plan_from(self, step: int, state: State) -> SongPlan:
+        """Plans what is in sight at a step, which is the first of the plan."""
+        self._planned = step
         keys, _ = self._goals.at(step + self._ahead)
-        nominal = self._in_sight.look(step, keys, state.fingertip_xpos[0])
+        nominal = self._receding.replan(step, keys, state.fingertip_xpos[0])
         return SongPlan(self._scene, self._track, replace(self._goals, keys=keys), nominal)
 
 
 def shipped_for(scene: Scene) -> Weights | None:
-    """What comes with the package for the hands of a scene, if anything does."""
+    """The networks that come with the package for the hands of a scene, if any do."""
     return shipped(_LEARNT).get(scene.hand.name)
 
 
-def _fitting(weights: Weights, scene: Scene) -> Weights:
-    """The weights.
-
-    Raises:
-        CadenzaError: they have been learnt with other hands than those of the scene.
+def _check_sizes(weights: Weights, scene: Scene) -> None:
+    """Raises:
+    CadenzaError: the weights have been learnt with other hands than those of the scene.
     """
     told, servos = sizes_of(scene)
     if weights.sizes != (told, servos):
@@ -209,4 +206,3 @@ def _fitting(weights: Weights, scene: Scene) -> Weights:
             f"{weights.sizes[0]} numbers; here they have {servos}, and it is told {told}: leave "
             "out options that change the hands"
         )
-    return weights

@@ -1,8 +1,8 @@
-"""Plans of a song of which only what is in sight is known: the next half second, or the next two.
+"""Receding-horizon plans of a song of which only the next half second, or the next two, are known.
 
 Fingers, presses, postures and controls are found as for a whole song, but again at every step for
-what is in sight then. Each time postures go on from those of the plan before, which are only
-improved, by two steps of Gauss-Newton: what is still lacking, the looks that follow make up for
+what is in sight then. Each time postures begin with those of the plan before, which two steps of
+Gauss-Newton improve: what is still lacking, the plans that follow make up for
 (real-time iterations: Diehl, Bock & Schlöder, SIAM Journal on Control and Optimization 43, 2005).
 """
 
@@ -28,22 +28,25 @@ from cadenza.fingering.players import Players
 from cadenza.fingers import NO_FINGER
 from cadenza.scene.scene import Scene
 
-_MOTION = 0.6  # [s] for which postures are planned
-_LED = 0.3  # [s] for which controls are found
-_PRESSES = 1.3  # [s] whose presses matter to them
-_PAST = 0.5  # [s] for which is remembered what was pressed
-_FREED = Effort(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
-_IMPROVED = _FREED._replace(damping=20.0, keep_derivatives=True)  # in 0.7 of the time
+# How far ahead, as far as it is in sight.
+_POSTURES_AHEAD = 0.6  # [s]
+_CONTROLS_AHEAD = 0.3  # [s]
+_PRESSES_AHEAD = 1.3  # [s] whose presses matter to postures
+_REMEMBERED = 0.5  # [s] of the past whose presses matter to them
+
+_LIFTED_EFFORT = Effort(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
+_USUAL_EFFORT = _LIFTED_EFFORT._replace(damping=20.0, keep_derivatives=True)  # in 0.7 of the time
 _SETTLED = 0.1  # of what is in sight, in which fingers do not change
-_MOMENTS = 12  # at which notes begin, for which fingers are found at once
-_ASTRAY = 0.012  # [m] beside where it should press, a finger is caught and begins again
-_LIFT = 0.15  # [s] that it takes until it presses
-_AGAIN = 0.3  # [s] after which it may begin once more
+_ONSETS_AT_ONCE = 12  # for which fingers are found together
+# A finger that is caught is lifted, and presses again.
+_CAUGHT = 0.012  # [m] beside where it should press
+_LIFT_TIME = 0.15  # [s] until it presses again
+_RETRY_TIME = 0.3  # [s] until it may be lifted once more
 
 
 @dataclass
 class _Note:
-    """That is in sight, or was."""
+    """A note that is in sight, or was."""
 
     key: int
     number: int
@@ -53,7 +56,7 @@ class _Note:
     finger: int = NO_FINGER
 
 
-class InSight:
+class RecedingPlanner:
     """Plans again and again, from what is in sight at a step, for the steps from there on.
 
     What is caught gets free by itself: where a finger is not where it should press, it is lifted
@@ -72,7 +75,7 @@ class InSight:
         """
         self._scene, self._dt = scene, dt
         self._motion = MotionPlanner(scene, dt, scene.hand.jump_times.hurried(haste))
-        self._fingers = OnlineFingering(players, _MOMENTS)
+        self._fingers = OnlineFingering(players, _ONSETS_AT_ONCE)
         self._notes: list[_Note] = []
         self._held: dict[int, _Note] = {}  # by key, at the end of what was seen
         self._seen = 0
@@ -81,7 +84,7 @@ class InSight:
         self._plan = self._motion.still(hand_qpos, 0)  # from its first step on, as what follows
         self._found: PostureTrajectory | None = None
 
-    def look(self, step: int, keys: NDArray[np.bool_], tips: Array) -> NominalTrajectory:
+    def replan(self, step: int, keys: NDArray[np.bool_], tips: Array) -> NominalTrajectory:
         """The plan of what is in sight at a step; its first step is this one.
 
         Args:
@@ -89,19 +92,22 @@ class InSight:
             keys: (S, K) that should be down after this step and those after it.
             tips: (F, 3) where the fingertips are [m].
         """
-        self._note(step, keys)
+        self._update_notes(step, keys)
         self._find_fingers(step + max(1, round(_SETTLED * len(keys))))
-        past = min(step, steps_in(_PAST, self._dt))
-        concern, ahead, led = (
-            min(len(keys), steps_in(seconds, self._dt)) for seconds in (_PRESSES, _MOTION, _LED)
+        past = min(step, steps_in(_REMEMBERED, self._dt))
+        horizon, ahead, controlled = (
+            min(len(keys), steps_in(seconds, self._dt))
+            for seconds in (_PRESSES_AHEAD, _POSTURES_AHEAD, _CONTROLS_AHEAD)
         )
-        presses = self._motion.presses(self._asked(step, past, concern))
+        presses = self._motion.presses(self._asked(step, past, horizon))
         if self._found is None:
             before, warm_start, effort = self._plan, None, THOROUGH
         else:
             before = self._plan.part(0, 1)
-            presses = self._again(presses, step, past, tips, before.fingertips[1])
-            effort = _FREED if self._lifted else _IMPROVED  # what is lifted has far to go
+            presses = self._lift_caught(presses, step, past, tips, before.fingertips[1])
+            effort = (
+                _LIFTED_EFFORT if self._lifted else _USUAL_EFFORT
+            )  # what is lifted has far to go
             warm_start = self._found.correction[2:]
             warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `nominal_plans`
@@ -109,14 +115,14 @@ class InSight:
                 before, presses, past, past + ahead, warm_start=warm_start, effort=effort
             )
             presses = [press.moved(-past) for press in presses]
-            self._plan = self._motion.track(before, presses, found.part(led + 1), played=1)
+            self._plan = self._motion.track(before, presses, found.part(controlled + 1), played=1)
         self._found = found
         return self._plan
 
-    def _again(
+    def _lift_caught(
         self, presses: list[Press], step: int, now: int, tips: Array, planned: Array
     ) -> list[Press]:
-        """`presses`, of which those begin again, from above, whose fingers are caught elsewhere.
+        """The presses, of which those begin again, from above, whose fingers are caught elsewhere.
 
         Args:
             presses: by time.
@@ -127,13 +133,13 @@ class InSight:
         """
         there, off = self._scene.fingers_there, np.zeros(len(tips))
         off[there] = np.hypot(*(tips[there] - planned)[:, :2].T)
-        lift, wait = steps_in(_LIFT, self._dt), steps_in(_AGAIN, self._dt)
+        lift, wait = steps_in(_LIFT_TIME, self._dt), steps_in(_RETRY_TIME, self._dt)
         lifted = {press: since for press, since in self._lifted.items() if step < since + wait}
         result = []
         for press in presses:
             place = press.finger, press.key
             if press.first <= now < press.last:
-                if off[press.finger] > _ASTRAY:
+                if off[press.finger] > _CAUGHT:
                     lifted.setdefault(place, step)
                 if place in lifted:
                     first = max(press.first, now + lifted[place] + lift - step)
@@ -143,8 +149,8 @@ class InSight:
         self._lifted = lifted
         return result
 
-    def _note(self, step: int, keys: NDArray[np.bool_]) -> None:
-        """Which notes begin and end in what was not in sight before."""
+    def _update_notes(self, step: int, keys: NDArray[np.bool_]) -> None:
+        """Begins and ends notes in what was not in sight before."""
         dt = self._dt
         for now, row in enumerate(keys[self._seen - step :], start=self._seen):
             down = set(np.flatnonzero(row).tolist())
@@ -159,7 +165,7 @@ class InSight:
         self._seen = step + len(keys)
 
     def _find_fingers(self, settled: int) -> None:
-        """Those of notes that begin before a step are settled."""
+        """Finds fingers of notes, and settles those of notes that begin before a step."""
         found = self._fingers.find(settled * self._dt)
         for note in self._notes:
             if note.number in found:

@@ -17,40 +17,40 @@ from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_MANNER = RehearsalConfig(window=0.5, judged=0.5, seen=0.7, left=1.0)
-_SAME = 1e-3  # [rad] that a key may be off where a take had it, to be as fast
+_REHEARSAL = RehearsalConfig(window=0.5, judged=0.5, seen=0.7, left=1.0)
+_AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
 
 
 class RehearsedHand:
-    """One hand of a plan.
+    """One hand that plays a plan.
 
     It rehearses by itself, from the state that it is in when the half second begins. What it does
     not foresee, such as that it touches the other hand, is left to feedback until then.
 
     Attributes:
-        servos: which of all the scene's are this hand's.
-        steps_seen: how many steps of the plan a step looks at.
+        servos: the hand's servos among all of the scene.
+        steps_seen: number of steps ahead that it needs a plan of.
     """
 
-    def __init__(self, plan: SongPlan, side: Side, takes: int) -> None:
+    def __init__(self, plan: SongPlan, side: Side, rehearsals: int) -> None:
         """Args:
         plan: of the song, as far as it goes.
         side: of the hand.
-        takes: of each half second, at most.
+        rehearsals: most changes of each half second.
         """
         dt = plan.track.config.control_timestep
         self._side, self._keyboard = side, plan.scene.keyboard
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
-        self._here = PlanningSimulation(self._alone, 1, dt)
-        self._trials = HandRollouts(self._alone, dt)
-        manner = _MANNER._replace(takes=takes)
-        self._rehearsal = HandRehearsal(self._alone, self._trials, dt, manner)
+        self._simulation = PlanningSimulation(self._alone, 1, dt)
+        self._rollouts = HandRollouts(self._alone, dt)
+        config = _REHEARSAL._replace(takes=rehearsals + 1)
+        self._rehearsal = HandRehearsal(self._alone, self._rollouts, dt, config)
         self.steps_seen = self._rehearsal.steps_seen + steps_in(ABOUT_TO_PRESS, dt)
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
-        self._part = HandGoals(plan, self._side)
+        """Plays on from a step by a plan that goes further than the one before."""
+        self._goals = HandGoals(plan, self._side)
         tracking = plan.nominal.tracking.of(self.servos)
         self._tracking = tracking._replace(ctrl=tracking.ctrl.copy())
         self._follower = Follower(self._alone, self._tracking)
@@ -60,24 +60,24 @@ class RehearsedHand:
         qpos, qvel = state.hand_qpos[0, self._joints], state.hand_qvel[0, self._joints]
         if step >= self._rehearsal.ends:
             key_qpos = state.key_qpos[0]
-            self._here.place(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
+            self._simulation.place(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
             self._rehearse(step)
         back = self._tracking.feedback(step, self._follower.posture(qpos, qvel))
         return self._follower.clip(self._rehearsal.ctrl(step)[0] - back)
 
     def _rehearse(self, step: int) -> None:
-        """Rehearses what comes from that step on."""
+        """Rehearses the steps from one on."""
         last = min(step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
         rows = np.arange(step, last)
-        ahead = look_ahead(self._part, rows, self._keyboard, self._trials, self._here)
+        ahead = look_ahead(self._goals, rows, self._keyboard, self._rollouts, self._simulation)
         if step == self._rehearsal.ends:  # the one before has found how to begin
             known = self._rehearsal.beyond
             self._tracking.ctrl[step : step + len(known)] = known
         self._rehearsal.rehearse(self._tracking, rows, ahead)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
-        """(K,) how fast keys at (K,) move, as far as it was foreseen: no state says it."""
+        """(K,) speeds of keys at (K,), as far as they were foreseen: no state says them."""
         speeds, keys = np.zeros_like(key_qpos), self._rehearsal.keys
         there, speed = self._rehearsal.keys_then
-        speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _SAME, speed, 0.0)
+        speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _AS_FORESEEN, speed, 0.0)
         return speeds

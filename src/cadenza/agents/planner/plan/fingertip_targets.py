@@ -103,52 +103,55 @@ class _TargetWriter:
     def write(self, presses: Sequence[Press]) -> Targets:
         """The targets."""
         if presses:
-            some = _PressArrays.of(presses, len(self._targets.low))
-            over = self._at(some, np.zeros(len(presses)))
-            self._hold(some)
-            self._let_go(some, over)
-            self._approach(some, over)
+            arrays = _PressArrays.of(presses, len(self._targets.low))
+            over = self._at(arrays, np.zeros(len(presses)))
+            self._hold(arrays)
+            self._let_go(arrays, over)
+            self._approach(arrays, over)
         return self._targets
 
-    def _approach(self, some: _PressArrays, over: Array) -> None:
+    def _approach(self, presses: _PressArrays, over: Array) -> None:
         """Over the key, the nearer in time the more closely, and low when it is ready."""
         approach, ready = steps_in(_APPROACH, self._dt), steps_in(_READY, self._dt)
-        risen = some.before + steps_in(RISE, self._dt)
-        which, states = self._spread(np.maximum(some.first - approach, risen), some.first)
-        ahead, height = some.first[which] - states, over[which, 2]
+        risen = presses.before + steps_in(RISE, self._dt)
+        which, states = self._spread(np.maximum(presses.first - approach, risen), presses.first)
+        ahead, height = presses.first[which] - states, over[which, 2]
         is_ready = ahead <= ready
         low = height + np.where(is_ready, _HOVER, _APPROACH_HOVER)
         high = np.where(is_ready, height + _HOVER + _HOVER_ROOM, np.inf)
-        from_above = some.from_above[which] & ~is_ready
-        above_all = self._above_all[some.finger[which]]
+        from_above = presses.from_above[which] & ~is_ready
+        above_all = self._above_all[presses.finger[which]]
         low = np.where(from_above, np.maximum(low, above_all), low)
         sigma = _ABOVE_KEY * np.maximum(ahead / ready, 1.0)[:, None]
         sigma[:, 2] = np.where(is_ready, _ABOVE_KEY[2], _IDLE[2])
-        flies, lands = some.flies_to[which], is_ready & self._keyboard.is_black[some.key[which]]
+        flies, lands = (
+            presses.flies_to[which],
+            is_ready & self._keyboard.is_black[presses.key[which]],
+        )
         sigma[flies & lands] *= _BEFORE_LANDING_ON_BLACK
         sigma[flies & ~lands] *= _IN_FLIGHT
-        self._box(some, which, states, over, (low, high), sigma)
+        self._box(presses, which, states, over, (low, high), sigma)
 
-    def _hold(self, some: _PressArrays) -> None:
-        keyboard, key = self._keyboard, some.key
-        at = self._at(some, keyboard.travel[key])
-        which, states = self._spread(some.first, some.last)
+    def _hold(self, presses: _PressArrays) -> None:
+        keyboard, key = self._keyboard, presses.key
+        at = self._at(presses, keyboard.travel[key])
+        which, states = self._spread(presses.first, presses.last)
         depth = at[which, 2] - _DEEP
-        self._box(some, which, states, at, (depth, depth), np.tile(_AT_KEY, (len(which), 1)))
+        self._box(presses, which, states, at, (depth, depth), np.tile(_AT_KEY, (len(which), 1)))
         lever = at[:, 0] - keyboard.centre[key, 0] + keyboard.half_size[key, 0]
         force = (_FORCE_MARGIN * keyboard.holding_torque[key] / lever)[which]
-        struck = states < some.first[which] + steps_in(_STRIKING, self._dt)
+        struck = states < presses.first[which] + steps_in(_STRIKING, self._dt)
         force[struck & ~keyboard.is_black[key[which]]] *= _STRIKE
-        self._targets.force[states, some.finger[which]] = force
+        self._targets.force[states, presses.finger[which]] = force
 
-    def _let_go(self, some: _PressArrays, over: Array) -> None:
+    def _let_go(self, presses: _PressArrays, over: Array) -> None:
         """Straight up, or it would drag along the key; in a jump just up."""
-        risen = some.last + steps_in(RISE, self._dt)
-        which, states = self._spread(some.last, np.minimum(risen, some.until))
+        risen = presses.last + steps_in(RISE, self._dt)
+        which, states = self._spread(presses.last, np.minimum(risen, presses.until))
         sigma = np.tile(_ABOVE_KEY, (len(which), 1))
-        sigma[some.flies_off[which]] *= _IN_FLIGHT
+        sigma[presses.flies_off[which]] *= _IN_FLIGHT
         height = over[which, 2] + _LIFTED, np.full(len(which), np.inf)
-        self._box(some, which, states, over, height, sigma)
+        self._box(presses, which, states, over, height, sigma)
 
     def _spread(self, first: Ids, last: Ids) -> tuple[Ids, Ids]:
         """(N,) which of the presses, and (N,) all states from `first` (P,) up to `last` (P,)."""
@@ -159,7 +162,7 @@ class _TargetWriter:
 
     def _box(
         self,
-        some: _PressArrays,
+        presses: _PressArrays,
         which: Ids,
         states: Ids,
         at: Array,
@@ -167,26 +170,26 @@ class _TargetWriter:
         sigma: Array,
     ) -> None:
         """Writes boxes (N,) around places `at` (P, 3), of `height` from and to."""
-        targets, there, finger = self._targets, at[which, :2], some.finger[which]
+        targets, there, finger = self._targets, at[which, :2], presses.finger[which]
         low, high = (
             np.column_stack([there + room, z])
             for room, z in zip((-_TOLERANCE, _TOLERANCE), height, strict=True)
         )
-        black = self._keyboard.is_black[some.key[which]]
+        black = self._keyboard.is_black[presses.key[which]]
         sigma[black, 0] *= _X_ON_BLACK
         targets.low[states, finger], targets.high[states, finger] = low, high
         targets.sigma[states, finger] = sigma
         targets.wall[states[~black], finger[~black]] = self._walls[finger[~black]]
 
-    def _at(self, some: _PressArrays, angle: Array) -> Array:
+    def _at(self, presses: _PressArrays, angle: Array) -> Array:
         """(P, 3) where fingertips touch the keys when those are down by `angle` (P,) [rad]."""
-        keyboard, key = self._keyboard, some.key
+        keyboard, key = self._keyboard, presses.key
         centre, half = keyboard.centre[key], keyboard.half_size[key]
         front = keyboard.white.centre_x + keyboard.white.half_size[0]
-        on_white = np.minimum(self._on_white, front - _FROM_FRONT)[some.finger]
+        on_white = np.minimum(self._on_white, front - _FROM_FRONT)[presses.finger]
         x = np.where(keyboard.is_black[key], _ON_BLACK, on_white)
         fall = np.tan(angle) * (x - centre[:, 0] + half[:, 0])
-        height = centre[:, 2] + half[:, 2] - fall + self._radius[some.finger]
+        height = centre[:, 2] + half[:, 2] - fall + self._radius[presses.finger]
         return np.column_stack([x, centre[:, 1], height])
 
 

@@ -26,16 +26,16 @@ class HandGoals:
     """Goals of one hand over T steps, of which the first P are planned.
 
     Attributes:
-        mine: (T, K) keys that this hand should hold down.
-        asked: (T, K) which of its fingers should hold them, 0 for its thumb.
-        planned: (T, K) those of them that the plan holds down, where it goes.
-        wrong: (T, K) keys that it should not.
-        due: (T, K) its keys that are late unless they sound by then.
-        unwelcome: (T, K) keys, its own or wrong ones, that should not begin to sound.
-        fingertips: (P + 1, F, 3) where its F fingertips should be [m].
-        fingers: their numbers.
-        playing: (T + 1, F) whether they are about to press, press, or let go, where the plan goes.
-        weight: (T + 1, F) of their squared distance from there [1 / m^2].
+        mine: (T, K) whether this hand should hold a key down.
+        asked: (T, K) the finger that should hold it, 0 for the thumb.
+        planned: (T, K) whether the plan holds it down, as far as it goes.
+        wrong: (T, K) whether the hand should not hold the key down.
+        due: (T, K) whether its key is late unless it sounds by then.
+        unwelcome: (T, K) whether a key, its own or a wrong one, should not begin to sound.
+        fingertips: (P + 1, F, 3) planned places of its F fingertips [m].
+        fingers: the numbers of its fingers in the scene.
+        playing: (T + 1, F) whether a finger is about to press, presses, or lets go by the plan.
+        weight: (T + 1, F) weights of the squared distances of fingertips from the plan [1 / m^2].
     """
 
     def __init__(self, plan: SongPlan, side: Side) -> None:
@@ -69,7 +69,7 @@ class HandGoals:
         self.weight = np.where(self.playing, ASTRAY, _IDLE_ASTRAY)
 
     def holding(self, sounding: Mask) -> HandGoals:
-        """The same goals, of a plan that holds those of this hand's keys that are `sounding` (T, K)."""
+        """The same, but planned are those of this hand's keys that are `sounding` (T, K)."""
         part = copy(self)
         part.planned = self.mine & sounding
         return part
