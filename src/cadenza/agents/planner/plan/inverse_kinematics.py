@@ -43,12 +43,13 @@ _BLOCKED_DIAGONALS = 68  # from which on LAPACK works in blocks: with zeros it t
 _AT_ONCE = 256  # postures that are linearised together, which takes much more than is kept
 _FIXED = 1e9  # weight that keeps a joint at the end of its range
 
-# Levenberg-Marquardt
-_MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a lot
+# Levenberg-Marquardt: a step fails at a posture whose cost becomes larger than `_WORSE` times the
+# one before and `_WORSE_BY`; the damping there and beside it is multiplied by `_RETRIED` for the
+# next trial or, if the step is taken all the same, by `_TIGHTENED`, and elsewhere by `_EASED`.
+_WORSE, _WORSE_BY = 1.02, 0.02
+_RETRIED, _TIGHTENED, _EASED = 8, 4, 1 / 2
 _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e3
-_EASED, _TIGHTENED, _RETRIED = 1 / 2, 4, 8  # times the damping: after a success, near a failure,
-# and where the step is tried again
-_WORSE, _WORSE_BY = 1.02, 0.02  # times the cost of a posture, and so much more, is a failure
+_MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a lot
 
 
 class Effort(NamedTuple):
@@ -278,39 +279,38 @@ class PostureProblem:
 
     def _linearised(self, postures: Array, rows: Ids) -> Linearisation:
         """The linearisation at postures (N, A), which are those after the first in rows (N,)."""
-        count, size = len(postures), self._motion.stride.shape[1]
-        at = self._by_hand(postures)
-        squares, gradient = np.zeros(count, _REAL), np.zeros(at.shape, _REAL)
-        blocks = np.zeros((*at.shape, size), _REAL)
-        pressed = np.zeros(at.shape, _REAL)
-        close, between = [np.zeros(0, np.intp)], [np.zeros((0, size, size), _REAL)]
-        for first in range(0, count, _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            links = self._kinematics.links(postures[some])
-            # In the order of indices, which is the order of sums.
-            points, tips = (np.ascontiguousarray(v, _REAL) for v in (links.points, links.tips))
-            links = links._replace(points=points, tips=tips)
-            posed = PosedHands(rows[some], at[some], links)
-            residual, jacobian = stacked(term(posed) for term in self._of_hands)
-            squares[some] = (residual**2).sum(axis=(1, 2))
-            gradient[some] = (residual[:, :, None] @ jacobian)[:, :, 0]
-            blocks[some] = jacobian.swapaxes(2, 3) @ jacobian
-            force = self._force[rows[some]]
-            pressed[some] = pressing_forces(links.tips[:, :, :, 2], force) * self._motion.per_force
-            near = np.flatnonzero(sum(term.near(posed) for term in self._between_hands))
-            if not len(near):
-                continue
-            posed = posed.part(near)
-            residual, jacobian = stacked(term(posed) for term in self._between_hands)
-            meet = residual.any(axis=1)
-            near, residual, jacobian = near[meet], residual[meet], jacobian[meet]
-            squares[some][near] += (residual**2).sum(axis=1)
-            gradient[some][near] += (residual[:, None, None] @ jacobian)[:, :, 0]
-            blocks[some][near] += jacobian.swapaxes(2, 3) @ jacobian
-            close.append(rows[some][near])
-            between.append(jacobian[:, 0].swapaxes(1, 2) @ jacobian[:, 1])
-        both = np.concatenate(close), np.concatenate(between)
-        return Linearisation(at, squares, gradient, blocks, pressed, *both)
+        parts = (slice(first, first + _AT_ONCE) for first in range(0, len(rows), _AT_ONCE))
+        linearised = [self._linearised_at_once(postures[some], rows[some]) for some in parts]
+        return Linearisation._make(map(np.concatenate, zip(*linearised, strict=True)))
+
+    def _linearised_at_once(self, postures: Array, rows: Ids) -> Linearisation:
+        links = self._kinematics.links(postures)
+        # In the order of indices, which is the order of sums.
+        points, tips = (np.ascontiguousarray(v, _REAL) for v in (links.points, links.tips))
+        hands = PosedHands(rows, self._by_hand(postures), links._replace(points=points, tips=tips))
+        residual, jacobian = stacked(term(hands) for term in self._of_hands)
+        squares = (residual**2).sum(axis=(1, 2))
+        gradient = (residual[:, :, None] @ jacobian)[:, :, 0]
+        blocks = jacobian.swapaxes(2, 3) @ jacobian
+        close, residual, jacobian = self._terms_between_hands(hands)
+        squares[close] += (residual**2).sum(axis=1)
+        gradient[close] += (residual[:, None, None] @ jacobian)[:, :, 0]
+        blocks[close] += jacobian.swapaxes(2, 3) @ jacobian
+        between = jacobian[:, 0].swapaxes(1, 2) @ jacobian[:, -1]
+        pressing = pressing_forces(tips[:, :, :, 2], self._force[rows]) * self._motion.per_force
+        at = hands.postures
+        return Linearisation(at, squares, gradient, blocks, pressing, rows[close], between)
+
+    def _terms_between_hands(self, hands: PosedHands) -> tuple[Ids, Array, Array]:
+        """The M postures in which hands are close, residuals (M, R), and Jacobian (M, H, R, A)."""
+        near = np.flatnonzero(sum(term.near(hands) for term in self._between_hands))
+        if not len(near):
+            _, count, size = hands.postures.shape
+            return near, np.zeros((0, 0), _REAL), np.zeros((0, count, 0, size), _REAL)
+        hands = hands.part(near)
+        residual, jacobian = stacked(term(hands) for term in self._between_hands)
+        close = residual.any(axis=1)
+        return near[close], residual[close], jacobian[close]
 
     def normal_equations(self, postures: Array, now: Evaluation) -> tuple[Array, Array]:
         """The banded matrices, see `_banded`, and the gradient (S - 1, H, A).
