@@ -16,7 +16,7 @@ from threadpoolctl import ThreadpoolController
 
 from cadenza.agents.agent import Array
 from cadenza.agents.control_steps import steps_in
-from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, Effort
+from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, SolverOptions
 from cadenza.agents.planner.plan.nominal_trajectory import (
     MotionPlanner,
     NominalTrajectory,
@@ -34,8 +34,10 @@ _CONTROLS_AHEAD = 0.3  # [s]
 _PRESSES_AHEAD = 1.3  # [s] whose presses matter to postures
 _REMEMBERED = 0.5  # [s] of the past whose presses matter to them
 
-_LIFTED_EFFORT = Effort(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
-_USUAL_EFFORT = _LIFTED_EFFORT._replace(damping=20.0, keep_derivatives=True)  # in 0.7 of the time
+# Gauss-Newton, usually and where a finger is lifted, which has far to go: derivatives that are kept
+# take 0.7 of the time.
+_LIFTED = SolverOptions(max_iterations=2, max_trials=0, tolerance=0.1, damping=10.0)
+_USUAL = _LIFTED._replace(damping=20.0, keep_derivatives=True)
 _SETTLED = 0.1  # of what is in sight, in which fingers do not change
 _ONSETS_AT_ONCE = 12  # for which fingers are found together
 # A finger that is caught is lifted, and presses again.
@@ -101,18 +103,16 @@ class RecedingPlanner:
         )
         presses = self._motion.presses(self._asked(step, past, horizon))
         if self._found is None:
-            before, warm_start, effort = self._plan, None, THOROUGH
+            before, warm_start, options = self._plan, None, THOROUGH
         else:
             before = self._plan.part(0, 1)
             presses = self._lift_caught(presses, step, past, tips, before.fingertips[1])
-            effort = (
-                _LIFTED_EFFORT if self._lifted else _USUAL_EFFORT
-            )  # what is lifted has far to go
+            options = _LIFTED if self._lifted else _USUAL
             warm_start = self._found.correction[2:]
             warm_start = np.concatenate([warm_start, warm_start[-1:]])  # as far as is planned now
         with self._blas.limit(limits=1):  # as in `nominal_plans`
             found = self._motion.solve(
-                before, presses, past, past + ahead, warm_start=warm_start, effort=effort
+                before, presses, past, past + ahead, warm_start=warm_start, options=options
             )
             presses = [press.moved(-past) for press in presses]
             self._plan = self._motion.track(before, presses, found.part(controlled + 1), played=1)

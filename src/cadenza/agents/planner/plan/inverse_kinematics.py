@@ -52,22 +52,23 @@ _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e3
 _MIN_ITERATIONS = 6  # one of the first may gain little because it is damped a lot
 
 
-class Effort(NamedTuple):
-    """How long better postures are looked for."""
+class SolverOptions(NamedTuple):
+    """How long the solver looks for better postures."""
 
     max_iterations: int
-    """Most steps of Gauss-Newton."""
+    """Steps at most."""
     max_trials: int
-    """Most dampings that are tried in each; with 0, steps are taken without a line search."""
+    """Dampings at most that are tried in a step until the cost falls (Levenberg-Marquardt). With 0,
+    each step is taken, whatever it costs (Gauss-Newton without a line search)."""
     tolerance: float
-    """Relative decrease of the cost with which the search ends."""
+    """Relative decrease of the cost with which the solver ends."""
     damping: float
-    """Damping of the first step."""
+    """Damping of the first step; without a line search, of all."""
     keep_derivatives: bool = False
     """Whether all steps without a line search have the derivatives of the first."""
 
 
-THOROUGH = Effort(max_iterations=25, max_trials=8, tolerance=1e-3, damping=1.0)
+THOROUGH = SolverOptions(max_iterations=25, max_trials=8, tolerance=1e-3, damping=1.0)
 
 
 def solve_postures(
@@ -80,7 +81,7 @@ def solve_postures(
     dt: float,
     progress: Progress = silent,
     begin: Array | None = None,
-    effort: Effort = THOROUGH,
+    options: SolverOptions = THOROUGH,
 ) -> Array:
     """Postures (S, A) that put the fingertips into their boxes, smoothly.
 
@@ -94,45 +95,45 @@ def solve_postures(
         dt: time between postures [s].
         progress: is told of "postures", in iterations.
         begin: (S, A) the warm start, if not the guess; with the same first row.
-        effort: how long.
+        options: of the solver.
     """
     problem = PostureProblem(scene, kinematics, servos, targets, guess, before, dt)
     postures = (guess if begin is None else begin).copy()
-    if not effort.max_trials:
-        return _gauss_newton(problem, postures, effort)
-    return _levenberg_marquardt(problem, postures, effort, progress)
+    if not options.max_trials:
+        return _gauss_newton(problem, postures, options)
+    return _levenberg_marquardt(problem, postures, options, progress)
 
 
-def _gauss_newton(problem: PostureProblem, postures: Array, effort: Effort) -> Array:
+def _gauss_newton(problem: PostureProblem, postures: Array, options: SolverOptions) -> Array:
     """Gauss-Newton without a line search."""
-    damping = np.full(len(postures) - 1, effort.damping, _REAL)
+    damping = np.full(len(postures) - 1, options.damping, _REAL)
     known: Linearisation | None = None
-    for _ in range(effort.max_iterations):
-        if known is None or not effort.keep_derivatives:
+    for _ in range(options.max_iterations):
+        if known is None or not options.keep_derivatives:
             known = problem.linearisation(postures)
         now = problem.evaluation(postures, known)
         bands, gradient = problem.normal_equations(postures, now)
         earlier, postures = postures, problem.step(postures, bands, gradient, damping)
         gained = 0.5 * np.vdot(gradient, (earlier - postures)[1:])
-        if gained < effort.tolerance * now.cost.sum():
+        if gained < options.tolerance * now.cost.sum():
             break
     return postures
 
 
 def _levenberg_marquardt(
-    problem: PostureProblem, postures: Array, effort: Effort, progress: Progress
+    problem: PostureProblem, postures: Array, options: SolverOptions, progress: Progress
 ) -> Array:
     """Levenberg-Marquardt, in which each posture has a damping of its own.
 
     One that is hard to find does not hold up the others.
     """
-    damping = np.full(len(postures) - 1, effort.damping, _REAL)
+    damping = np.full(len(postures) - 1, options.damping, _REAL)
     now = problem.evaluation(postures, problem.linearisation(postures))
-    for iteration in range(effort.max_iterations):
-        progress("postures", iteration, effort.max_iterations)
+    for iteration in range(options.max_iterations):
+        progress("postures", iteration, options.max_iterations)
         bands, gradient = problem.normal_equations(postures, now)
         failed = np.zeros(len(damping), bool)
-        for _ in range(effort.max_trials):
+        for _ in range(options.max_trials):
             trial = problem.step(postures, bands, gradient, damping)
             there = problem.evaluation(trial, problem.linearisation(trial, now.linearisation))
             worse = there.cost > _WORSE * now.cost + _WORSE_BY
@@ -151,7 +152,7 @@ def _levenberg_marquardt(
             break
         gained = now.cost.sum() - there.cost.sum()
         postures, now = trial, there
-        if iteration + 1 >= _MIN_ITERATIONS and gained < effort.tolerance * now.cost.sum():
+        if iteration + 1 >= _MIN_ITERATIONS and gained < options.tolerance * now.cost.sum():
             break
     return postures
 
@@ -203,10 +204,10 @@ class Evaluation(NamedTuple):
     """(N,) half the squares of all residuals, those in time at their last posture."""
     gradient: Array
     """(N, H, A) the gradient of the terms of single postures."""
-    of_motion: tuple[Array, ...]
+    motion_residuals: tuple[Array, ...]
     """(N, H, A) each: the residuals of the terms of motion."""
     linearisation: Linearisation
-    """What that was found by: at these postures or, where they have hardly moved, earlier ones."""
+    """The linearisation at these postures or, where they have hardly moved, at earlier ones."""
 
 
 class PostureProblem:
@@ -229,13 +230,13 @@ class PostureProblem:
             for values in (targets.low, targets.high, targets.sigma, targets.wall, targets.force)
         )
         collisions = link_collisions(scene.hand)
-        self._of_hands = (
+        self._hand_terms = (
             TipsInBoxes(low, high, sigma),
             TipsBehindBlackKeys(wall),
             LinksApart(collisions.within_hand),
         )
         slides = servos.along_keyboard[: self._hands - 1]  # of the first of two hands
-        self._between_hands: tuple[HandLinksApart | ForearmsApart, ...] = (
+        self._pair_terms: tuple[HandLinksApart | ForearmsApart, ...] = (
             HandLinksApart(collisions),
             *(ForearmsApart(slide, scene.config.hand_spacing) for slide in slides),
         )
@@ -251,7 +252,7 @@ class PostureProblem:
         return by_hand(rows, self._hands).astype(_REAL)
 
     def linearisation(self, postures: Array, known: Linearisation | None = None) -> Linearisation:
-        """The one at postures (S, A), or the one that is `known` where these are still near it."""
+        """The linearisation at postures (S, A), or the `known` one if these are still near it."""
         if known is None:
             return self._linearised(postures[1:], np.arange(len(postures) - 1))
         far = np.abs(self._by_hand(postures[1:]) - known.at) > _MOVED * self._motion.stride
@@ -288,7 +289,7 @@ class PostureProblem:
         # In the order of indices, which is the order of sums.
         points, tips = (np.ascontiguousarray(v, _REAL) for v in (links.points, links.tips))
         hands = PosedHands(rows, self._by_hand(postures), links._replace(points=points, tips=tips))
-        residual, jacobian = stacked(term(hands) for term in self._of_hands)
+        residual, jacobian = stacked(term(hands) for term in self._hand_terms)
         squares = (residual**2).sum(axis=(1, 2))
         gradient = (residual[:, :, None] @ jacobian)[:, :, 0]
         blocks = jacobian.swapaxes(2, 3) @ jacobian
@@ -303,12 +304,12 @@ class PostureProblem:
 
     def _terms_between_hands(self, hands: PosedHands) -> tuple[Ids, Array, Array]:
         """The M postures in which hands are close, residuals (M, R), and Jacobian (M, H, R, A)."""
-        near = np.flatnonzero(sum(term.near(hands) for term in self._between_hands))
+        near = np.flatnonzero(sum(term.near(hands) for term in self._pair_terms))
         if not len(near):
             _, count, size = hands.postures.shape
             return near, np.zeros((0, 0), _REAL), np.zeros((0, count, 0, size), _REAL)
         hands = hands.part(near)
-        residual, jacobian = stacked(term(hands) for term in self._between_hands)
+        residual, jacobian = stacked(term(hands) for term in self._pair_terms)
         close = residual.any(axis=1)
         return near[close], residual[close], jacobian[close]
 
@@ -319,11 +320,11 @@ class PostureProblem:
         at the ends of their ranges that would go further are taken out.
         """
         gradient = now.gradient.copy()
-        for term, residual in zip(self._motion.terms, now.of_motion, strict=True):
+        for term, residual in zip(self._motion.terms, now.motion_residuals, strict=True):
             term.stencil.add_gradient(gradient, term.weight * residual)
         rows = self._by_hand(postures[1:])
         outwards = np.where(gradient > 0, rows <= self._motion.low, rows >= self._motion.high)
-        control_range, violation = self._motion.control_range, now.of_motion[-1]
+        control_range, violation = self._motion.control_range, now.motion_residuals[-1]
         violated = control_range.weight * (violation != 0)
         diagonals = self._constant + control_range.stencil.normal_equations(violated)
         diagonals[0] += _FIXED * outwards
@@ -360,7 +361,7 @@ def _banded(diagonals: Array, at: Linearisation) -> Array:
 
     `diagonals` (3, N, H, A) are those of the terms of motion, see `Stencil.normal_equations`.
     """
-    blocks = _of_both_hands(at) if len(at.close) else at.blocks
+    blocks = _joint_blocks(at) if len(at.close) else at.blocks
     count, parts, size = blocks.shape[:3]
     bands = np.zeros((parts, count, size, max(2 * size, _BLOCKED_DIAGONALS) + 1), blocks.dtype)
     row, column = _upper(size)
@@ -374,7 +375,7 @@ def _banded(diagonals: Array, at: Linearisation) -> Array:
 _upper = lru_cache(np.triu_indices)  # which takes as long as all else here if plans are short
 
 
-def _of_both_hands(at: Linearisation) -> Array:
+def _joint_blocks(at: Linearisation) -> Array:
     """(N, 1, 2 A, 2 A) the upper half of the blocks of both hands together."""
     count, hands, size = at.blocks.shape[:3]
     blocks = np.zeros((count, hands, size, hands, size), at.blocks.dtype)

@@ -29,7 +29,7 @@ from cadenza.agents.planner.plan.fingertip_targets import (
     pressing_forces,
     targets_of,
 )
-from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, Effort, solve_postures
+from cadenza.agents.planner.plan.inverse_kinematics import THOROUGH, SolverOptions, solve_postures
 from cadenza.agents.planner.plan.presses import Press, presses_of
 from cadenza.agents.planner.plan.release_times import release_in_time
 from cadenza.agents.planner.plan.rest_poses import RestPoses, forearm_places
@@ -241,7 +241,7 @@ class MotionPlanner:
         last: int,
         progress: Progress = silent,
         warm_start: Array | None = None,
-        effort: Effort = THOROUGH,
+        options: SolverOptions = THOROUGH,
     ) -> PostureTrajectory:
         """Where hands are to be before the steps from `first` to `last`, and after the last.
 
@@ -252,7 +252,7 @@ class MotionPlanner:
             last: step; not included.
             progress: is told of "postures".
             warm_start: (N, A) the `correction` that was found before for the first N of them.
-            effort: how long they are looked for.
+            options: of the solver.
         """
         dt, model = self._dt, (self._scene, self._kinematics, self._servos)
         targets = targets_of(self._scene, presses, last + 1, dt).part(first, last + 1)
@@ -261,7 +261,7 @@ class MotionPlanner:
         if warm_start is not None:
             begin = guess.copy()
             begin[1 : len(warm_start) + 1] += warm_start[: len(guess) - 1]
-        postures = solve_postures(*model, targets, guess, before, dt, progress, begin, effort)
+        postures = solve_postures(*model, targets, guess, before, dt, progress, begin, options)
         return PostureTrajectory(postures, guess, targets)
 
     def track(
