@@ -1,4 +1,4 @@
-"""How the hands would play a song if everything went as modelled.
+"""The nominal plan of a song: how hands would play it if everything went as modelled.
 
 Presses, fingertips, postures, controls: inverse kinematics of the song, and what makes the servos
 follow. No simulation is needed for it; the search makes up for what is not modelled.
@@ -243,7 +243,7 @@ class MotionPlanner:
         warm_start: Array | None = None,
         options: SolverOptions = THOROUGH,
     ) -> PostureTrajectory:
-        """Where hands are to be before the steps from `first` to `last`, and after the last.
+        """Finds the postures before the steps from `first` to `last`, and after the last.
 
         Args:
             plan: of the steps before, at least one posture.
@@ -313,8 +313,11 @@ class MotionPlanner:
                 place[first], count[first] = self._rest_poses.place(here, side), 1
             if count.any():
                 known = np.flatnonzero(count)
-                path = np.interp(np.arange(states), known, place[known] / count[known])
-                paths[side] = gaussian_filter1d(path, _SMOOTHING / self._dt, mode="nearest")
+                paths[side] = np.interp(np.arange(states), known, place[known] / count[known])
+        if paths:  # filtered together, which takes less time
+            width = _SMOOTHING / self._dt
+            smooth = gaussian_filter1d(list(paths.values()), width, mode="nearest")
+            paths = dict(zip(paths, smooth, strict=True))
         guess = self._rest_poses.at(paths, states)
         guess[first] = here
         return guess[first:]

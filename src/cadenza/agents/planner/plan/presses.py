@@ -35,7 +35,7 @@ class Press(NamedTuple):
     from_above: bool = False
     """The finger comes to it from above all keys."""
     later: int = 0
-    """So many states later than usual the hand lets go of what is before it, to be in time."""
+    """By how many states later than usual the hand lets go of what is before it, to be in time."""
 
     def moved(self, states: int) -> Press:
         """The same press, so many states later."""

@@ -17,6 +17,7 @@ Ids = NDArray[np.intp]
 
 _FLIGHT = 0.1  # [s] between two presses that is spent on the way, if the hand has to jump
 _MIN_LENGTH = 0.05  # [s] that a press lasts
+_DIGITS = 9  # to which times are rounded, so that whole steps are not rounded up to the next
 _MIN_HEARD = 0.1  # [s] that it lasts if it can, so that its key sounds before its finger leaves it
 
 
@@ -99,8 +100,8 @@ class _TimeLine:
         here, first, last = chord[press], begins[struck], self._last[press]
         holding = last > first + self._least  # while the hand plays on
         means = np.add.reduceat(self._place, heads) / sizes
-        way = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
-        jump = self._steps(self._times.seconds(way, sizes[here], sizes[struck], holding))
+        distance = np.abs(means[struck] - np.where(holding, self._place[press], means[here]))
+        jump = self._steps(self._times.seconds(distance, sizes[here], sizes[struck], holding))
         in_time = np.maximum(
             first - np.maximum(jump - self._later[struck], 1), begins[here] + self._least
         )
@@ -109,7 +110,7 @@ class _TimeLine:
 
     def _steps(self, seconds: Array) -> Ids:
         """Control steps that last `seconds` at least."""
-        return np.ceil(np.round(seconds / self._dt, 9)).astype(np.intp)
+        return np.ceil(np.round(seconds / self._dt, _DIGITS)).astype(np.intp)
 
     def release_for_other_keys(self) -> None:
         """Cuts presses whose finger presses another key next."""

@@ -18,7 +18,7 @@ from cadenza.tasks.goal_track import GoalTrack
 
 
 class SongPlan(NamedTuple):
-    """How the hands of a scene are to play a song, as far as that has been planned."""
+    """The plan of a song for the hands of a scene, as far as it goes."""
 
     scene: Scene
     """The hands and the keys."""
