@@ -12,10 +12,10 @@ from typing import NamedTuple
 from xml.sax.saxutils import escape
 
 PICTURE = Path(__file__).parents[1] / "docs" / "architecture.svg"
-WIDTH, HEIGHT = 940, 560
+WIDTH, HEIGHT = 940, 710
 BOX = (136, 66)  # [px] width and height
 COLUMNS = (20, 211, 402, 593, 784)
-ROWS = (24, 164, 244, 364, 458)
+ROWS = (24, 164, 244, 364, 458, 572)
 LEGEND = (("given", "yours to exchange"), ("box", "Cadenza"), ("made", "results"))
 STYLE = """
   text { font-family: system-ui, "Segoe UI", Helvetica, Arial, sans-serif; fill: #1b2530; }
@@ -23,6 +23,7 @@ STYLE = """
   .folder { font: 13px ui-monospace, Menlo, monospace; text-anchor: middle; fill: #4a5a6a; }
   .label { font-size: 13px; text-anchor: middle; fill: #4a5a6a; }
   .legend { font-size: 13px; fill: #4a5a6a; }
+  rect.inside { fill: none; stroke: #7c95ad; stroke-dasharray: 5 4; }
   rect.box { fill: #e8f0f8; stroke: #7c95ad; }
   rect.given { fill: #f6efe0; stroke: #b59a63; }
   rect.made { fill: #e6f3ea; stroke: #74a384; }
@@ -64,10 +65,17 @@ BOXES = (
     Box(4, 3, "learner", "learning/", "given"),
     Box(3, 4, "live page", "studio/", "made"),
 )
+AGENTS = (
+    Box(0, 5, "nominal plan", "planner/plan/"),
+    Box(1, 5, "search", "planner/search/"),
+    Box(2, 5, "practice", "planner/practice/"),
+    Box(3, 5, "generalist", "generalist/"),
+    Box(4, 5, "other planners", "baselines/"),
+)
 
 
 def place(box: Box) -> tuple[float, float]:
-    """Of its upper left corner [px]."""
+    """The upper left corner of a box [px]."""
     below = int(box.row)
     y = ROWS[below] + (box.row - below) * (ROWS[min(below + 1, len(ROWS) - 1)] - ROWS[below])
     return COLUMNS[int(box.column)], y
@@ -75,7 +83,7 @@ def place(box: Box) -> tuple[float, float]:
 
 def side(what: str, where: str, offset: float = 0) -> tuple[float, float]:
     """The middle of one side of a box, moved along that side [px]."""
-    x, y = place(next(box for box in BOXES if box.what == what))
+    x, y = place(next(box for box in BOXES + AGENTS if box.what == what))
     width, height = BOX
     return {
         "left": (x, y + height / 2 + offset),
@@ -86,7 +94,7 @@ def side(what: str, where: str, offset: float = 0) -> tuple[float, float]:
 
 
 def straight(start: str, end: str, label: str = "", offset: float = 0) -> Arrow:
-    """From the right side of a box to the left side of the next, or back if that is to the left."""
+    """An arrow between the facing sides of two boxes in a row."""
     ahead = side(start, "left") < side(end, "left")
     a = side(start, "right" if ahead else "left", offset)
     b = side(end, "left" if ahead else "right", offset)
@@ -123,10 +131,14 @@ def arrows() -> list[Arrow]:
     found.append(Arrow(((x, y), (x, 450), (to[0], 450), to), "many runs", (x - 191, 445)))
     (x, y), to = side("performance", "bottom", 44), side("live page", "left")
     found.append(Arrow(((x, y), (x, to[1]), to), "steps", (x + 40, to[1] - 6)))
-    return found
+    found += [straight("nominal plan", "search"), straight("search", "practice")]
+    (x, y), to = side("nominal plan", "bottom"), side("generalist", "bottom")
+    return [*found, Arrow(((x, y), (x, y + 16), (to[0], y + 16), to))]
 
 
 def drawn() -> str:
+    """The picture as SVG."""
+    (left, top), (width, height) = place(AGENTS[0]), BOX
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img">',
         "<title>How data flows through Cadenza</title>",
@@ -134,6 +146,9 @@ def drawn() -> str:
         '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7"'
         ' markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z" fill="#4a5a6a"/></marker></defs>',
         f'<rect width="{WIDTH}" height="{HEIGHT}" rx="8" fill="#ffffff"/>',
+        f'<rect class="inside" x="{left - 12:g}" y="{top - 14:g}"'
+        f' width="{COLUMNS[-1] + width - left + 24:g}" height="{height + 42:g}" rx="12"/>',
+        f'<text class="folder" x="{left + 24:g}" y="{top - 21:g}">agents/</text>',
     ]
     for arrow in arrows():
         path = "M" + " L".join(f"{x:g} {y:g}" for x, y in arrow.points)
@@ -141,7 +156,7 @@ def drawn() -> str:
         if arrow.label:
             x, y = arrow.at
             lines.append(f'<text class="label" x="{x:g}" y="{y:g}">{escape(arrow.label)}</text>')
-    for box in BOXES:
+    for box in BOXES + AGENTS:
         (x, y), (width, height) = place(box), BOX
         middle = x + width / 2
         lines += [
