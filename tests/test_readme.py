@@ -1,4 +1,4 @@
-"""What the README tells people to run runs."""
+"""What the README and the page of the command line tell people to run runs."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from cadenza.cli import main
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+COMMANDS = (ROOT / "docs" / "command-line.md").read_text()
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def blocks(language: str, page: str = README) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
 def command_lines() -> list[str]:
-    lines = [line.split("#")[0].strip() for block in blocks("sh") for line in block.splitlines()]
-    return [line for line in lines if line.startswith("cadenza ")]
+    listed = [*blocks("sh"), blocks("sh", COMMANDS)[0]]
+    lines = [line.split("#")[0].strip() for block in listed for line in block.splitlines()]
+    found = [line for line in lines if line.startswith("cadenza ")]
+    assert len(found) > 20
+    return found
 
 
 def shortened(arguments: list[str]) -> list[str]:
