@@ -15,6 +15,7 @@ help:
 	@echo "make studio  a page to drop songs on, which the hands play while you watch"
 	@echo "make install  everything that Cadenza can use, such as JAX for training"
 	@echo "make test    run the tests"
+	@echo "make smoke   a minute of them, and the linter, before each commit"
 	@echo "make test-ray  install Ray, and run the tests of clusters"
 	@echo "make check   lint, formatting, types"
 	@echo "make docs    the documentation as a site, with the reference"
@@ -50,9 +51,18 @@ install: $(ALL)
 test: $(ALL)
 	$(BIN)/python -m pytest -n 2
 
-# What may differ from one Python to another, in a minute or two.
+# A minute on two cores, for each commit: quick tests of every folder, and what may differ from one Python to another.
+SMOKE := api configs registry layering docs errors cli_estimate cli_etude tasks/env tasks/env_in_threads \
+	tasks/piano_task tasks/reward tasks/parity music/midi music/score music/goals music/playing_metrics \
+	music/tracks music/bars agents/misses agents/learning_control learning/networks learning/policy \
+	learning/replay_buffer demonstrations/dataset demonstrations/mirror evaluation/statistics \
+	evaluation/results report/page report/results_page studio/requests
+SMOKE_TESTS := tests/hands tests/keyboards tests/scene tests/sim tests/fingering $(foreach name,$(SMOKE),$(dir tests/$(name))test_$(notdir $(name)).py)
+
 smoke: $(ALL)
-	$(BIN)/python -m pytest -n 2 tests/test_api.py tests/test_configs.py tests/test_registry.py tests/tasks/test_env.py tests/tasks/test_env_in_threads.py
+	$(BIN)/ruff check --quiet
+	$(BIN)/ruff format --check --quiet
+	$(BIN)/python -m pytest -n 2 $(SMOKE_TESTS)
 
 check: $(ALL)
 	$(BIN)/ruff check
