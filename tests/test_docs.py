@@ -38,6 +38,16 @@ def test_links_between_files_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
+def test_the_python_files_that_pages_name_exist() -> None:
+    places = ("src", "tests", "tools", "benchmarks", "examples")
+    files = {
+        f"/{path.relative_to(ROOT)}" for folder in places for path in (ROOT / folder).rglob("*.py")
+    }
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md")]:
+        for name in re.findall(r"[\s`(]((?:\w+/)*\w+\.py)\b", page.read_text()):
+            assert any(file.endswith(f"/{name}") for file in files), (page.name, name)
+
+
 def test_the_page_of_the_task_has_the_sizes_of_the_environments() -> None:
     text = (DOCS / "task.md").read_text()
     parts = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", text, re.MULTILINE))
