@@ -71,3 +71,10 @@ def test_playing_installs_little_and_the_lock_files_agree() -> None:
     assert playing.items() <= everything.items()
     assert {"mujoco", "gymnasium", "starlette", "uvicorn"} <= playing.keys()
     assert not {"jax", "jaxlib", "flax", "pyarrow", "sphinx", "mypy"} & playing.keys()
+
+
+def test_the_quick_tests_are_there(installed: Path) -> None:
+    (installed / "installed").touch()
+    named = re.findall(r"\btests/\S+", make("--dry-run", "smoke", f"VENV={installed}"))
+    assert len(named) > 20
+    assert [name for name in named if not (ROOT / name).exists()] == []
