@@ -17,7 +17,7 @@ import mutations
 from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.plan_variants import Variant
-from cadenza.agents.planner.practice.practised_planner import Practised
+from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.agents.playback import (
     check_options,
     load_plan,
@@ -86,11 +86,13 @@ def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
     hands = Fingers(per_hand=5)
     ctrl = performance.episode["action"][:, :-1]
     expected, later = np.zeros((len(ctrl) + 1, ctrl.shape[1], 2)), np.zeros((len(ctrl), 1), np.int8)
-    practised = Practised(Tracking(ctrl, expected[1:], expected), Variant(np.array([0, 1]), later))
+    practised = PractisedPlan(
+        Tracking(ctrl, expected[1:], expected), Variant(np.array([0, 1]), later)
+    )
     save_plan(whole, performance.episode, performance.metrics, options, SONG, hands, practised)
     read_back = practised_in(whole)
     assert read_back is not None
-    assert read_back.way.is_like(Variant(np.array([-1, -1]), later))
+    assert read_back.variant.equals(Variant(np.array([-1, -1]), later))
     readers = load_plan, physics_of, practised_in, practised_song
     for _, rng in draws(number):
         path.write_bytes(other_npz(rng, whole))

@@ -20,7 +20,7 @@ import numpy as np
 
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.practice.losses import ONSETS
+from cadenza.agents.planner.practice.losses import ONSET_WEIGHT
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import parsed_json
@@ -77,7 +77,9 @@ class Played:
                 raise CadenzaError(
                     f"{path}: holds other than {seconds:g} s; choose another --output"
                 )
-            self._known[row["song"], Costs(**row["costs"])] = row["f1"] + ONSETS * row["onsets"]
+            self._known[row["song"], Costs(**row["costs"])] = (
+                row["f1"] + ONSET_WEIGHT * row["onsets"]
+            )
 
     def worth(self, costs: Costs) -> float:
         """The mean over all songs, with fingers by these costs."""
@@ -91,7 +93,7 @@ class Played:
             row |= {"f1": f1, "onsets": onsets}
             with self.path.open("a") as file:
                 print(json.dumps(row), file=file)
-            self._known[song, costs] = f1 + ONSETS * onsets
+            self._known[song, costs] = f1 + ONSET_WEIGHT * onsets
         return self._known[song, costs]
 
 

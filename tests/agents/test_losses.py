@@ -61,8 +61,8 @@ def test_what_is_due_in_a_long_song_takes_little_memory() -> None:
 
 def test_steps_since_keys_began_to_sound() -> None:
     sounding = np.array([[0, 1], [1, 1], [1, 0], [1, 1], [0, 1]], bool)
-    heard = KeyHistory.of_steps(sounding)
-    assert heard.since.tolist() == [3, 1]
+    history = KeyHistory.of_steps(sounding)
+    assert history.since.tolist() == [3, 1]
     assert KeyHistory.of_steps(sounding[:0]).since.min() > 100
 
 
@@ -72,17 +72,17 @@ def test_practice_loses_what_the_metric_does(dt: float) -> None:
     task = PianoTask([score], TaskConfig(control_timestep=dt), SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     plan = plan_song(task.sheets.tracks[0], task.state.hand_qpos[0])
-    part, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
-    losses, goal = Losses(plan, part), plan.goals.keys
+    goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
+    losses, goal = Losses(plan, goals), plan.goals.keys
     (first, *_), count = np.flatnonzero(goal[:, KEY]), len(goal)
 
     def lost(late: int) -> float:
         """By all notes together, beside F1."""
-        heard, total = KeyHistory.of_steps(np.zeros((0, 88), bool)), 0.0
+        history, total = KeyHistory.of_steps(np.zeros((0, 88), bool)), 0.0
         for row in range(count):
             angles = np.zeros(88)
             angles[KEY] = (goal[row, KEY] and row >= first + late) * keyboard.travel[KEY]
-            loss, _, heard = losses.after(row, angles, part.fingertips[row + 1], heard)
+            loss, _, history = losses.after(row, angles, goals.fingertips[row + 1], history)
             total += loss - (goal[row, KEY] and not angles[KEY])
         return total
 

@@ -21,10 +21,10 @@ from cadenza.agents.agent import silent
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice import practice as practice_of_hands
-from cadenza.agents.planner.practice import trajectory
-from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories
+from cadenza.agents.planner.practice.planned_variant import PlannedVariant
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlanner
+from cadenza.agents.planner.practice.trajectory import WholeScene
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import play_episode
@@ -39,13 +39,14 @@ from cadenza.performing import performance
 from cadenza.performing.practising import Practising
 from cadenza.report.sound import encode_mp3
 from cadenza.scene.config import ForearmDof, Hands, SceneConfig
+from cadenza.sim.threads import Threads
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
 from players import find_fingering
 
 QUICK = TaskConfig(initial_buffer_time=0.4)
 EFFORT = 0.5
-WAY = "fingers", "later"
+VARIANT = "fingers", "later"
 BLACK_KEYS = (66, 68, 70, 73, 75, 78)  # at a tempo at which a plan without search misses some
 NO_SEARCH = PlannerConfig(method="none")
 GIVEN_FINGERS = replace(NO_SEARCH, fingering="score")  # there are no others to be tried
@@ -102,7 +103,7 @@ def as_read(practised: Practice) -> dict[str, NDArray[Any]]:
 
 
 def worth(practised: Practice) -> float:
-    return practised.best().worth
+    return practised.best().score
 
 
 def on_and_off(units: int) -> Callable[[], bool]:
@@ -188,53 +189,31 @@ def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
     assert_same(left, practised)
 
 
-def test_hands_that_were_pushed_search_for_what_sounded_in_the_take() -> None:
-    one = practice(config=PlannerConfig())
+def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
+    one, rng = practice(config=PlannerConfig()), np.random.default_rng(0)
     one.run(0.0)
-    stage, hands = one._version.stage, one._version.searching
+    task = PianoTask([HARD], QUICK)
+    task.reset([rng], [0])
+    start = task.state.hand_qpos[0]
+    planned = PlannedVariant(one.plan.track, start, PlannerConfig(), rng, Threads(1))
+    played, scene, last = one.trajectory, planned.scene, one.num_steps
 
-    def lost(first: int, push: float, *, search: bool) -> float:
+    def loss(first: int, push: float, *, search: bool) -> float:
         """From step `first` on, after a push in the two before."""
-        pushed = one.take.part(0, first)
+        pushed = played.segment(0, first)
         pushed.ctrl[-2:] += push * (-1.0) ** np.arange(pushed.ctrl.shape[1])
-        scene = stage.beginning()
-        stage.play(scene, 0, pushed, one.take.heard(0), one.num_steps)
-        rngs = [np.random.default_rng(hand) for hand in range(2)]
-        parts = [part.holding(one.take.sounding) for part in one._version.parts]
-        hands.follow(stage.tracking(one.take), parts, first, rngs)
-        rest, heard = one.take.part(first, one.num_steps), one.take.heard(first)
-        act = hands.act if search else None
-        return float(stage.play(scene, first, rest, heard, one.num_steps, act)[0].loss.sum())
+        simulation = scene.at_start()
+        scene.roll_out(simulation, 0, pushed, played.key_history(0), last)
+        planned.follow(played, first, [np.random.default_rng(hand) for hand in range(2)])
+        rest, history = played.segment(first, last), played.key_history(first)
+        act = planned.search.act if search else None
+        return float(scene.roll_out(simulation, first, rest, history, last, act)[0].loss.sum())
 
     pushes = [(first, push) for first in (8, 12) for push in (0.05, 0.1, 0.2)]
-    searched, led_back = ([lost(*p, search=search) for p in pushes] for search in (True, False))
+    searched, led_back = ([loss(*p, search=search) for p in pushes] for search in (True, False))
     assert sum(searched) < 0.7 * sum(led_back)
-    assert lost(*pushes[0], search=True) == searched[0]  # whatever they did before
-    assert hands.simulated > 0
-
-
-def test_a_hand_corrects_how_far_its_fingertips_are_off() -> None:
-    one = practice(score=EASY)
-    one.run(0.0)
-    (hand,) = [hand for hand in one.hands if hand._part.mine.any()]
-    first, last = 6, one.num_steps
-    steps, servos = last - first, one.take.ctrl[:, hand.servos].shape[1]
-
-    def trial(offsets: NDArray[np.float64]) -> Any:
-        before = np.pad(offsets, ((1, 0), (0, 0)))
-        return hand._try(one.take, first, np.inf, np.zeros(steps), before)
-
-    def astray(fingertips: list[NDArray[np.float64]]) -> float:
-        off = np.array(fingertips) - hand._part.fingertips[first + 1 :]
-        return float((hand._part.weight[first + 1 :] * (off**2).sum(axis=2)).sum())
-
-    scene = one._version.stage.beginning()
-    for ctrl in one.take.ctrl[:first]:
-        scene.step(ctrl[None])
-    hand._begin_trials(scene, np.zeros((1, 1, servos)), first, last)
-    as_it_is = trial(np.zeros((steps, servos)))
-    corrected, *_ = hand._corrections(as_it_is, first, steps, np.random.default_rng(0))
-    assert astray(trial(corrected).fingertips) < 0.8 * astray(as_it_is.fingertips)
+    assert loss(*pushes[0], search=True) == searched[0]  # whatever they did before
+    assert planned.search.simulated > 0
 
 
 @pytest.mark.parametrize(
@@ -256,29 +235,38 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
         state, left = as_read(left), practice(2, score=score, config=config)
         left.restore(state, "here")
         if "other/later" in state:  # within one
-            follow.add(all((state[f"other/{of}"] == state[f"pieced/{of}"]).all() for of in WAY))
+            follow.add(
+                all((state[f"other/{of}"] == state[f"spliced/{of}"]).all() for of in VARIANT)
+            )
     assert follow == {False, follows}  # others, and those that follow what was put together
     assert_same(left, straight)
 
 
-@pytest.mark.parametrize(("lost", "costs"), [(np.inf, [3.0, 1.0, 2.0, 4.0]), (0.0, [3.0])])
-def test_hands_that_follow_try_a_second_again_unless_it_is_as_good(
-    lost: float, costs: list[float], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("loss", "costs"), [(np.inf, [3.0, 1.0, 2.0, 4.0]), (0.0, [3.0])])
+def test_hands_that_follow_play_a_second_again_unless_it_is_as_good(
+    loss: float, costs: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    play, made = InitialTrajectories._play, list[float]()
+    roll_out, follow = WholeScene.roll_out, PlannedVariant.follow
+    made, follows = list[float](), list[bool]()
 
-    def with_cost(takes: InitialTrajectories, first: int, last: int) -> Any:
-        played = play(takes, first, last)
-        if takes._follows:
+    def with_cost(*arguments: Any) -> Any:
+        played, snapshots = roll_out(*arguments)
+        if follows:
+            follows.pop()
             made.append(costs[len(made)])
-            played.take.cost[:], played.take.loss[:] = made[-1], lost
-        return played
+            played.cost[:], played.loss[:] = made[-1], loss
+        return played, snapshots
 
-    monkeypatch.setattr(InitialTrajectories, "_play", with_cost)
+    monkeypatch.setattr(WholeScene, "roll_out", with_cost)
+    monkeypatch.setattr(
+        PlannedVariant, "follow", lambda *args: follows.append(True) or follow(*args)
+    )
     one = practice(score=JUMPS)
     one.run(np.inf, lambda: not made)
     assert made == costs
-    np.testing.assert_array_equal(one._first._take.cost[: one._first.played], min(costs))
+    state = one.state()
+    num_played, _ = state["initial/numbers"]
+    np.testing.assert_array_equal(state["other/cost"][:num_played], min(costs))
 
 
 def test_fingers_of_the_score_are_kept() -> None:
@@ -291,7 +279,8 @@ def test_fingers_of_the_score_are_kept() -> None:
 def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(practice_of_hands, "_SWEEPS", (0.2, 0.2))
+    for sweep in ("_FIRST_SWEEP", "_SWEEP"):
+        monkeypatch.setattr(practice_of_hands, sweep, 0.2)
     with_search = PlannerConfig(  # a short one, which leaves something to practise
         fingering="score", num_candidates=4, iterations=1, horizon=0.1, proposals="none"
     )
@@ -339,11 +328,11 @@ def test_practice_with_other_options_is_refused(
     ("name", "value"),
     [
         ("practice/numbers", -1),
-        ("practice/tries", -1.0),
-        ("first/numbers", -1),
-        ("first/numbers", 1000),
-        ("first/fingers", 10),
-        ("pieced/later", 9),
+        ("practice/num_failed", -1.0),
+        ("initial/numbers", -1),
+        ("initial/numbers", 1000),
+        ("initial/fingers", 10),
+        ("spliced/later", 9),
     ],
 )
 def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: Practice) -> None:
@@ -353,7 +342,7 @@ def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: 
         check_arrays(state, practice().expected(), "state")
 
 
-@pytest.mark.parametrize("lost", ["right/rng", "pieced/fingers", "first/later"])
+@pytest.mark.parametrize("lost", ["right/rng", "spliced/fingers", "initial/later"])
 def test_practice_with_parts_missing_is_refused(lost: str) -> None:
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
@@ -368,21 +357,20 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
 ) -> None:
     """Snapshots are whole simulations: none is made of the song before the window."""
     left = practice(score=LONG)
-    while left._sweep is None or not left._sweep.first:
+    while not left.state().get("sweep/first"):
         left.run(2.0, on_and_off(1))
     made: list[int] = []
-    play = trajectory.Stage.play
+    roll_out = WholeScene.roll_out
 
-    def playing(*args: Any) -> Any:
-        played, moments = play(*args)
-        made.extend(moments)
-        return played, moments
+    def rolling_out(*args: Any) -> Any:
+        played, snapshots = roll_out(*args)
+        made.extend(snapshots)
+        return played, snapshots
 
     again = practice(score=LONG)
-    monkeypatch.setattr(trajectory.Stage, "play", playing)
+    monkeypatch.setattr(WholeScene, "roll_out", rolling_out)
     again.restore(as_read(left), "here")
-    assert made == list(again._moments)
-    assert min(made) == left._sweep.first
+    assert min(made) == left.state()["sweep/first"]
 
 
 def test_practice_with_a_generator_that_cannot_be_is_refused() -> None:
@@ -407,9 +395,9 @@ def test_hands_that_do_not_slide_practise(forearm_dofs: tuple[ForearmDof, ...]) 
 def test_the_only_passage_of_a_short_song_is_told() -> None:
     done = practice(score=Score(HARD.notes[:1]))
     done.run(0.01)
-    done.take.loss[:] = 0.0
-    done.take.loss[0, 0] = 1.0
-    assert done.passages() == [0]
+    done.trajectory.loss[:] = 0.0
+    done.trajectory.loss[0, 0] = 1.0
+    assert done.passages_with_loss() == [0]
 
 
 def test_the_planner_practises_before_it_plays() -> None:
@@ -660,7 +648,7 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
     done, told = practice(score=LONG), list[tuple[str, int, int]]()
 
     def goes_on() -> bool:
-        told.append(done.how_far(0.002))
+        told.append(done.progress(0.002))
         return True
 
     done.run(0.002, goes_on)
@@ -670,7 +658,7 @@ def test_what_is_finished_after_the_effort_is_shown_until_its_end() -> None:
     finishing = [(played, of) for stage, played, of in told if stage == stages[-1]]
     assert finishing == sorted(set(finishing))  # goes forward, up to
     assert finishing[-1][1] == done.num_steps
-    assert done.how_far(0.002) == ("practising", 100, 100)
+    assert done.progress(0.002) == ("practising", 100, 100)
 
 
 def test_practice_is_saved_more_often_than_a_plan_that_takes_long_to_save(

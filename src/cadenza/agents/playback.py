@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cadenza.agents.agent import Agent, Array, check_planned_for
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.plan_variants import Variant
-from cadenza.agents.planner.practice.practised_planner import Practised
+from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError
 from cadenza.files import (
@@ -138,7 +138,7 @@ def save_plan(
     options: Mapping[str, Any],
     fingered: Score,
     hands: Fingers,
-    practised: Practised | None = None,
+    practised: PractisedPlan | None = None,
 ) -> None:
     """Writes what `load_plan` and its like and `check_options` read, and what there is to know.
 
@@ -151,7 +151,7 @@ def save_plan(
     more: dict[str, Any] = {}
     if practised is not None:
         (_, gain, expected), song = practised.tracking, asdict(WrittenScore.of(fingered))
-        more = {"gain": gain, "expected": expected, "later": practised.way.later}
+        more = {"gain": gain, "expected": expected, "later": practised.variant.later}
         more["score"] = np.str_(json.dumps(song))
     with write_atomically(path) as file:
         np.savez_compressed(
@@ -169,7 +169,7 @@ def save_plan(
         )
 
 
-def practised_in(path: Path) -> Practised | None:
+def practised_in(path: Path) -> PractisedPlan | None:
     """How a song was practised, where the file holds it.
 
     Raises:
@@ -183,7 +183,7 @@ def practised_in(path: Path) -> Practised | None:
         raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")
     fingers = arrays["fingering"][:, 2].astype(np.int64)
     tracking = Tracking(ctrl, arrays["gain"], expected)
-    return Practised(tracking, Variant(fingers, arrays["later"]))
+    return PractisedPlan(tracking, Variant(fingers, arrays["later"]))
 
 
 class PractisedSong(NamedTuple):

@@ -88,7 +88,7 @@ def _practise(
         goes_on()
     if not practice.history:
         print("stopped within the first take; what follows is played as planned, without a search")
-    elif left := practice.losing() if score.bars else practice.passages():
+    elif left := practice.steps_with_loss() if score.bars else practice.passages_with_loss():
         print(f"not yet right: {_places(practice, score, left)}")
 
 
@@ -138,19 +138,19 @@ def _how_far(
     """What is being done, in which unit, how much is done and of how much, after `seconds`."""
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes
-    stage, done, total = practice.how_far(effort)
+    stage, done, total = practice.progress(effort)
     return stage, "%" if stage == "practising" else "steps", done, total
 
 
 def _where(practice: Practice, score: Score) -> str:
     """What is worked on of a score, and what remains."""
-    passages = len(practice.passages())
+    passages = len(practice.passages_with_loss())
     so_far = ""
     if practice.history:
         so_far = "F1 {1:.3f}, note onsets F1 {2:.3f}, ".format(*practice.history[-1])
-    how = "another take, " if practice.plays_another_take else ""
+    how = "another take, " if practice.plays_variant else ""
     left = f"{passages} passage{'s'[: passages != 1]} left"
-    return f"{so_far}{how}{_places(practice, score, practice.at)}, {left}"
+    return f"{so_far}{how}{_places(practice, score, practice.current_steps)}, {left}"
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.practice.practised_planner import Practised
+from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
@@ -36,7 +36,7 @@ class Plan:
     """What has to be the same for the plan to play the same."""
     hands: Fingers
     """How the fingers are numbered in arrays."""
-    practised: Practised | None = None
+    practised: PractisedPlan | None = None
     """What leads hands back to it that are pushed off, if it was practised."""
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.plan.tracking import Follower, Tracking
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practice import OF, Practice
-from cadenza.agents.planner.practice.practised_planner import Practised, PractisedHands
+from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlan
 from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
 from cadenza.files import read_arrays, write_atomically, write_json
@@ -95,7 +95,7 @@ class Practising:
         """To play what is played best so far, with the fingers that play it."""
         return self._setup_with(self.practice.best().practised)
 
-    def _setup_with(self, practised: Practised) -> Setup:
+    def _setup_with(self, practised: PractisedPlan) -> Setup:
         hands = PractisedHands(practised, self._agent.config, self.practice.plan)
         hands.num_threads = self._agent.num_threads
         notes = self.practice.plan.track.score.notes  # the song's, in the same order

@@ -56,7 +56,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         practice = Practice(view, rng, config, self.threads, self.progress)
 
         def goes_on() -> bool:
-            self.progress(*practice.how_far(effort))
+            self.progress(*practice.progress(effort))
             return True
 
         practice.run(effort, goes_on)

@@ -1,8 +1,8 @@
-"""A hand looks for something better to do where its playing loses something.
+"""Improves what one hand plays where it has a loss.
 
-It begins a little before what fails, and tries many variations of the take in simulation, by
-itself and with the keys near it only. Whether the best of them is of use shows when it is played
-in the whole scene, where the other hand may be in the way.
+The hand begins a little before the fault, and rolls out many perturbations of the trajectory, by
+itself and with the keys near it only. Whether the best of them is of use shows in the whole scene,
+where the other hand may be in the way.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.planner.practice.losses import Losses
-from cadenza.agents.planner.practice.perturbations import Variations
+from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.trajectory import Trajectory
 from cadenza.agents.planner.search.fingertip_correction import Correction
 from cadenza.agents.planner.search.rollouts import EXPECTED
@@ -32,14 +32,16 @@ from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 
-_CANDIDATES = 18  # variations that are drawn
-_CORRECTED = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)  # times the way that fingertips are off, as tried too
-_BEFORE = 0.6  # [s] at most that a variation begins before what it is to mend
-_BEYOND = 0.6  # [s] for which it is judged after it
+_CANDIDATES = 18  # perturbations that are drawn
+# Scales of the correction that takes fingertips to their targets; each is another candidate. The
+# first two are for all servos, the others for servos that are drawn.
+_CORRECTION_SCALES = (1.0, 2.0, 1.0, 2.0, 0.5, 1.5)
+_LEAD = 0.6  # [s] at most from the beginning of a change to the fault
+_HORIZON = 0.6  # [s] for which a change is evaluated after its end
 
 
 class Change(NamedTuple):
-    """What a hand with A servos may do for L steps instead of what it does."""
+    """Other controls for a hand with A servos over L steps."""
 
     first: int
     ctrl: Array
@@ -49,193 +51,201 @@ class Change(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """What a hand has looked for and found."""
+    """What a hand has tried in order to mend a fault."""
 
     step: int
-    """Which lost something."""
+    """The step with the loss."""
     first: int
-    """Where variations began."""
+    """The step at which perturbations began."""
     change: Change | None
-    """The best of them, if one was better than the take."""
+    """The best of them, if one was better than the trajectory."""
     simulated: int
-    """Control steps."""
+    """Control steps that were simulated."""
 
 
-class _Trial(NamedTuple):
+class _Rollout(NamedTuple):
     cost: float
+    """Cost of all steps, infinite if the rollout was given up."""
     ctrl: Array
     expected: Array
-    steps: list[float]
-    """What each of the steps that were simulated cost."""
+    step_costs: list[float]
+    """Cost of each step that was simulated."""
     fingertips: list[Array]
-    """(F, 3) after each of them [m]."""
+    """(F, 3) after each of these steps [m]."""
     hand_qpos: list[Array]
-    """(J,) likewise [m, rad]."""
+    """(J,) after each of these steps [m, rad]."""
 
 
 class HandPractice:
-    """One hand that practises.
+    """Practice of one hand.
 
     Attributes:
-        servos: those of the hand among all.
+        servos: the hand's servos among those of all hands.
     """
 
-    def __init__(
-        self,
-        plan: SongPlan,
-        side: Side,
-        part: HandGoals,
-        threads: Threads,
-    ) -> None:
+    def __init__(self, plan: SongPlan, side: Side, goals: HandGoals, threads: Threads) -> None:
         """Args:
-        plan: of the whole song.
-        side: of the hand.
-        part: what the hand has to do.
-        threads: that share trials.
+        plan: the plan of the whole song.
+        side: which hand.
+        goals: what the hand has to do.
+        threads: what shares the rollouts.
         """
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
         self._slides = servos_of(alone).along_keyboard
         self._gain, self._follower = tracking.gain, Follower(alone, tracking)
-        self._part, self._losses, self._threads = part, Losses(plan, part), threads
-        self._variations = Variations(alone, tracking.expected[:, :, 0], dt)
-        self._toward = Correction(alone)
-        self._trials = HandRollouts(alone, dt, plan.scene)
-        self._before, self._beyond = steps_in(_BEFORE, dt), steps_in(_BEYOND, dt)
+        self._goals, self._losses, self._threads = goals, Losses(plan, goals), threads
+        self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
+        self._correction = Correction(alone)
+        self._rollouts = HandRollouts(alone, dt, plan.scene)
+        self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
         self._keys = plan.goals.keys
 
     def attempt(
         self,
-        take: Trajectory,
+        trajectory: Trajectory,
         first: int,
         weight: Array,
         last: int,
-        at: Callable[[int], PlanningSimulation],
+        scene_before: Callable[[int], PlanningSimulation],
         rng: np.random.Generator,
     ) -> Attempt:
-        """Tries to lose less at a step that is drawn.
+        """Tries to lower the loss at a step that is drawn.
 
         Args:
-            take: of both hands.
-            first: earliest step to change.
-            weight: (L,) of the steps from there on, the more likely they are to be drawn.
-            last: up to which variations may be judged.
-            at: the scene before a step of the take.
-            rng: what is random.
+            trajectory: what all hands play.
+            first: the earliest step that may change.
+            weight: (L,) how likely each step from there on is to be drawn, not normalised.
+            last: the step up to which changes may be evaluated.
+            scene_before: gives the whole scene before a step of the trajectory.
+            rng: source of randomness.
         """
         step = first + int(rng.choice(len(weight), p=weight / weight.sum()))
-        if rng.random() < 0.5:
-            step = self._since(take, first, step)
-        begin = max(step - int(rng.integers(1, self._before + 1)), first)
-        changed = min(begin + self._variations.length(rng), last)
-        end = min(max(changed, step + 1) + self._beyond, last)
-        path, simulation = take.expected[:, self.servos, 0], at(begin)
-        offsets = self._variations.draw(path, begin, changed, _CANDIDATES, rng)
-        self._begin_trials(simulation, offsets, begin, end)
-        best, simulated = self._best_of(offsets, take, begin, end, rng)
+        if rng.random() < 0.5:  # where a key went wrong, as often as where it still is
+            step = self._first_wrong(trajectory, first, step)
+        begin = max(step - int(rng.integers(1, self._lead + 1)), first)
+        changed = min(begin + self._perturbations.length(rng), last)
+        end = min(max(changed, step + 1) + self._horizon, last)
+        path, simulation = trajectory.expected[:, self.servos, 0], scene_before(begin)
+        offsets = self._perturbations.draw(path, begin, changed, _CANDIDATES, rng)
+        self._begin_rollouts(simulation, offsets, begin, end)
+        best, simulated = self._best_of(offsets, trajectory, begin, end, rng)
         change = Change(begin, best.ctrl, best.expected) if best else None
         return Attempt(step, begin, change, simulated)
 
-    def _since(self, take: Trajectory, first: int, step: int) -> int:
+    def _first_wrong(self, trajectory: Trajectory, first: int, step: int) -> int:
         """The step, from `first` on, since which a key has been wrong that is wrong at `step`."""
         rows = slice(first, step + 1)
-        wrong = (take.sounding ^ self._keys)[rows] & (self._part.mine | ~self._keys)[rows]
+        may_be_wrong = self._goals.mine | ~self._keys
+        wrong = (trajectory.sounding ^ self._keys)[rows] & may_be_wrong[rows]
         fine = ~(wrong & wrong[-1]).any(axis=1)
         return min(first + int(np.append(-1, np.flatnonzero(fine))[-1]) + 1, step)
 
-    def _begin_trials(
+    def _begin_rollouts(
         self, simulation: PlanningSimulation, offsets: Array, first: int, end: int
     ) -> None:
-        """From where the hand is, over all keys on the way."""
-        tips = self._part.fingertips[first : end + 1, :, 1]
-        here = simulation.state.fingertip_xpos[0, self._part.fingers, 1]
+        """Prepares rollouts from where the hand is, with all keys that it may come over."""
+        tips = self._goals.fingertips[first : end + 1, :, 1]
+        here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
         slides = offsets[..., self._slides]  # of hands that slide
-        self._trials.begin_from(
+        self._rollouts.begin_from(
             simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
         )
 
     def _best_of(
-        self, offsets: Array, take: Trajectory, first: int, end: int, rng: np.random.Generator
-    ) -> tuple[_Trial | None, int]:
-        """The cheapest trial with `offsets` (N, L, A), or corrections, if cheaper than the take.
+        self,
+        offsets: Array,
+        trajectory: Trajectory,
+        first: int,
+        end: int,
+        rng: np.random.Generator,
+    ) -> tuple[_Rollout | None, int]:
+        """Rolls out `offsets` (N, L, A) and corrections from the step `first` up to `end`.
 
-        And how many control steps were simulated. Trials are made in pairs, so that an idle thread
-        can take one of each: what is known of the pairs before decides what is given up, however
-        many threads there are.
+        Rollouts are made in pairs, so that an idle thread can take one of each: only what is known
+        of earlier pairs decides what is given up, so any number of threads finds the same.
+
+        Returns:
+            The cheapest rollout, None if the trajectory is as cheap; control steps simulated.
         """
         steps, changed = end - first, offsets.shape[1]
-        as_it_is = self._try(
-            take, first, np.inf, np.zeros(steps), np.zeros((steps + 1, offsets.shape[2]))
+        unchanged = self._roll_out(
+            trajectory, first, np.inf, np.zeros(steps), np.zeros((steps + 1, offsets.shape[2]))
         )
-        offsets = np.concatenate([self._corrections(as_it_is, first, changed, rng), offsets])
-        # What a hand's servos are moved by before each step.
+        offsets = np.concatenate([self._corrections(unchanged, first, changed, rng), offsets])
+        # How much each servo's target is moved before each step.
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
-        best, most, simulated = None, as_it_is.cost, steps
-        least = np.array(as_it_is.steps)
+        best, lowest, simulated = None, unchanged.cost, steps
+        lowest_by_step = np.array(unchanged.step_costs)
         for i in range(0, len(offsets), PLACES):
-            rest = EXPECTED * (least.sum() - np.cumsum(least))
-            tries = [
-                partial(self._try, take, first, most, rest, each, place)
+            cost_to_go = EXPECTED * (lowest_by_step.sum() - np.cumsum(lowest_by_step))
+            pair = [
+                partial(self._roll_out, trajectory, first, lowest, cost_to_go, each, place)
                 for place, each in enumerate(offsets[i : i + PLACES])
             ]
-            for trial in self._threads.together(tries):
-                taken = len(trial.steps)
-                simulated += taken
-                least[:taken] = np.minimum(least[:taken], trial.steps)
-                if trial.cost < most:
-                    best, most = trial, trial.cost
+            for rollout in self._threads.together(pair):
+                done = len(rollout.step_costs)
+                simulated += done
+                lowest_by_step[:done] = np.minimum(lowest_by_step[:done], rollout.step_costs)
+                if rollout.cost < lowest:
+                    best, lowest = rollout, rollout.cost
         return best, simulated
 
     def _corrections(
-        self, as_it_is: _Trial, first: int, changed: int, rng: np.random.Generator
+        self, unchanged: _Rollout, first: int, changed: int, rng: np.random.Generator
     ) -> Array:
-        """(C, L, A) what takes fingertips, or some of them, nearer to where the plan has them."""
+        """Offsets (C, L, A) that take all or some fingertips nearer to where the plan has them."""
         states = slice(first + 1, first + 1 + changed)
-        off = self._part.fingertips[states] - np.array(as_it_is.fingertips[:changed])
-        weight = self._part.weight[states] / self._part.weight.max()
-        change = self._toward.of(self._trials, np.array(as_it_is.hand_qpos[:changed]), off, weight)
+        off = self._goals.fingertips[states] - np.array(unchanged.fingertips[:changed])
+        weight = self._goals.weight[states] / self._goals.weight.max()
+        hand_qpos = np.array(unchanged.hand_qpos[:changed])
+        change = self._correction.of(self._rollouts, hand_qpos, off, weight)
         change = change[np.minimum(np.arange(1, changed + 1), changed - 1)]
-        some = [np.ones(change.shape[1], bool)] * 2
-        some += [self._variations.servos(rng) for _ in _CORRECTED[2:]]
-        return np.stack(
-            [times * change * each for times, each in zip(_CORRECTED, some, strict=True)]
-        )
+        servos = [np.ones(change.shape[1], bool)] * 2
+        servos += [self._perturbations.servos(rng) for _ in _CORRECTION_SCALES[2:]]
+        scaled = zip(_CORRECTION_SCALES, servos, strict=True)
+        return np.stack([scale * change * each for scale, each in scaled])
 
-    def _try(
-        self, take: Trajectory, first: int, most: float, rest: Array, offsets: Array, place: int = 0
-    ) -> _Trial:
-        """Tries a take from `first` on, with offsets (L + 1, A) to where servos are before steps.
+    def _roll_out(
+        self,
+        trajectory: Trajectory,
+        first: int,
+        most: float,
+        cost_to_go: Array,
+        offsets: Array,
+        place: int = 0,
+    ) -> _Rollout:
+        """Rolls out the trajectory from `first` on, with offsets (L + 1, A) to servos' positions.
 
-        One that is likely to cost `most` or more, as after its steps `rest` (L,) is to be expected,
-        is given up, at infinite cost.
+        A rollout is given up, at infinite cost, once its cost and what `cost_to_go` (L,) says is to
+        be expected after each step come to `most`.
         """
-        trials, rows = self._trials, slice(first, first + len(offsets) - 1)
-        ctrl, expected = (
-            take.ctrl[rows, self.servos].copy(),
-            take.expected[rows, self.servos].copy(),
-        )
+        rollouts, rows = self._rollouts, slice(first, first + len(offsets) - 1)
+        ctrl = trajectory.ctrl[rows, self.servos].copy()
+        expected = trajectory.expected[rows, self.servos].copy()
 
         def controls() -> Iterator[Array]:
             for k, gain in enumerate(self._gain[rows]):
-                here = self._follower.posture(*trials.hand_joints(place))
+                here = self._follower.posture(*rollouts.hand_joints(place))
                 off = here - expected[k]
                 off[:, 0] -= offsets[k]
                 expected[k] = here
-                back = (gain * off).sum(axis=1)
-                ctrl[k] = self._follower.clip(ctrl[k] - back + offsets[k + 1])
+                feedback = (gain * off).sum(axis=1)
+                ctrl[k] = self._follower.clip(ctrl[k] - feedback + offsets[k + 1])
                 yield ctrl[k]
 
-        cost, heard, steps = 0.0, take.heard(first).of(trials.keys), list[float]()
-        tips, qpos = list[Array](), list[Array]()
-        for key_qpos, fingertips in trials.run(controls(), place):
-            row = first + len(steps)
-            _, more, heard = self._losses.after(row, key_qpos, fingertips, heard, trials.keys)
+        cost, history = 0.0, trajectory.key_history(first).of(rollouts.keys)
+        made = _Rollout(np.inf, ctrl, expected, [], [], [])
+        for step, (key_qpos, fingertips) in enumerate(rollouts.run(controls(), place), first):
+            _, more, history = self._losses.after(
+                step, key_qpos, fingertips, history, rollouts.keys
+            )
             cost += more
-            steps.append(more)
-            tips.append(fingertips)
-            qpos.append(trials.hand_joints(place)[0].copy())
-            if cost + rest[len(steps) - 1] >= most:
-                return _Trial(np.inf, ctrl, expected, steps, tips, qpos)
-        return _Trial(np.inf if trials.unstable(place) else cost, ctrl, expected, steps, tips, qpos)
+            made.step_costs.append(more)
+            made.fingertips.append(fingertips)
+            made.hand_qpos.append(rollouts.hand_joints(place)[0].copy())
+            if cost + cost_to_go[step - first] >= most:
+                return made
+        return made if rollouts.unstable(place) else made._replace(cost=cost)

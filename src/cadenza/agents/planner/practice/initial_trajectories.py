@@ -1,14 +1,13 @@
-"""The first takes of a song: as the planner plays it, then in other ways where it loses.
+"""The trajectories that practice begins with: the planner's, then variants where it has a loss.
 
-In between, what each take did best is put together (`patchwork`), and hands follow that. The best
-take of all is where practice begins.
+In between, the best passages of all trajectories are spliced together, and the hands follow the
+result. The best trajectory of all is where practice begins.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.practice.plan_variants import OTHER_COSTS, SplicedTrajectory, Variant
 from cadenza.agents.planner.practice.planned_variant import PlannedVariant
-from cadenza.agents.planner.practice.practised_planner import Rehearsal
+from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
 from cadenza.agents.planner.search.hand_search import SearchState
 from cadenza.fingering.transitions import Costs
@@ -25,32 +24,34 @@ from cadenza.fingers import NO_FINGER
 from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack
 
+T = TypeVar("T", Variant, Trajectory)
+
 _CHUNK = 1.0  # [s] that are played at a time
-_LATER = 0.1  # [s] later than usual, at most, that hands let go before a jump
-_TRIES = 4  # for each second, of hands that follow the best of all takes, put together
+_LATEST = 0.1  # [s] later than usual, at most, that hands let go before a jump
+_MOST_ROLLOUTS = 4  # of each chunk, by hands that follow a spliced trajectory
 
 Parts = dict[str, dict[str, Any]]
 """Arrays by part and name."""
 
-Bounds = dict[str, tuple[Any, Any]]
+Limits = dict[str, tuple[Any, Any]]
 """Least and most by "part/name", of which `*` stands for any."""
 
 
-class _Played(NamedTuple):
-    """What came of some steps."""
+class _Chunk(NamedTuple):
+    """A chunk that was played."""
 
-    take: Trajectory
-    moments: Snapshots
+    played: Trajectory
+    snapshots: Snapshots
     simulated: int
     """Control steps of a hand."""
 
 
 class InitialTrajectories:
-    """Takes of a song, one after the other.
+    """Trajectories of a song, one after the other.
 
     Attributes:
-        seed: of what is random from the second on.
-        played: steps of the take that is played now, or was last.
+        seed: seed of all randomness from the second trajectory on.
+        num_played: steps that have been played of the current trajectory.
     """
 
     def __init__(
@@ -66,8 +67,8 @@ class InitialTrajectories:
             track: the song.
             start: (J,) joint positions of the hands where it begins [m, rad].
             config: how to plan.
-            rng: what is random.
-            threads: that share the work.
+            rng: source of randomness.
+            threads: what shares the work.
             progress: is told of "fingers" and "postures".
 
         Raises:
@@ -77,198 +78,197 @@ class InitialTrajectories:
         if found:
             track = track.with_found_fingers()
         self._start, self._config, self._threads = start, config, threads
-        self._enter(PlannedVariant(track, start, config, rng, threads, progress))
+        self._begin(PlannedVariant(track, start, config, rng, threads, progress))
         self.seed = int(rng.integers(2**63))
-        self._chunk = steps_in(_CHUNK, track.config.control_timestep)
-        fingers = [partial(self._with_fingers_by, costs) for costs in OTHER_COSTS if found]
-        self._latest = steps_in(_LATER, track.config.control_timestep)
-        jumps = [partial(self._letting_go, step) for step in range(1, self._latest + 1)]
-        self._ways: list[Callable[[], Variant]] = [
-            *fingers,
-            self._put_together,
-            *(trial for jump in jumps for trial in (jump, self._put_together)),
-            self._put_together,
-        ]
-        self._tried = 0
-        self._kept: tuple[PlannedVariant, Trajectory] | None = None
-        self._pieced = self._as_played()
+        dt = track.config.control_timestep
+        self._chunk, self._latest = steps_in(_CHUNK, dt), steps_in(_LATEST, dt)
+        # Costs that find other fingers; by how many steps to let go later; None follows the best
+        # of all trajectories, spliced together.
+        self._schedule: list[Costs | int | None] = [*OTHER_COSTS] if found else []
+        self._schedule.append(None)
+        for later in range(1, self._latest + 1):
+            self._schedule += [later, None]
+        self._schedule.append(None)
+        self._num_tried = 0
+        self._best_before: tuple[PlannedVariant, Trajectory] | None = None
+        self._spliced = self._as_played()
 
-    def _enter(self, version: PlannedVariant) -> None:
-        """Goes over to a version of which nothing has been played."""
-        self._version, self._take, self.played = version, version.take_to_come, 0
-        self._moments = {0: version.stage.beginning()}
+    def _begin(self, planned: PlannedVariant) -> None:
+        """Goes over to a variant of which nothing has been played."""
+        self._planned, self._trajectory, self.num_played = planned, planned.unplayed(), 0
+        self._snapshots = {0: planned.scene.at_start()}
 
     @property
     def best(self) -> tuple[PlannedVariant, Trajectory]:
-        """The best take so far; of the first one what has been played, and what is expected."""
-        return self._kept or (self._version, self._take)
+        """The best trajectory so far; the first one may still have steps that are only planned."""
+        return self._best_before or (self._planned, self._trajectory)
 
     @property
     def is_playing(self) -> bool:
-        """Whether the take has steps left."""
-        return self.played < len(self._take.ctrl)
+        """Whether the current trajectory has steps left to play."""
+        return self.num_played < len(self._trajectory.ctrl)
 
     @property
-    def plays_another_take(self) -> bool:
-        """Whether the take is not the first one."""
-        return self._kept is not None
+    def plays_variant(self) -> bool:
+        """Whether another trajectory than the first is being played."""
+        return self._best_before is not None
 
     @property
     def over(self) -> bool:
         """Whether there is nothing left to try."""
-        return not self.is_playing and self._tried == len(self._ways)
+        return not self.is_playing and self._num_tried == len(self._schedule)
 
-    def go_on(self) -> int:
-        """Plays a second, or begins another take.
+    def advance(self) -> int:
+        """Plays a chunk, or begins another trajectory.
 
         Returns:
             How many control steps of a hand were simulated.
         """
         if not self.is_playing:
-            self._begin_another()
+            self._begin_next()
             return 0
-        first = self.played
-        last = min(first + self._chunk, len(self._take.ctrl))
-        tries = self._followed(first, last) if self._follows else [self._play(first, last)]
-        best = min(tries, key=lambda each: float(each.take.cost.sum()))
-        self._take.put(first, best.take)
-        self._moments = {step: moment for step, moment in best.moments.items() if step == last}
-        self.played = last  # only now: whoever interrupts this may go on
+        first = self.num_played
+        last = min(first + self._chunk, len(self._trajectory.ctrl))
+        chunks = self._follow(first, last) if self._follows else [self._play(first, last)]
+        best = min(chunks, key=lambda each: float(each.played.cost.sum()))
+        self._trajectory.overwrite(first, best.played)
+        self._snapshots = {step: each for step, each in best.snapshots.items() if step == last}
+        self.num_played = last  # only now: whoever interrupts this may go on
         if not self.is_playing:
             self._compare()
-        return sum(each.simulated for each in tries)
+        return sum(each.simulated for each in chunks)
 
-    def _play(self, first: int, last: int) -> _Played:
-        """Plays from one step to another."""
-        version, take = self._version, self._take
-        simulation, before = scene_before(first, take, self._moments), version.searching.simulated
-        part, heard, act = take.part(first, last), take.heard(first), version.searching.act
-        played = version.stage.play(simulation, first, part, heard, self._chunk, act)
-        simulated = version.searching.simulated - before + part.loss.size
-        return _Played(*played, simulated)
+    def _play(self, first: int, last: int) -> _Chunk:
+        """Plays from one step to another as the planner does."""
+        trajectory, search = self._trajectory, self._planned.search
+        simulation, before = scene_before(first, trajectory, self._snapshots), search.simulated
+        segment, history = trajectory.segment(first, last), trajectory.key_history(first)
+        played = self._planned.scene.roll_out(
+            simulation, first, segment, history, self._chunk, search.act
+        )
+        return _Chunk(*played, search.simulated - before + segment.loss.size)
 
-    def _followed(self, first: int, last: int) -> list[_Played]:
-        """Follows what was put together, until it loses no more than that."""
-        version, pieced, tries = self._version, self._pieced.take, list[_Played]()
-        wanted = pieced.loss[first:last].sum()
-        while len(tries) < _TRIES and all(each.take.loss.sum() > wanted for each in tries):
-            rng = np.random.default_rng((self.seed, self._tried, first, len(tries)))
-            version.follow(pieced, first, rng.spawn(len(version.parts)))
-            tries.append(self._play(first, last))
-        return tries
+    def _follow(self, first: int, last: int) -> list[_Chunk]:
+        """Follows the spliced trajectory, again and again until it loses no more than that."""
+        planned, wanted, chunks = self._planned, self._spliced.trajectory, list[_Chunk]()
+        loss = wanted.loss[first:last].sum()
+        while len(chunks) < _MOST_ROLLOUTS and all(c.played.loss.sum() > loss for c in chunks):
+            rng = np.random.default_rng((self.seed, self._num_tried, first, len(chunks)))
+            planned.follow(wanted, first, rng.spawn(len(planned.goals)))
+            chunks.append(self._play(first, last))
+        return chunks
 
     def _compare(self) -> None:
-        """Of the take that is over and the best before it, goes on with the better one."""
-        if not self._kept:
-            self._pieced = self._as_played()
+        """Splices the trajectory that is over, and goes on with the best one."""
+        if not self._best_before:
+            self._spliced = self._as_played()
             return
-        now, (version, take) = self._version, self._kept
-        self._pieced = self._pieced.with_better(now.way, self._take, now.parts)
-        if not now.rehearsal(self._take).no_worse_than(version.rehearsal(take)):
-            self._version, self._take = version, take
-        self._kept = None
+        now, (planned, trajectory) = self._planned, self._best_before
+        self._spliced = self._spliced.with_better(now.variant, self._trajectory, now.goals)
+        if not now.result(self._trajectory).no_worse_than(planned.result(trajectory)):
+            self._planned, self._trajectory = planned, trajectory
+        self._best_before = None
 
     def _as_played(self) -> SplicedTrajectory:
-        """The take that is the best so far."""
-        take = self._take.part(0, len(self._take.ctrl))
-        return SplicedTrajectory(self._version.plan.track, self._version.way, take)
+        """A copy of the current trajectory."""
+        planned = self._planned
+        return SplicedTrajectory(planned.plan.track, planned.variant, self._trajectory.copied())
 
-    def _begin_another(self) -> None:
-        """Goes over to the next take, if it is to be another one than the best so far."""
-        self._tried += 1
-        way = self._ways[self._tried - 1]()
+    def _begin_next(self) -> None:
+        """Goes over to the next trajectory, if it is to differ from the best one so far."""
+        self._num_tried += 1
+        variant = self._next_variant()
         if self._follows:
-            differs = self._pieced.take.loss.sum() < self._take.loss.sum()
+            differs = self._spliced.trajectory.loss.sum() < self._trajectory.loss.sum()
         else:
-            differs = not way.is_like(self._version.way)
+            differs = not variant.equals(self._planned.variant)
         if differs:
-            self._kept = self._version, self._take
-            self._enter(self._version_in(way))
+            self._best_before = self._planned, self._trajectory
+            self._begin(self._planned_as(variant))
 
     @property
     def _follows(self) -> bool:
-        """Whether the last take that was begun is to be as the best of all, put together."""
-        return self._tried > 0 and self._ways[self._tried - 1] == self._put_together
+        """Whether the current trajectory follows the spliced one."""
+        return self._num_tried > 0 and self._schedule[self._num_tried - 1] is None
 
-    def _with_fingers_by(self, costs: Costs) -> Variant:
-        return self._pieced.with_fingers_by(costs)
+    def _next_variant(self) -> Variant:
+        match self._schedule[self._num_tried - 1]:
+            case None:
+                return self._spliced.variant
+            case int(later):
+                return self._spliced.letting_go(later)
+            case costs:
+                return self._spliced.with_fingers_by(costs)
 
-    def _letting_go(self, later: int) -> Variant:
-        return self._pieced.letting_go(later)
+    def _planned_as(self, variant: Variant) -> PlannedVariant:
+        """Plans a variant, unless it is the current one."""
+        if variant.equals(self._planned.variant):
+            return self._planned
+        rng, track = np.random.default_rng((self.seed, self._num_tried)), self._planned.plan.track
+        return PlannedVariant(track, self._start, self._config, rng, self._threads, variant=variant)
 
-    def _put_together(self) -> Variant:
-        return self._pieced.way
+    def result(self) -> PracticeResult:
+        """The first trajectory, with what is left played as planned."""
+        planned = self._planned
+        whole = planned.played_to_the_end(self._trajectory, self.num_played, self._snapshots)
+        return planned.result(whole)
 
-    def _version_in(self, way: Variant) -> PlannedVariant:
-        """The one that is there, if that is its way."""
-        if way.is_like(self._version.way):
-            return self._version
-        rng, track = np.random.default_rng((self.seed, self._tried)), self._version.plan.track
-        return PlannedVariant(track, self._start, self._config, rng, self._threads, way=way)
-
-    def rehearsal(self) -> Rehearsal:
-        """The first take, with what is left to play."""
-        whole = self._version.to_the_end(self._take, self.played, self._moments)
-        return self._version.rehearsal(whole)
-
-    # To go on later
+    # Saving and restoring
 
     def parts(self, *, everything: bool = False) -> Parts:
-        """All that decides how they go on, beside the best take; or all that there may be."""
-        version, _ = self.best
-        numbers = {"numbers": [self.played, self._tried]}
-        parts: Parts = {"first": numbers | version.way._asdict()}
+        """All that decides how they go on, beside the best trajectory; or all that there may be."""
+        planned, _ = self.best
+        numbers = {"numbers": [self.num_played, self._num_tried]}
+        parts: Parts = {"initial": numbers | planned.variant._asdict()}
         if self.is_playing or everything:
-            memories = self._version.searching.memories
-            for side, memory in zip(version.plan.scene.sides, memories, strict=True):
-                parts[side] = memory._asdict()
-        if self._kept or everything:
-            parts["other"] = self._version.way._asdict() | self._take._asdict()
-        parts["pieced"] = self._pieced.way._asdict() | self._pieced.take._asdict()
-        return parts
+            states = self._planned.search.memories
+            for side, state in zip(planned.plan.scene.sides, states, strict=True):
+                parts[side] = state._asdict()
+        if self._best_before or everything:
+            parts["other"] = self._planned.variant._asdict() | self._trajectory._asdict()
+        _, variant, trajectory = self._spliced
+        return parts | {"spliced": variant._asdict() | trajectory._asdict()}
 
     @property
-    def bounds(self) -> Bounds:
-        """Between which values what is kept of them lies."""
-        counts = [len(self._take.ctrl), len(self._ways)]
-        last = self._version.plan.scene.fingers.count - 1
+    def limits(self) -> Limits:
+        """The least and the greatest values of some of the parts."""
+        counts = [len(self._trajectory.ctrl), len(self._schedule)]
+        last = self._planned.plan.scene.fingers.count - 1
         return {
-            "first/numbers": ([0, 0], counts),
+            "initial/numbers": ([0, 0], counts),
             "*/fingers": (NO_FINGER, last),
             "*/later": (0, self._latest),
         }
 
     def restore(self, parts: Mapping[str, dict[str, Any]], best: Trajectory) -> None:
-        """Goes on from the `parts` of the same takes, of which `best` was the best."""
-        first = parts["first"]
-        played, self._tried = first["numbers"].tolist()
-        pieced = parts["pieced"]
-        self._pieced = self._pieced._replace(way=_way_in(pieced), take=_take_in(pieced))
-        self._enter(self._version_in(_way_in(first)))
-        self._take = best
+        """Goes on from the `parts` of the same trajectories, of which `best` was the best."""
+        initial, spliced = parts["initial"], parts["spliced"]
+        num_played, self._num_tried = initial["numbers"].tolist()
+        self._spliced = SplicedTrajectory(
+            self._spliced.track, _fields(Variant, spliced), _fields(Trajectory, spliced)
+        )
+        self._begin(self._planned_as(_fields(Variant, initial)))
+        self._trajectory = best
         if other := parts.get("other"):
-            self._kept = self._version, best
-            self._enter(self._version_in(_way_in(other)))
-            self._take = _take_in(other)
-        self.played = played
+            self._best_before = self._planned, best
+            self._begin(self._planned_as(_fields(Variant, other)))
+            self._trajectory = _fields(Trajectory, other)
+        self.num_played = num_played
         if self.is_playing:
-            sides = self._version.plan.scene.sides
-            self._go_back([SearchState(**parts[side]) for side in sides])
+            sides = self._planned.plan.scene.sides
+            self._resume([SearchState(**parts[side]) for side in sides])
 
-    def _go_back(self, memories: list[SearchState]) -> None:
-        """To where the take was left."""
-        (simulation,) = self._moments.values()
-        searching = self._version.searching
-        for ctrl in self._take.ctrl[: self.played]:
-            searching.again(simulation.state, ctrl)
+    def _resume(self, states: list[SearchState]) -> None:
+        """Plays the trajectory again up to where it was left, without a search."""
+        (simulation,) = self._snapshots.values()
+        search = self._planned.search
+        for ctrl in self._trajectory.ctrl[: self.num_played]:
+            search.again(simulation.state, ctrl)
             simulation.step(ctrl[None])
-        searching.remember(memories)
-        self._moments = {self.played: simulation}
+        search.remember(states)
+        self._snapshots = {self.num_played: simulation}
 
 
-def _way_in(part: Mapping[str, Any]) -> Variant:
-    return Variant(**{name: part[name] for name in Variant._fields})
-
-
-def _take_in(part: Mapping[str, Any]) -> Trajectory:
-    return Trajectory(**{name: part[name] for name in Trajectory._fields})
+def _fields(kind: type[T], part: Mapping[str, Any]) -> T:
+    """A named tuple from a part that holds its fields and others."""
+    return kind(**{name: part[name] for name in kind._fields})

@@ -1,4 +1,4 @@
-"""What each step of a hand's playing loses: of F1, of note onsets, and what is not yet lost."""
+"""Loss and cost of every control step of a hand: F1, note onsets, and what is nearly lost."""
 
 from __future__ import annotations
 
@@ -16,95 +16,102 @@ from cadenza.tasks import reward
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ONSETS = 0.5  # what all note onsets together are worth, where F1 is worth 1
+ONSET_WEIGHT = 0.5
+"""What all note onsets together are worth, where F1 is worth 1."""
+_EXTRA_ONSET = 0.5  # loss of a superfluous onset, relative to a missed one, which costs recall too
 _LONG_AGO = 1_000_000  # steps
-_DEPTH = 0.06  # of a key's travel that lacks to the stop, or is too much, squared
-_ASTRAY = 0.02  # of what fingertips astray cost in the search
+# Both are small beside the loss of one key in one step, so that they only decide between rollouts
+# that lose the same.
+_DEPTH_WEIGHT = 0.06  # of the squared share of a key's travel that is missing or too much
+_FINGERTIP_WEIGHT = 0.02  # of the cost that the search gives fingertips off their targets
 
 
 class KeyHistory(NamedTuple):
-    """Keys after a step, (K,)."""
+    """State of K keys after a step, each (K,)."""
 
     sounding: Mask
     since: NDArray[np.intp]
-    """Steps since each began to sound, the last time."""
+    """Steps since the last onset of each key."""
 
     @classmethod
     def of_steps(cls, sounding: Mask) -> KeyHistory:
-        """After the last of some steps (S, K), if no key sounded before them."""
-        heard = cls(np.zeros(sounding.shape[1], bool), np.full(sounding.shape[1], _LONG_AGO))
+        """History after steps (S, K), before which no key sounded."""
+        history = cls(np.zeros(sounding.shape[1], bool), np.full(sounding.shape[1], _LONG_AGO))
         for keys in sounding:
-            heard = heard.then(keys)
-        return heard
+            history = history.then(keys)
+        return history
 
     def then(self, sounding: Mask) -> KeyHistory:
-        """After one more step, with the keys that sound then (K,)."""
+        """History after one more step, with the keys (K,) that sound then."""
         begins = sounding & ~self.sounding
         return KeyHistory(sounding, np.where(begins, 0, self.since + 1))
 
     def of(self, keys: slice) -> KeyHistory:
-        """Some of them."""
+        """History of some of the keys."""
         return KeyHistory(self.sounding[keys], self.since[keys])
 
 
 class Losses:
-    """Judges what a hand does after each step of a song.
+    """Evaluates one hand after each step of a song.
 
-    A step loses 1 - F1 as if the other hand played all its keys. A note loses more if its key does
-    not begin to sound on its first step or soon enough after it, as `cadenza.music.metrics` counts
-    onsets, and half as much is lost if one begins to sound at any other time.
+    The loss of a step is 1 - F1, as if the other hand played all its keys. A note loses more if its
+    key does not begin to sound on its first step or soon enough after it, as
+    `cadenza.music.metrics` counts onsets. An onset at any other time loses half as much.
     """
 
-    def __init__(self, plan: SongPlan, part: HandGoals) -> None:
+    def __init__(self, plan: SongPlan, goals: HandGoals) -> None:
         """Args:
-        plan: of the whole song.
-        part: of the hand.
+        plan: the plan of the whole song.
+        goals: what the hand has to do in it.
         """
         keys, dt = plan.goals.keys, plan.track.config.control_timestep
-        self._part, self._keyboard = part, plan.scene.keyboard
-        self._keys, self._wanted = keys, keys.sum(axis=1)
-        self._in_time, self._welcome = last_in_time(part.mine, dt), may_begin(keys, dt)
-        self._onset = ONSETS * len(keys) / max(int(first_steps(keys).sum()), 1)
+        self._goals, self._keyboard = goals, plan.scene.keyboard
+        self._keys, self._num_wanted = keys, keys.sum(axis=1)
+        self._in_time, self._may_begin = last_in_time(goals.mine, dt), may_begin(keys, dt)
+        self._onset = ONSET_WEIGHT * len(keys) / max(int(first_steps(keys).sum()), 1)
 
     def after(
         self,
-        row: int,
+        step: int,
         key_qpos: Array,
         fingertips: Array,
-        heard: KeyHistory,
+        history: KeyHistory,
         keys: slice = slice(None),
         near: Mask | bool = True,
     ) -> tuple[float, float, KeyHistory]:
-        """What is lost by the state after step `row`.
+        """Evaluates the state after a step.
 
         Args:
-            row: of the song.
-            key_qpos: (K,) [rad].
-            fingertips: (F, 3) of the hand [m].
-            heard: after the step before.
-            keys: which they are; all by default.
-            near: (K,) those of which it is to blame for what sounds and should not.
+            step: the control step of the song.
+            key_qpos: (K,) angles of the keys [rad].
+            fingertips: (F, 3) positions of the hand's fingertips [m].
+            history: the keys before the step.
+            keys: which keys these are; all by default.
+            near: (K,) keys that the hand is charged with if they sound and should not.
 
         Returns:
-            The loss; the cost, which is the loss and a little for what is nearly lost; what is
-            heard now.
+            The loss; the cost, which is the loss and a little for what is nearly lost; the history
+            after the step.
         """
-        part, keyboard, wanted = self._part, self._keyboard, self._keys[row, keys]
-        mine, travel = part.mine[row, keys], keyboard.travel[keys]
+        goals, keyboard, wanted = self._goals, self._keyboard, self._keys[step, keys]
+        mine, travel = goals.mine[step, keys], keyboard.travel[keys]
         unwanted = ~wanted & near
         sounding = reward.key_activation(key_qpos, keyboard.sounds_from[keys])
-        now, in_time = heard.then(sounding), self._in_time[row, keys]
+        now, in_time = history.then(sounding), self._in_time[step, keys]
         begins = now.since == 0
         missing = np.count_nonzero(mine & ~sounding)
         wrong = np.count_nonzero(sounding & unwanted)
-        loss = (missing + wrong) / max(2 * self._wanted[row] - missing + wrong, 1)
+        loss = (missing + wrong) / max(2 * self._num_wanted[step] - missing + wrong, 1)
         late = (in_time >= 0) & (now.since > in_time)
-        extra = begins & ~self._welcome[row, keys] & near
-        loss += self._onset * (np.count_nonzero(late) + 0.5 * np.count_nonzero(extra))
+        extra = begins & ~self._may_begin[step, keys] & near
+        onsets = np.count_nonzero(late) + _EXTRA_ONSET * np.count_nonzero(extra)
+        loss += self._onset * onsets
         depth = reward.key_state(key_qpos, travel)
-        lacking = mine * (1.0 - depth)
-        too_far = unwanted * np.maximum(depth - NO_HARM, 0.0)
-        offset = fingertips - part.fingertips[row + 1]
-        astray = np.minimum((offset * offset).sum(axis=1), FURTHEST**2) @ part.weight[row + 1]
-        nearly = _DEPTH * (lacking @ lacking + too_far @ too_far) + _ASTRAY * astray
+        too_high = mine * (1.0 - depth)
+        too_deep = unwanted * np.maximum(depth - NO_HARM, 0.0)
+        offset = fingertips - goals.fingertips[step + 1]
+        squared = np.minimum((offset * offset).sum(axis=1), FURTHEST**2)
+        astray = squared @ goals.weight[step + 1]
+        nearly = _DEPTH_WEIGHT * (too_high @ too_high + too_deep @ too_deep)
+        nearly += _FINGERTIP_WEIGHT * astray
         return float(loss), float(loss + nearly), now

@@ -1,4 +1,4 @@
-"""How a take may be played otherwise for a moment."""
+"""Random perturbations of a trajectory over a moment."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.intp]
 
-_LENGTHS = (0.1, 0.8)  # [s]
+_LENGTHS = (0.1, 0.8)  # [s] from a single stroke to a short passage
 _SHIFTS = 0.15  # [s] by which servos may be early or late
-_SIZES = (-0.7, 0.5)  # noise of a tenth to the power of these times a servo's own
-_SHARES = (0.2, 1.2)  # of the way to another posture
-_ALL, _ONE_FINGER, _SPARSE = 0.25, 0.35, 0.3  # how often all servos or those of one finger change,
-# and the share of the servos that change otherwise
+_NOISE_EXPONENTS = (-0.7, 0.5)  # powers of ten, times a servo's own noise: 0.2 to 3 times
+_SHARES = (0.2, 1.2)  # of the distance to another posture
+_ALL_SERVOS, _ONE_FINGER = 0.25, 0.35  # how often all servos change, or those of one finger
+_SPARSE = 0.3  # share of the servos that change otherwise
 
 
-class Variations:
-    """Draws offsets of positions that the servos of a hand are to follow."""
+class Perturbations:
+    """Draws offsets of the positions that the servos of one hand follow."""
 
     def __init__(self, scene: Scene, planned: Array, dt: float) -> None:
         """Args:
-        scene: with this hand only.
+        scene: the scene with this hand only.
         planned: (T + 1, A) positions that the plan expects.
         dt: control step [s].
         """
@@ -37,31 +37,31 @@ class Variations:
         self._shift = steps_in(_SHIFTS, dt)
 
     def length(self, rng: np.random.Generator) -> int:
-        """Of the next change, in steps."""
+        """Draws how many steps the next perturbation lasts."""
         return int(rng.integers(self._lengths[0], self._lengths[1] + 1))
 
     def draw(
         self, path: Array, first: int, last: int, count: int, rng: np.random.Generator
     ) -> Array:
-        """(N, L, A) for `count` candidates over the L steps from `first` to `last`.
+        """Draws offsets (N, L, A) for `count` candidates over the L steps from `first` to `last`.
 
-        Half are noise that changes evenly from the first step to the last, or stays the same. The
-        others are early or late, go some of the way to the plan, stay where they are, or lift
-        themselves and come down again.
+        Half are noise, interpolated from the first step to the last or constant. The others move
+        earlier or later, go some of the way to the plan, stay where they are, or lift the hand and
+        bring it down again.
 
         Args:
             path: (T, A) positions before each step.
             first, last: which steps.
             count: N.
-            rng: what is random.
+            rng: source of randomness.
         """
         kinds = (
             self._noise,
-            self._shifted,
+            self._shift_in_time,
             self._noise,
-            self._drawn_back,
-            self._even,
-            self._lifted,
+            self._draw_back,
+            self._constant_noise,
+            self._lift_hand,
         )
         after = np.minimum(np.arange(first, last) + 1, len(path) - 1)
         drawn = [kinds[i % len(kinds)](path, after, rng) * self.servos(rng) for i in range(count)]
@@ -70,32 +70,32 @@ class Variations:
     def _noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         ends = rng.standard_normal((2, len(self._sigma))) * self._sigma
         late = np.linspace(0.0, 1.0, len(after))[:, None]
-        return 10 ** rng.uniform(*_SIZES) * ((1 - late) * ends[0] + late * ends[1])
+        return 10 ** rng.uniform(*_NOISE_EXPONENTS) * ((1 - late) * ends[0] + late * ends[1])
 
-    def _even(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+    def _constant_noise(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         noise = rng.standard_normal(len(self._sigma)) * self._sigma
-        return 10 ** rng.uniform(*_SIZES) * np.tile(noise, (len(after), 1))
+        return 10 ** rng.uniform(*_NOISE_EXPONENTS) * np.tile(noise, (len(after), 1))
 
-    def _lifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+    def _lift_hand(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         lifted = np.arange(len(after)) < rng.integers(1, len(after) + 1)
         return rng.uniform(*_SHARES) * lifted[:, None] * self._lift
 
-    def _shifted(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+    def _shift_in_time(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         first, last = rng.uniform(-self._shift, self._shift, 2)
         when = np.clip(after + np.linspace(first, last, len(after)), 0, len(path) - 1)
         before, part = when.astype(np.intp), (when % 1.0)[:, None]
         later = np.minimum(before + 1, len(path) - 1)
         return (1 - part) * path[before] + part * path[later] - path[after]
 
-    def _drawn_back(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
+    def _draw_back(self, path: Array, after: Ids, rng: np.random.Generator) -> Array:
         towards = self._planned[after] if rng.random() < 0.5 else path[after[0] - 1]
         return rng.uniform(*_SHARES) * (towards - path[after])
 
     def servos(self, rng: np.random.Generator) -> Mask:
-        """(A,) those that change."""
+        """Draws which servos (A,) change."""
         kind = rng.random()
-        if kind < _ALL:
+        if kind < _ALL_SERVOS:
             return np.ones(len(self._sigma), bool)
-        if kind < _ALL + _ONE_FINGER:  # or those of the whole hand
+        if kind < _ALL_SERVOS + _ONE_FINGER:  # or those of the whole hand
             return self._finger == rng.integers(-1, self._finger.max() + 1)
         return rng.random(len(self._sigma)) < _SPARSE

@@ -1,4 +1,4 @@
-"""A song as it is played in one way, and the hands that play and practise it so."""
+"""A variant of a song with its plan, and the hands that play and practise it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,13 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import plan_song
 from cadenza.agents.planner.practice.hand_practice import HandPractice
 from cadenza.agents.planner.practice.plan_variants import Variant, fingers_in
-from cadenza.agents.planner.practice.practised_planner import Practised, Rehearsal
-from cadenza.agents.planner.practice.trajectory import Snapshots, Stage, Trajectory, scene_before
+from cadenza.agents.planner.practice.practised_planner import PracticeResult, PractisedPlan
+from cadenza.agents.planner.practice.trajectory import (
+    Snapshots,
+    Trajectory,
+    WholeScene,
+    scene_before,
+)
 from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.music.metrics import playing_metrics
 from cadenza.sim.threads import Threads
@@ -22,14 +27,14 @@ from cadenza.tasks.goal_track import GoalTrack
 
 
 class PlannedVariant:
-    """A song as it is played in one way.
+    """A variant of a song with its plan.
 
     Attributes:
-        way: it is played in.
-        plan: of the whole song, before practice.
-        parts: of the hands.
-        searching: what plays as the planner does.
-        stage: where takes are played.
+        variant: how the hands play the song.
+        plan: the plan of the whole song, before practice.
+        goals: what each hand has to do.
+        search: the hands that play it as the planner does.
+        scene: where trajectories are rolled out.
     """
 
     def __init__(
@@ -40,67 +45,76 @@ class PlannedVariant:
         rng: np.random.Generator,
         threads: Threads,
         progress: Progress = silent,
-        way: Variant | None = None,
+        variant: Variant | None = None,
     ) -> None:
         """Args:
             track: the song.
             start: (J,) joint positions of the hands where it begins [m, rad].
             config: how to plan.
-            rng: what is random in it.
-            threads: that share the work.
+            rng: source of randomness.
+            threads: what shares the work.
             progress: is told of "fingers" and "postures".
-            way: to play it in; if not given, with the fingers that it has or that are found.
+            variant: how to play it; by default with the fingers that it has or that are found.
 
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        track, later = (way.of(track), way.later) if way else (track, 0)
+        track, later = (variant.of(track), variant.later) if variant else (track, 0)
         plan = self.plan = plan_song(track, start, progress, later)
-        never = np.zeros((plan.goals.num_steps, len(plan.scene.sides)), np.int8)
-        self.way = way or Variant(fingers_in(plan.track), never)
-        self.parts = [HandGoals(plan, side) for side in plan.scene.sides]
-        self.searching = HandsInScene(plan, config, rng, threads)
+        usual = np.zeros((plan.goals.num_steps, len(plan.scene.sides)), np.int8)
+        self.variant = variant or Variant(fingers_in(plan.track), usual)
+        self.goals = [HandGoals(plan, side) for side in plan.scene.sides]
+        self.search = HandsInScene(plan, config, rng, threads)
+        self.scene = WholeScene(plan, start, self.goals)
         self._threads = threads
-        self.stage = Stage(plan, start, self.parts)
 
     @cached_property
     def hands(self) -> list[HandPractice]:
-        """That practise; most versions are only played once."""
+        """The hands that practise it; most variants are only played once."""
         return [
-            HandPractice(self.plan, side, part, self._threads)
-            for side, part in zip(self.plan.scene.sides, self.parts, strict=True)
+            HandPractice(self.plan, side, goals, self._threads)
+            for side, goals in zip(self.plan.scene.sides, self.goals, strict=True)
         ]
 
-    @property
-    def take_to_come(self) -> Trajectory:
-        """Of which nothing has been played."""
+    def unplayed(self) -> Trajectory:
+        """The trajectory as planned, of which nothing has been played."""
         plan = self.plan
-        return Trajectory.to_come(
+        return Trajectory.unplayed(
             plan.nominal.tracking, plan.scene.keyboard.num_keys, len(plan.scene.sides)
         )
 
-    def follow(self, take: Trajectory, step: int, rngs: Sequence[np.random.Generator]) -> None:
-        """From a step on, its hands follow a take, and search where less of it would sound.
+    def follow(
+        self, trajectory: Trajectory, step: int, rngs: Sequence[np.random.Generator]
+    ) -> None:
+        """Has its hands follow a trajectory from a step on, and search where less would sound.
 
-        `rngs` are what is random, of each hand.
+        Args:
+            trajectory: what to follow.
+            step: the next step.
+            rngs: source of randomness of each hand.
         """
-        parts = [part.holding(take.sounding) for part in self.parts]
-        self.searching.follow(self.stage.tracking(take), parts, step, rngs)
+        goals = [each.holding(trajectory.sounding) for each in self.goals]
+        self.search.follow(self.scene.tracking(trajectory), goals, step, rngs)
 
-    def rehearsal(self, take: Trajectory) -> Rehearsal:
-        """What a take of the whole song is worth, and what leads back to it."""
+    def result(self, trajectory: Trajectory) -> PracticeResult:
+        """The scores of a trajectory of the whole song, and what it takes to play it."""
         scene, track, goals, _ = self.plan
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
         dt, score = track.config.control_timestep, track.on_the_clock
-        scores = playing_metrics(take.sounding, pedal, goals.keys, pedal, dt, score, lowest)
-        practised = Practised(self.stage.tracking(take), self.way)
-        return Rehearsal(practised, scores["f1"], scores["note_onset_f1"])
+        scores = playing_metrics(trajectory.sounding, pedal, goals.keys, pedal, dt, score, lowest)
+        practised = PractisedPlan(self.scene.tracking(trajectory), self.variant)
+        return PracticeResult(practised, scores["f1"], scores["note_onset_f1"])
 
-    def to_the_end(self, take: Trajectory, first: int, moments: Snapshots) -> Trajectory:
-        """A take, played anew from the step `first` on, with feedback; `moments` are of before."""
-        steps = len(take.ctrl)
-        rest, simulation = take.part(first, steps), scene_before(first, take, moments)
-        played, _ = self.stage.play(simulation, first, rest, take.heard(first), steps + 1)
-        whole = take.part(0, steps)
-        whole.put(first, played)
+    def played_to_the_end(
+        self, trajectory: Trajectory, first: int, snapshots: Snapshots
+    ) -> Trajectory:
+        """The trajectory, with the steps from `first` on played anew with feedback."""
+        steps, whole = len(trajectory.ctrl), trajectory.copied()
+        rest, simulation = (
+            trajectory.segment(first, steps),
+            scene_before(first, trajectory, snapshots),
+        )
+        history, no_snapshots = trajectory.key_history(first), steps + 1
+        played, _ = self.scene.roll_out(simulation, first, rest, history, no_snapshots)
+        whole.overwrite(first, played)
         return whole

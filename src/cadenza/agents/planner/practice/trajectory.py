@@ -1,4 +1,4 @@
-"""Takes: how hands have played a song in the whole scene, step by step."""
+"""Trajectories: what the hands have played over the whole song in the whole scene."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _RECENT = 16  # steps in which a note may begin and be in time, and more: 50 ms have 10 at most
-_UNSTABLE = 1000.0  # what a step costs after which the simulation is of no more use
+_UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no other comes near it
 
 
 class Trajectory(NamedTuple):
@@ -31,15 +31,15 @@ class Trajectory(NamedTuple):
     expected: Array
     """(T, A, 2) position and speed of each servo before the step."""
     sounding: Mask
-    """(T, K) after it, as all that follows."""
+    """(T, K) keys that sound after the step."""
     loss: Array
-    """(T, H) of each hand, see `Losses`."""
+    """(T, H) loss of each hand after the step, see `Losses`."""
     cost: Array
-    """(T,)"""
+    """(T,) cost of all hands after the step."""
 
     @classmethod
-    def to_come(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Trajectory:
-        """Of which nothing has been played yet; what is to be is expected."""
+    def unplayed(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Trajectory:
+        """What is planned, before any of it has been played; no loss is known."""
         steps = len(tracking.ctrl)
         return cls(
             tracking.ctrl.copy(),
@@ -49,118 +49,122 @@ class Trajectory(NamedTuple):
             np.zeros(steps),
         )
 
-    def part(self, first: int, last: int) -> Trajectory:
+    def segment(self, first: int, last: int) -> Trajectory:
         """A copy of the steps from `first` up to, not including, `last`."""
         return Trajectory._make(values[first:last].copy() for values in self)
 
-    def put(self, first: int, part: Trajectory) -> None:
+    def copied(self) -> Trajectory:
+        """A copy of all steps."""
+        return self.segment(0, len(self.ctrl))
+
+    def overwrite(self, first: int, segment: Trajectory) -> None:
         """Replaces the steps from `first` on."""
-        for values, new in zip(self, part, strict=True):
+        for values, new in zip(self, segment, strict=True):
             values[first : first + len(new)] = new
 
-    def heard(self, step: int) -> KeyHistory:
-        """Keys before a step."""
+    def key_history(self, step: int) -> KeyHistory:
+        """The keys before a step."""
         return KeyHistory.of_steps(self.sounding[max(step - _RECENT, 0) : step])
 
 
 Snapshots = dict[int, PlanningSimulation]
-"""The whole scene before some steps of a take, to the bit."""
+"""The whole scene before some steps of a trajectory, to the bit."""
 
 
-def scene_before(step: int, take: Trajectory, moments: Snapshots) -> PlanningSimulation:
-    """The whole scene before a step of a take, from the last of the moments up to there."""
-    begin = max(moment for moment in moments if moment <= step)
-    simulation = copy(moments[begin])
-    for ctrl in take.ctrl[begin:step]:
+def scene_before(step: int, trajectory: Trajectory, snapshots: Snapshots) -> PlanningSimulation:
+    """The whole scene before a step of a trajectory, simulated from the last snapshot up to it."""
+    begin = max(snapshot for snapshot in snapshots if snapshot <= step)
+    simulation = copy(snapshots[begin])
+    for ctrl in trajectory.ctrl[begin:step]:
         simulation.step(ctrl[None])
     return simulation
 
 
-class Stage:
-    """The whole scene, in which takes are played and judged.
+class WholeScene:
+    """The scene with all hands and keys, in which trajectories are rolled out and evaluated."""
 
-    Attributes:
-        gain: (T, A, 2) of the feedback that leads back to a take.
-    """
-
-    def __init__(self, plan: SongPlan, start: Array, parts: Sequence[HandGoals]) -> None:
+    def __init__(self, plan: SongPlan, start: Array, goals: Sequence[HandGoals]) -> None:
         """Args:
-        plan: of the whole song.
+        plan: the plan of the whole song.
         start: (J,) joint positions of the hands where the song begins [m, rad].
-        parts: of the hands.
+        goals: what each hand has to do.
         """
         scene, tracking = plan.scene, plan.nominal.tracking
-        self.gain, self._after = tracking.gain, tracking.expected[-1:]
+        self._gain, self._after = tracking.gain, tracking.expected[-1:]
         self._follower = Follower(scene, tracking)
-        self._fingers = [part.fingers for part in parts]
-        self._losses = [Losses(plan, part) for part in parts]
+        self._fingers = [each.fingers for each in goals]
+        self._losses = [Losses(plan, each) for each in goals]
         self._keys = scene.keyboard.centre[:, 1]
-        self._beginning = PlanningSimulation(scene, 1, plan.track.config.control_timestep)
-        self._beginning.reset(None, start[None])
+        self._start = PlanningSimulation(scene, 1, plan.track.config.control_timestep)
+        self._start.reset(None, start[None])
 
-    def beginning(self) -> PlanningSimulation:
-        """The scene where the song begins."""
-        return copy(self._beginning)
+    def at_start(self) -> PlanningSimulation:
+        """A copy of the scene where the song begins."""
+        return copy(self._start)
 
-    def posture(self, simulation: PlanningSimulation) -> Array:
-        """(A, 2) position and speed of each servo."""
-        return self._follower.posture(simulation.state.hand_qpos[0], simulation.state.hand_qvel[0])
+    def tracking(self, trajectory: Trajectory) -> Tracking:
+        """The controls of a trajectory of the whole song, with feedback that leads back to it."""
+        expected = np.append(trajectory.expected, self._after, axis=0)
+        return Tracking(trajectory.ctrl, self._gain, expected)
 
-    def tracking(self, take: Trajectory) -> Tracking:
-        """What leads back to a take of the whole song."""
-        return Tracking(take.ctrl, self.gain, np.append(take.expected, self._after, axis=0))
-
-    def play(
+    def roll_out(
         self,
         simulation: PlanningSimulation,
         first: int,
-        take: Trajectory,
-        heard: KeyHistory,
+        segment: Trajectory,
+        history: KeyHistory,
         every: int,
         act: Callable[[State], Array] | None = None,
     ) -> tuple[Trajectory, Snapshots]:
-        """What comes of a part of a take if it is played from a simulation on.
+        """Plays a segment of a trajectory, and evaluates it.
 
         Args:
-            simulation: before the step `first`; it is played in.
-            first: where the part begins.
-            take: the part.
-            heard: before it.
-            every: so many steps there is a moment to keep, at the end too if it is one of them.
-            act: the controls (A,) of the next step in a state; by default those of the take, with
-                feedback.
+            simulation: the scene before the step `first`; it is changed.
+            first: the step at which the segment begins.
+            segment: what to play.
+            history: the keys before it.
+            every: steps between snapshots; there is one at the end too if it falls there.
+            act: the controls (A,) of the next step in a state; by default those of the segment,
+                with feedback.
+
+        Returns:
+            What was played, and the snapshots.
         """
-        played, moments, last = take.part(0, len(take.ctrl)), {}, first + len(take.ctrl)
-        for k, row in enumerate(range(first, last)):
-            if row % every == 0:
-                moments[row] = copy(simulation)
-            here = self.posture(simulation)
+        played, snapshots = segment.copied(), Snapshots()
+        last = first + len(segment.ctrl)
+        for k, step in enumerate(range(first, last)):
+            if step % every == 0:
+                snapshots[step] = copy(simulation)
+            state = simulation.state
+            here = self._follower.posture(state.hand_qpos[0], state.hand_qvel[0])
             if act:
-                ctrl = act(simulation.state)
+                ctrl = act(state)
             else:
-                back = (self.gain[row] * (here - take.expected[k])).sum(axis=1)
-                ctrl = self._follower.clip(take.ctrl[k] - back)
+                feedback = (self._gain[step] * (here - segment.expected[k])).sum(axis=1)
+                ctrl = self._follower.clip(segment.ctrl[k] - feedback)
             simulation.step(ctrl[None])
-            step, heard = self.judged(simulation, row, heard)
-            played.put(k, Trajectory(ctrl[None], here[None], *step))
+            loss, cost, history = self._evaluated(simulation.state, step, history)
+            played.overwrite(
+                k, Trajectory(ctrl[None], here[None], history.sounding[None], loss[None], cost)
+            )
         if last % every == 0:
-            moments[last] = simulation
-        return played, moments
+            snapshots[last] = simulation
+        return played, snapshots
 
-    def judged(
-        self, simulation: PlanningSimulation, row: int, heard: KeyHistory
-    ) -> tuple[tuple[Mask, Array, Array], KeyHistory]:
-        """What sounds, is lost and costs after a step, as a row of a take, and what is heard.
+    def _evaluated(
+        self, state: State, step: int, history: KeyHistory
+    ) -> tuple[Array, Array, KeyHistory]:
+        """The loss (H,) and cost (1,) of the state after a step, and the keys then.
 
-        The hand that is nearer to a key is to blame if that sounds and should not.
+        A key that sounds and should not is charged to the hand that is nearer to it.
         """
-        state = simulation.state
         tips = [state.fingertip_xpos[0, fingers] for fingers in self._fingers]
-        away = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
-        nearest, loss, cost = np.argmin(away, axis=0), [], _UNSTABLE * bool(state.unstable[0])
-        now = heard
+        distance = [np.abs(self._keys - hand[:, 1].mean()) for hand in tips]
+        nearest, loss, cost = np.argmin(distance, axis=0), [], _UNSTABLE * bool(state.unstable[0])
+        now = history
         for i, (losses, hand) in enumerate(zip(self._losses, tips, strict=True)):
-            judged = losses.after(row, state.key_qpos[0], hand, heard, near=nearest == i)
-            loss.append(judged[0])
-            cost, now = cost + judged[1], judged[2]
-        return (now.sounding[None], np.array([loss]), np.array([cost])), now
+            near = nearest == i
+            lost, more, now = losses.after(step, state.key_qpos[0], hand, history, near=near)
+            loss.append(lost)
+            cost += more
+        return np.array(loss), np.array([cost]), now
