@@ -60,7 +60,7 @@ def main() -> None:
     print("| performance | physics | F1 | with noise: mean | least | most |")
     print("| --- | --- | --- | --- | --- | --- |")
     for path in options.episodes:
-        plan, about = load_plan(path), read_arrays(path, ANY, 2**30)
+        plan, about = load_plan(path).actions, read_arrays(path, ANY, 2**30)
         if "goal_obs" not in about:
             raise CadenzaError(f"{path}: no recorded episode, but a plan; give an episode.npz")
         seen = np.concatenate([about["goal_obs0"][None], about["goal_obs"][:-1]])

@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--published", type=Path, help="venv made by tools/published_setup.sh")
     parser.add_argument("--rounds", type=one_or_more, default=3)
     options = parser.parse_args()
-    skilled = load_plan(options.episode)
+    skilled = load_plan(options.episode).actions
     scene = build_scene(SceneConfig())
     drawn = np.random.default_rng(0).uniform(scene.action_low, scene.action_high, skilled.shape)
     print(f"creating an environment: {creation_seconds():.3f} s")

@@ -133,11 +133,11 @@ def npz_bytes(arrays: Arrays, compressed: bool = False) -> bytes:
     return buffer.getvalue()
 
 
-def tensor_bytes(arrays: Arrays) -> bytes:
+def tensor_bytes(arrays: Arrays, header: dict[str, str] | None = None) -> bytes:
     """A .safetensors file, without what such a file cannot hold."""
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind in "fiub"}
     in_order = {name: np.asarray(array, order="C") for name, array in kinds.items()}
-    return safetensors.numpy.save(in_order)
+    return safetensors.numpy.save(in_order, header)
 
 
 def other_bytes(rng: np.random.Generator, content: bytes) -> bytes:

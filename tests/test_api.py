@@ -180,10 +180,10 @@ def test_a_plan_plays_as_it_was_planned(tmp_path: Path) -> None:
     assert plan.actions.shape == (23, 39)
     assert plan.performance.settings["agent"] == "planner"
     assert None not in plan.fingering
-    plan.save(tmp_path / "tune.npz")
-    fingered = read_fingering(tmp_path / "tune.npz.fingering", TUNE)
+    plan.save(tmp_path / "tune.safetensors")
+    fingered = read_fingering(tmp_path / "tune.safetensors.fingering", TUNE)
     assert tuple(note.finger for note in fingered.notes) == plan.fingering
-    again = cadenza.play(TUNE, "playback", plan=tmp_path / "tune.npz")
+    again = cadenza.play(TUNE, "playback", plan=tmp_path / "tune.safetensors")
     assert again.metrics["f1"] == plan.metrics["f1"] > 0.9
     assert again.metrics["return"] == plan.metrics["return"]
 
@@ -236,7 +236,11 @@ def test_what_the_documentation_shows_runs(
     code = (ROOT / "docs" / "python.md").read_text().split("```")[1].removeprefix("python")
     exec(compile(code, "python.md", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
-    assert {path.name for path in tmp_path.iterdir()} == {"joy", "scale.npz", "scale.npz.fingering"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "joy",
+        "scale.safetensors",
+        "scale.safetensors.fingering",
+    }
 
 
 def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
@@ -244,7 +248,7 @@ def test_a_score_that_is_called_like_a_folder_is_played_as_it_is(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / TUNE.title).mkdir()
-    (tmp_path / TUNE.title / "plan.npz").write_bytes(b"of another song")
+    (tmp_path / TUNE.title / "plan.safetensors").write_bytes(b"of another song")
     selection = select(TUNE)
     assert (selection.name, selection.score) == ("planner", TUNE)
 

@@ -18,17 +18,10 @@ from cadenza.agents.agent import ZeroAgent
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.practice.plan_variants import Variant
 from cadenza.agents.planner.practice.practised_planner import PractisedPlan
-from cadenza.agents.playback import (
-    check_options,
-    load_plan,
-    options_of,
-    physics_of,
-    practised_in,
-    practised_song,
-    save_plan,
-)
+from cadenza.agents.playback import load_plan, save_plan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import load_episode
+from cadenza.files import ANY, read_tensors
 from cadenza.fingers import Fingers
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
@@ -39,7 +32,7 @@ from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.report.page import write_report
 from cadenza.report.training import Curve, write_training
 from cadenza.scene.config import SceneConfig
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import TaskConfig, task_identity
 from cadenza.tasks.piano_task import PianoTask
 
 SONG = Score((Note(0, 0.1, 60), Note(0.1, 0.2, 64)), (PedalEvent(0.05, 127),), "Für")
@@ -67,12 +60,25 @@ def other_npz(rng: np.random.Generator, path: Path) -> bytes:
         case 1:
             return mutations.other_members(rng, content)
         case 2:
-            name = next(n for n in ("options", "scene") if n in arrays)
-            changed = mutations.other_json(rng, json.loads(str(arrays[name])))
-            arrays[name] = np.str_(mutations.json_bytes(changed).decode())
+            changed = mutations.other_json(rng, json.loads(str(arrays["scene"])))
+            arrays["scene"] = np.str_(mutations.json_bytes(changed).decode())
         case _:
             arrays = mutations.other_arrays(rng, arrays)
     return mutations.npz_bytes(arrays, compressed=True)
+
+
+def other_tensors(rng: np.random.Generator, path: Path) -> bytes:
+    """With arrays changed, or facts in the header, or bytes."""
+    arrays, facts = read_tensors(path, ANY, 2**28)
+    match rng.integers(4):
+        case 0:
+            return mutations.other_bytes(rng, path.read_bytes())
+        case 1:
+            content = mutations.json_bytes(mutations.other_json(rng, facts)).decode()
+            return safetensors.numpy.save(arrays, {"facts": content})
+        case _:
+            header = {"facts": json.dumps(facts)}
+            return mutations.tensor_bytes(mutations.other_arrays(rng, arrays), header)
 
 
 def many(fast: int, slow: int) -> Any:
@@ -81,8 +87,8 @@ def many(fast: int, slow: int) -> Any:
 
 @many(150, 3000)
 def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
-    whole, path = tmp_path / "whole.npz", tmp_path / "plan.npz"
-    options = options_of(TASK, SCENE, 0)
+    whole, path = tmp_path / "whole.safetensors", tmp_path / "plan.safetensors"
+    options = task_identity(TASK, SCENE, 0)
     hands = Fingers(per_hand=5)
     ctrl = performance.episode["action"][:, :-1]
     expected, later = np.zeros((len(ctrl) + 1, ctrl.shape[1], 2)), np.zeros((len(ctrl), 1), np.int8)
@@ -90,15 +96,23 @@ def test_plans(number: int, performance: Any, tmp_path: Path) -> None:
         Tracking(ctrl, expected[1:], expected), Variant(np.array([0, 1]), later)
     )
     save_plan(whole, performance.episode, performance.metrics, options, SONG, hands, practised)
-    read_back = practised_in(whole)
+    read_back = load_plan(whole).practised
     assert read_back is not None
     assert read_back.variant.equals(Variant(np.array([-1, -1]), later))
-    readers = load_plan, physics_of, practised_in, practised_song
+    for _, rng in draws(number):
+        path.write_bytes(other_tensors(rng, whole))
+        with mutations.at_most_refused():
+            load_plan(path).check(options)
+
+
+@many(50, 1000)
+def test_recordings_that_are_played_back(number: int, performance: Any, tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.npz", tmp_path / "episode.npz"
+    performance.episode.save(whole)
     for _, rng in draws(number):
         path.write_bytes(other_npz(rng, whole))
-        for read in (*readers, lambda path: check_options(path, options)):
-            with mutations.at_most_refused():
-                read(path)
+        with mutations.at_most_refused():
+            load_plan(path).check({})
 
 
 @many(30, 2000)

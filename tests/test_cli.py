@@ -18,13 +18,13 @@ import pytest
 
 import cadenza
 from cadenza.agents.planner.planner import SongPlanner
-from cadenza.agents.playback import check_options, options_of
+from cadenza.agents.playback import SavedPlan
 from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
 from cadenza.evaluation.at_work import failures_told
-from cadenza.files import write_json
+from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
 from cadenza.music.formats.midi import read_midi, write_midi
@@ -33,7 +33,7 @@ from cadenza.music.libraries.library import songs
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
-from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
 from numbered import numbers
 
 DATA = Path(__file__).parent / "data"
@@ -320,7 +320,7 @@ def test_an_output_without_a_name_is_refused(
     [
         ["play", "{tune}", *QUICK, "-o", "{out}"],
         ["practice", "{tune}", "--effort", "0", "--planner.method", "none", "-o", "{out}"],
-        ["plan", "{tune}", "--planner.method", "none", "-o", "{out}/plan.npz"],
+        ["plan", "{tune}", "--planner.method", "none", "-o", "{out}/plan.safetensors"],
         ["etude", "-o", "{out}/etude.mid"],
         ["bench", "--agents", "zero", "-o", "{out}"],
     ],
@@ -612,27 +612,27 @@ def told_to_run(out: str) -> list[str]:
 def test_a_plan_replays_bit_for_bit(
     options: list[str], tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "a plan.npz"
+    path = tmp_path / "a plan.safetensors"
     main(["plan", str(tune), "-o", str(path), *options])
     said = capsys.readouterr().out
     assert "missed" in said
     main([*told_to_run(said), "--no-video", "-o", str(tmp_path)])
-    with np.load(path) as plan:
-        planned = json.loads(str(plan["metrics"]))
-        assert plan["action"].dtype == np.float64
-        assert (str(plan["song"]), float(plan["dt"])) == ("tune", 0.05)
-    planned = {name: value for name, value in planned.items() if not name.endswith("_seconds")}
+    arrays, facts = read_tensors(path, ANY, 2**20)
+    assert arrays["action"].dtype == np.float64
+    assert (facts["song"], facts["dt"]) == ("tune", 0.05)
+    planned = {name: v for name, v in facts["metrics"].items() if not name.endswith("_seconds")}
     assert figures(tmp_path) == planned
 
 
 def test_the_fingers_of_a_plan_go_with_the_file(tune: Path, tmp_path: Path) -> None:
-    main(["plan", str(tune), "-o", str(tmp_path / "plan.npz"), "--stretch", "2"])
-    fingered = read_fingering(tmp_path / "plan.npz.fingering", read_midi(tune))
+    path = tmp_path / "plan.safetensors"
+    main(["plan", str(tune), "-o", str(path), "--stretch", "2"])
+    fingered = read_fingering(f"{path}.fingering", read_midi(tune))
     fingers = numbers(fingered)
     assert min(fingers) >= 0
-    with np.load(tmp_path / "plan.npz") as plan:
-        assert plan["fingering"][:, 2].tolist() == fingers
-        assert plan["fingering"][:, 1].tolist() == [60, 64, 67]
+    arrays, _ = read_tensors(path, ANY, 2**20)
+    assert arrays["fingering"][:, 2].tolist() == fingers
+    assert arrays["fingering"][:, 1].tolist() == [60, 64, 67]
 
 
 @pytest.mark.parametrize(
@@ -650,30 +650,36 @@ def test_a_plan_made_with_other_options(
     tune: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path, task, scene = tmp_path / "plan.npz", TaskConfig(initial_buffer_time=0.5), SceneConfig()
-    np.savez(path, action=np.zeros((23, 39)), options=json.dumps(options_of(task, scene, 0)))
+    path, task = tmp_path / "plan.safetensors", TaskConfig(initial_buffer_time=0.5)
+    made = {"action": np.zeros((23, 39)), "fingering": np.zeros((3, 3))}
+    facts = {
+        "song": "",
+        "dt": 0.05,
+        "metrics": {},
+        "options": task_identity(task, SceneConfig(), 0),
+    }
+    write_tensors(path, made, facts)
     arguments = ("play", tune, "--agent", "playback", "--plan", path, *options, "-o", tmp_path)
     said = refused_in_a_line(capsys, *arguments)
     assert f"{path}: was planned with {message}; use the same value" in said
 
 
-def test_fingers_that_feel_play_the_same_plan(tmp_path: Path) -> None:
-    path, task = tmp_path / "plan.npz", TaskConfig()
-    options = json.dumps(options_of(task, SceneConfig(), 0))
-    np.savez(path, action=np.zeros((23, 39)), options=options)
-    check_options(path, options_of(task, SceneConfig(touch=True), 0))
+def test_fingers_that_feel_play_the_same_plan_in_any_physics() -> None:
+    plan = SavedPlan(Path(), np.zeros((23, 39)), task_identity(TaskConfig(), SceneConfig(), 0))
+    plan.check(task_identity(TaskConfig(), SceneConfig(touch=True, physics="fast"), 0))
 
 
 def test_a_plan_is_tried_against_noise_and_another_model() -> None:
     disturbed = TaskConfig(randomization=DomainRandomization(control_noise=0.1, mass=(0.9, 1.1)))
-    assert options_of(disturbed, SceneConfig(), 0) == options_of(TaskConfig(), SceneConfig(), 0)
+    nominal = task_identity(TaskConfig(), SceneConfig(), 0)
+    assert task_identity(disturbed, SceneConfig(), 0) == nominal
 
 
-def test_a_plan_is_an_npz_file(
+def test_a_plan_is_a_safetensors_file(
     tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "tune.fingering")
-    assert "tune.fingering: a plan is a .npz file" in message
+    assert "tune.fingering: a plan is a .safetensors file" in message
 
 
 @pytest.mark.parametrize("mine", [None, "0.0 60 R3\n"])
@@ -682,18 +688,18 @@ def test_a_plan_may_be_called_like_its_song(mine: str | None, tune: Path) -> Non
     if mine is not None:
         own.write_text(mine)
     before = cadenza.load_song(tune)
-    main(["plan", str(tune), "-o", str(tune.with_suffix(".npz"))])
+    main(["plan", str(tune), "-o", str(tune.with_suffix(".safetensors"))])
     assert cadenza.load_song(tune) == before  # its fingers have not become those of the plan
     assert (own.read_text() if own.exists() else None) == mine
-    assert read_fingering(f"{tune.with_suffix('.npz')}.fingering", TUNE).has_fingering
+    assert read_fingering(f"{tune.with_suffix('.safetensors')}.fingering", TUNE).has_fingering
 
 
 def test_a_plan_is_no_folder(
     tune: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "plan.npz").mkdir()
-    message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "plan.npz")
-    assert "plan.npz: is a folder; choose another name" in message
+    (tmp_path / "plan.safetensors").mkdir()
+    message = refused_in_a_line(capsys, "plan", tune, "-o", tmp_path / "plan.safetensors")
+    assert "plan.safetensors: is a folder; choose another name" in message
 
 
 def test_half_a_plan_is_not_kept(
@@ -701,7 +707,7 @@ def test_half_a_plan_is_not_kept(
 ) -> None:
     clenched = build_scene().action_high
     monkeypatch.setattr(SongPlanner, "act", lambda *_: clenched)
-    path = tmp_path / "plan.npz"
+    path = tmp_path / "plan.safetensors"
     options = ("-o", path, "--wrong-press-termination")
     assert "the plan is incomplete" in refused_in_a_line(capsys, "plan", tune, *options)
     assert not path.exists()
@@ -1033,6 +1039,6 @@ def test_without_assertions_and_docstrings(flag: str, tune: Path, tmp_path: Path
         return subprocess.check_output(command, text=True)
 
     assert "F1 " in said("play", tune, *QUICK, "-o", tmp_path / "played")
-    assert "Fingering in" in said("plan", tune, "-o", tmp_path / "plan.npz")
+    assert "Fingering in" in said("plan", tune, "-o", tmp_path / "plan.safetensors")
     assert "--seed" in said("play", "--help")
     assert "practice" in said("--help")

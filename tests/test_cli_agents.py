@@ -449,8 +449,8 @@ def test_ctrl_c_twice_or_before_the_first_step_keeps_nothing(
 def test_a_hand_in_the_working_folder(command: str, here: Path) -> None:
     (here / "own.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
     write_midi(Score((Note(0.0, 0.2, 60),)), here / "note.mid")
-    hand = ["--hand", "own:MINE", "--hands", "right", "-o", f"out{'.npz' * (command == 'plan')}"]
-    main([command, "note.mid", *hand, *["--no-video"] * (command == "play")])
+    out = ["-o", "out", "--no-video"] if command == "play" else ["-o", "out.safetensors"]
+    main([command, "note.mid", "--hand", "own:MINE", "--hands", "right", *out])
     assert any(path.name.startswith("out") for path in here.iterdir())
 
 

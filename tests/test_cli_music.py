@@ -93,7 +93,7 @@ def test_who_plays_many_tracks_at_once_is_told_of_the_choice(
 def test_a_plan_of_some_tracks_is_replayed_with_them_and_no_others(
     trio: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = tmp_path / "plan.npz"
+    plan = tmp_path / "plan.safetensors"
     main(["plan", str(trio), "--tracks", "1", "3", "--planner.method", "none", "-o", str(plan)])
     _, *arguments = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
     assert arguments[-3:] == ["--tracks", "1", "3"]

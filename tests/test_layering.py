@@ -49,7 +49,6 @@ LIBRARIES: dict[str, set[str]] = {
         "optax",
         "filelock",
         "msgspec",
-        "safetensors",
         "threadpoolctl",
     },
     "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},

@@ -25,6 +25,7 @@ from typing import IO, Any, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
+import safetensors.numpy
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, is_full
@@ -39,6 +40,9 @@ MOST_JSON = 32 * 2**20
 """Bytes of a file that is read as a whole; a song of half a million notes takes as many."""
 _MOST_TEXT = 4 * MOST_JSON  # bytes, of which numpy takes four for a letter
 _PIECE = 2**20  # bytes that are read at once of a file that may be of any size
+TENSORS = ".safetensors"
+"""What the name of a file of arrays of our own ends with."""
+_FACTS = "facts"  # in the header of such a file
 _ANOTHER = "it is damaged, modified or from another version; use another copy"
 
 # Writing
@@ -419,6 +423,45 @@ def read_arrays(
         raise CadenzaError(f"{where}: not a readable .npz file of plain arrays") from error
     check_arrays(arrays, expected, where)
     return arrays
+
+
+def tensor_bytes(arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> bytes:
+    """A .safetensors file of arrays of numbers, with `facts` as JSON in its header."""
+    in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    header = None if facts is None else {_FACTS: json.dumps(plain(facts), allow_nan=False)}
+    return safetensors.numpy.save(in_order, header)
+
+
+def write_tensors(path: Path, arrays: Mapping[str, NDArray[Any]], facts: Any = None) -> None:
+    """Writes a .safetensors file as a whole or not at all; see `tensor_bytes`."""
+    with write_atomically(path) as file:
+        file.write(tensor_bytes(arrays, facts))
+
+
+def read_tensors(
+    path: Path, expected: Expected, most: int
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The arrays of a .safetensors file by name, and the facts in its header.
+
+    Args:
+        path: the file.
+        expected: all arrays that it may hold.
+        most: bytes that it may take.
+
+    Raises:
+        CadenzaError: the file is not there, is no such file, or holds more or something else.
+    """
+    content = content_of(path, most)
+    try:
+        arrays: dict[str, NDArray[Any]] = safetensors.numpy.load(content)
+        size = int.from_bytes(content[:8], "little")  # of the header, which has just been checked
+        about = json.loads(content[8 : 8 + size]).get("__metadata__", {})
+    except Exception as error:  # damage shows in many ways
+        raise CadenzaError(f"{path}: not a readable .safetensors file") from error
+    if not all(map(str.isprintable, arrays)):
+        raise CadenzaError(f"{path}: holds arrays of names that cannot be printed")
+    check_arrays(arrays, expected, path)
+    return arrays, parsed_json(about.get(_FACTS, "{}"), dict[str, Any], f"{path}, header")
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: object) -> None:

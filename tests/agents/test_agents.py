@@ -22,16 +22,17 @@ from cadenza.agents.planner.config import (
     TrackedPressesConfig,
 )
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.playback import Playback, load_plan, options_of
+from cadenza.agents.playback import Playback, load_plan
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
+from cadenza.files import write_tensors
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.planning_simulation import PlanningSimulation
-from cadenza.tasks.config import DomainRandomization, TaskConfig
+from cadenza.tasks.config import DomainRandomization, TaskConfig, task_identity
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import View
 from numbered import finger
@@ -280,7 +281,7 @@ def test_replaying_a_recorded_performance() -> None:
         published = json.loads(str(file["metrics"]))
         song, trim = str(file["song"]), bool(file["trim_silence"])
     task = PianoTask([load_score(song)], TaskConfig(trim_silence=trim))
-    performance = play_episode(task, Playback(load_plan(RECORDING)))
+    performance = play_episode(task, Playback(load_plan(RECORDING).actions))
     for name, value in published.items():
         assert abs(performance.metrics[name] - value) < 0.005, name
 
@@ -343,10 +344,55 @@ BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize("broken", BROKEN)
-def test_a_broken_plan_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
+def test_a_broken_recording_is_refused_in_one_line(broken: str, tmp_path: Path) -> None:
     make, message = BROKEN[broken]
-    path = make(tmp_path / "plan.npz")
+    path = make(tmp_path / "recording.npz")
     with pytest.raises(CadenzaError, match=message) as error:
+        load_plan(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+FACTS = {"song": "", "dt": 0.05, "metrics": {}, "options": {}}
+ACTION = np.zeros((3, 39))
+NO_FINGERS = np.zeros((0, 3))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "facts", "message"),
+    [
+        ({"fingering": NO_FINGERS}, FACTS, "no array named action"),
+        ({"action": ACTION}, FACTS, "no array named fingering"),
+        ({"action": ACTION * np.nan, "fingering": NO_FINGERS}, FACTS, "not finite"),
+        ({"action": ACTION, "fingering": NO_FINGERS, "other": ACTION}, FACTS, "other"),
+        ({"action": ACTION, "fingering": NO_FINGERS}, {}, "header: .*song"),
+        ({"action": ACTION, "fingering": NO_FINGERS}, FACTS | {"options": 3}, "header: .*options"),
+        (
+            {"action": ACTION, "fingering": NO_FINGERS},
+            FACTS | {"options": {"physics": "slow"}},
+            "options: .*slow",
+        ),
+    ],
+)
+def test_a_broken_plan_is_refused_in_one_line(
+    arrays: dict[str, Any], facts: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "plan.safetensors"
+    write_tensors(path, arrays, facts)
+    with pytest.raises(CadenzaError, match=message) as error:
+        load_plan(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content", [None, b"", b"plan: play it well\n", b"\xff" * 20, b"\x02" + bytes(7) + b"{}"]
+)
+def test_what_is_no_plan_is_refused_in_one_line(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "plan.safetensors"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(CadenzaError) as error:
         load_plan(path)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
@@ -367,7 +413,7 @@ def test_a_broken_episode_is_refused_in_one_line(broken: str, tmp_path: Path) ->
 def test_a_plan_needs_its_seed_only_where_something_is_drawn(drawn: bool) -> None:
     noise = DomainRandomization(control_noise=0.1)
     task = TaskConfig(random_stretch=0.1 if drawn else 0.0, randomization=noise)
-    assert options_of(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
+    assert task_identity(task, SceneConfig(), seed=3).get("seed") == (3 if drawn else None)
 
 
 # Wrong options

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import signal
@@ -31,7 +30,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.cli import main
 from cadenza.episode import load_episode
 from cadenza.errors import CadenzaError
-from cadenza.files import ANY, check_arrays, locked, read_arrays
+from cadenza.files import ANY, locked, read_arrays, read_tensors, write_tensors
 from cadenza.fingers import Finger
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
@@ -95,11 +94,21 @@ def practice(
     return Practice(task.view(), np.random.default_rng(seed), config, num_threads)
 
 
-def as_read(practised: Practice) -> dict[str, NDArray[Any]]:
-    """Its state, by way of a file."""
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **practised.state())
-    return read_arrays(file.getvalue(), practised.expected())
+def restored(begun: Practice, left: Practice, tmp_path: Path) -> Practice:
+    """Practice that goes on where another was left, by way of a file."""
+    left.save(tmp_path / "left.safetensors")
+    begun.restore(tmp_path / "left.safetensors")
+    return begun
+
+
+def changed(practised: Practice, tmp_path: Path, **arrays: NDArray[Any] | None) -> Path:
+    """A file of its state with other arrays by "part/name", or without them."""
+    path = tmp_path / "state.safetensors"
+    practised.save(path)
+    state, facts = read_tensors(path, ANY, 2**28)
+    state = {name: array for name, array in (state | arrays).items() if array is not None}
+    write_tensors(path, state, facts)
+    return path
 
 
 def worth(practised: Practice) -> float:
@@ -177,14 +186,12 @@ def test_any_number_of_threads_comes_to_the_same(practised: Practice) -> None:
 
 
 def test_it_goes_on_after_a_stop_as_if_there_had_been_none(
-    practised: Practice,
+    practised: Practice, tmp_path: Path
 ) -> None:
     left = practice()
     for units in 1, 2, 4:  # in the first take, where a sweep begins, within one
         assert not left.run(EFFORT, on_and_off(units))
-        again = practice()
-        again.restore(as_read(left), "here")
-        left = again
+        left = restored(practice(), left, tmp_path)
     assert left.run(EFFORT)
     assert_same(left, practised)
 
@@ -221,7 +228,7 @@ def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
     [(WIDE, NO_SEARCH, 0.02, False), (JUMPS, GIVEN_FINGERS, 0.02, True)],
 )
 def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
-    score: Score, config: PlannerConfig, effort: float, follows: bool
+    score: Score, config: PlannerConfig, effort: float, follows: bool, tmp_path: Path
 ) -> None:
     straight = practice(score=score, config=config)
     at_sight = straight.plan
@@ -232,8 +239,8 @@ def test_other_takes_are_played_alike_after_a_stop_and_the_best_goes_on(
     assert_plays_as_it_says(straight, score)
     left, follow = practice(2, score=score, config=config), set[bool]()
     while not left.run(effort, on_and_off(2)):  # before, within and after takes
-        state, left = as_read(left), practice(2, score=score, config=config)
-        left.restore(state, "here")
+        state = left.state()
+        left = restored(practice(2, score=score, config=config), left, tmp_path)
         if "other/later" in state:  # within one
             follow.add(
                 all((state[f"other/{of}"] == state[f"spliced/{of}"]).all() for of in VARIANT)
@@ -277,7 +284,7 @@ def test_fingers_of_the_score_are_kept() -> None:
 
 @pytest.mark.slow
 def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_threads(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for sweep in ("_FIRST_SWEEP", "_SWEEP"):
         monkeypatch.setattr(practice_of_hands, sweep, 0.2)
@@ -295,16 +302,13 @@ def test_what_follows_a_change_is_searched_for_alike_after_a_stop_and_in_two_thr
     left = practice(2, score=LONG, config=with_search, seed=1)
     while not done:
         done = left.run(0.3, on_and_off(6))
-        again = practice(2, score=LONG, config=with_search, seed=1)
-        again.restore(as_read(left), "here")
-        left = again
+        left = restored(practice(2, score=LONG, config=with_search, seed=1), left, tmp_path)
     assert_same(left, straight)
 
 
-def test_practice_of_something_else_is_refused(practised: Practice) -> None:
-    other = practice(seed=1)
-    with pytest.raises(CadenzaError, match="state: is the practice of another song"):
-        other.check_is_of(practised.state(), "state")
+def test_practice_of_something_else_is_refused(practised: Practice, tmp_path: Path) -> None:
+    with pytest.raises(CadenzaError, match=r"left\.safetensors: is the practice of another song"):
+        restored(practice(seed=1), practised, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -315,13 +319,13 @@ def test_practice_of_something_else_is_refused(practised: Practice) -> None:
     ],
 )
 def test_practice_with_other_options_is_refused(
-    practised: Practice, config: TaskConfig, scene: SceneConfig
+    practised: Practice, config: TaskConfig, scene: SceneConfig, tmp_path: Path
 ) -> None:
     task = PianoTask([HARD], config, scene)
     task.reset([np.random.default_rng(0)], [0])
     other = Practice(task.view(), np.random.default_rng(0), GIVEN_FINGERS, 1)
-    with pytest.raises(CadenzaError, match="state: is the practice of another song"):
-        other.check_is_of(practised.state(), "state")
+    with pytest.raises(CadenzaError, match=r"left\.safetensors: is the practice of another song"):
+        restored(other, practised, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -335,25 +339,27 @@ def test_practice_with_other_options_is_refused(
         ("spliced/later", 9),
     ],
 )
-def test_practice_that_cannot_be_is_refused(name: str, value: float, practised: Practice) -> None:
-    state = practised.state()
-    state[name] = np.full_like(state[name], value)
-    with pytest.raises(CadenzaError, match=f"state: {name} is not within"):
-        check_arrays(state, practice().expected(), "state")
+def test_practice_that_cannot_be_is_refused(
+    name: str, value: float, practised: Practice, tmp_path: Path
+) -> None:
+    wrong = np.full_like(practised.state()[name], value)
+    path = changed(practised, tmp_path, **{name: wrong})
+    with pytest.raises(CadenzaError, match=rf"state\.safetensors: {name} is not within"):
+        practice().restore(path)
 
 
 @pytest.mark.parametrize("lost", ["right/rng", "spliced/fingers", "initial/later"])
-def test_practice_with_parts_missing_is_refused(lost: str) -> None:
+def test_practice_with_parts_missing_is_refused(lost: str, tmp_path: Path) -> None:
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
-    state = begun.state()
-    assert state.pop(lost) is not None
-    with pytest.raises(CadenzaError, match="here: damaged, parts of it are missing; delete it"):
-        practice().restore(state, "here")
+    assert lost in begun.state()
+    path = changed(begun, tmp_path, **{lost: None})
+    with pytest.raises(CadenzaError, match=rf"state\.safetensors: (damaged|holds no .*{lost})"):
+        practice().restore(path)
 
 
 def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Snapshots are whole simulations: none is made of the song before the window."""
     left = practice(score=LONG)
@@ -369,17 +375,16 @@ def test_to_go_on_with_a_sweep_takes_as_much_memory_as_to_stay_in_it(
 
     again = practice(score=LONG)
     monkeypatch.setattr(WholeScene, "roll_out", rolling_out)
-    again.restore(as_read(left), "here")
+    restored(again, left, tmp_path)
     assert min(made) == left.state()["sweep/first"]
 
 
-def test_practice_with_a_generator_that_cannot_be_is_refused() -> None:
+def test_practice_with_a_generator_that_cannot_be_is_refused(tmp_path: Path) -> None:
     begun = practice()
     begun.run(EFFORT, on_and_off(1))
-    state = begun.state()
-    state["right/rng"] = np.full_like(state["right/rng"], 2**63)
-    with pytest.raises(CadenzaError, match="here: damaged"):
-        practice().restore(state, "here")
+    wrong = np.full_like(begun.state()["right/rng"], 2**63)
+    with pytest.raises(CadenzaError, match=r"state\.safetensors: damaged"):
+        practice().restore(changed(begun, tmp_path, **{"right/rng": wrong}))
 
 
 @pytest.mark.parametrize("forearm_dofs", [(), ("ty",)])
@@ -466,7 +471,7 @@ def test_a_practised_plan_plays_again_bit_for_bit(hands: Hands, tmp_path: Path) 
     played = load_episode(folder / "episode.npz")
     with_feedback = cadenza.play(folder)  # song and task are those of the folder
     task = PianoTask([HARD], QUICK, SceneConfig(hands=hands))
-    actions = load_plan(folder / "plan.npz")
+    actions = load_plan(folder / "plan.safetensors").actions
     for again in with_feedback.episode, play_episode(task, Playback(actions)).episode:
         for name in ("action", "hand_qpos", "key_qpos", "key_activation"):
             np.testing.assert_array_equal(again[name], played[name])
@@ -483,9 +488,9 @@ def test_practice_goes_on_from_elsewhere_and_after_something_else_was_played(
     main(["play", "OdeToJoy", "--agent", "zero", "--first-seconds", "1", "-o", "hard", *quick[:2]])
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    before = (tmp_path / "hard" / "practice.npz").read_bytes()
+    before = (tmp_path / "hard" / "practice.safetensors").read_bytes()
     main(["practice", "../hard", "--effort", "0.2", *quick[:2]])
-    assert (tmp_path / "hard" / "practice.npz").read_bytes() != before
+    assert (tmp_path / "hard" / "practice.safetensors").read_bytes() != before
     main(["info", "../hard"])
     assert "notes      6\n" in capsys.readouterr().out
     with pytest.raises(SystemExit):
@@ -532,7 +537,10 @@ def test_practised_hands_that_are_pushed_search_as_the_planner_does(
     monkeypatch.setattr(HandsInScene, "follow", follow)
     cadenza.play(folder)
     assert not searches
-    pushed, actions = cadenza.play(folder, task=noisy), load_plan(folder / "plan.npz")
+    pushed, actions = (
+        cadenza.play(folder, task=noisy),
+        load_plan(folder / "plan.safetensors").actions,
+    )
     assert searches
     open_loop = play_episode(PianoTask([HARD], noisy), Playback(actions))
     assert pushed.metrics["f1"] > open_loop.metrics["f1"]
@@ -569,8 +577,12 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(
     to = ["-o", str(tmp_path / "played")]
     main(["play", str(tmp_path / "hard.mid"), *usual, *effort, *to])
     assert [line for line in capsys.readouterr().out.splitlines() if line in said] == said
-    for name in ("practice.npz", "plan.npz", "episode.npz"):
-        ours, theirs = (read_arrays(f / name, ANY, 2**28) for f in (folder, tmp_path / "played"))
+    for read, name in (
+        (lambda path: read_tensors(path, ANY, 2**28)[0], "practice.safetensors"),
+        (lambda path: read_tensors(path, ANY, 2**28)[0], "plan.safetensors"),
+        (lambda path: read_arrays(path, ANY, 2**28), "episode.npz"),
+    ):
+        ours, theirs = (read(each / name) for each in (folder, tmp_path / "played"))
         for array in ours.keys() - {"metrics", "song"}:
             np.testing.assert_array_equal(ours[array], theirs[array])
 
@@ -584,18 +596,20 @@ def test_practice_without_noise_only(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_practice_that_was_killed_has_its_plan_after_the_first_take(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    class Killed(BaseException): ...
+
     def killed(self: Practice, effort: float, goes_on: Callable[[], bool]) -> bool:
         run(self, effort, goes_on)
-        raise MemoryError
+        raise Killed
 
     run = Practice.run
     monkeypatch.setattr(Practice, "run", killed)
-    with pytest.raises(MemoryError):
+    with pytest.raises(Killed):
         folder_of(tmp_path, "--effort", "0.05")
     folder = tmp_path / "practised"
     assert not (folder / "report.html").exists()
     assert cadenza.play(folder).metrics["f1"] > 0.5
-    (folder / "plan.npz").unlink()
+    (folder / "plan.safetensors").unlink()
     with pytest.raises(CadenzaError, match="practice has not played the song to the end yet"):
         cadenza.play(folder)
 
@@ -604,17 +618,16 @@ def test_practice_that_was_killed_has_its_plan_after_the_first_take(
 def test_the_folder_of_practice_goes_on_where_it_was_left(named: bool, tmp_path: Path) -> None:
     options = "--effort", "0.02", "--first-seconds", "1.1", "--seed", "3"
     folder = folder_of(tmp_path, *options)
-    with np.load(folder / "practice.npz") as file:
-        begun = len(file["practice/history"])
+    begun = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
     before = json.loads((folder / "settings.json").read_text())
     assert 0 < before["planner"]["effort"] < 0.09
     again = ["practice", str(folder), "--effort", "1", "--no-video"]
     main([*again, *["-o", str(folder)] * named])
     straight = folder_of(tmp_path / "straight", *options, "--effort", "1")
-    with np.load(folder / "practice.npz") as one, np.load(straight / "practice.npz") as other:
-        assert len(one["practice/history"]) > begun
-        for name in one.files:
-            np.testing.assert_array_equal(one[name], other[name], name)
+    one, other = ((f / "practice.safetensors").read_bytes() for f in (folder, straight))
+    assert one == other
+    done = read_tensors(folder / "practice.safetensors", ANY, 2**28)[0]
+    assert len(done["practice/history"]) > len(begun["practice/history"])
     after = json.loads((folder / "settings.json").read_text())
     assert after["planner"].pop("effort") > before["planner"].pop("effort")
     assert after == before

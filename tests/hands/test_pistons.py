@@ -92,9 +92,9 @@ def test_six_keys_in_a_row_take_the_six_fingers(tmp_path: Path) -> None:
     plan = cadenza.plan(run(), scene=SceneConfig(hand=SIX, hands="right"))
     assert plan.fingering == tuple(Finger(0, index) for index in range(COUNT))
     assert plan.metrics["note_onset_f1"] == 1.0
-    plan.save(tmp_path / "run.npz")
-    assert (tmp_path / "run.npz.fingering").read_text().splitlines()[-1] == "1.5000 69 R6"
-    read = read_fingering(tmp_path / "run.npz.fingering", run())
+    plan.save(tmp_path / "run.safetensors")
+    assert (tmp_path / "run.safetensors.fingering").read_text().splitlines()[-1] == "1.5000 69 R6"
+    read = read_fingering(tmp_path / "run.safetensors.fingering", run())
     assert tuple(note.finger for note in read.notes) == plan.fingering
     episode = plan.performance.episode
     assert episode["fingertip_xpos"].shape[1:] == (2 * COUNT, 3)

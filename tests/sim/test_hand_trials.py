@@ -22,7 +22,7 @@ AHEAD = 7  # steps
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     scene, servos, _ = hand_alone(build_scene(), side)
-    actions = load_plan(RECORDED)[:, :-1][:, servos]
+    actions = load_plan(RECORDED).actions[:, :-1][:, servos]
     whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
     trials = HandRollouts(scene, whole.control_timestep)
     fingers = scene.fingers_there

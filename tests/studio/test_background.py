@@ -260,10 +260,10 @@ def test_practice_that_cannot_go_on_begins_anew(
     write_midi(SCORE, song)
     folder = worker.practised_in(order(str(song), tmp_path))
     folder.mkdir(parents=True)
-    (folder / "practice.npz").write_bytes(b"of another version")
+    (folder / "practice.safetensors").write_bytes(b"of another version")
     monkeypatch.setattr(practising, "_Session", Ended)
     practising.practise(order(str(song), tmp_path), told.append)
-    assert (folder / "practice.npz.old").read_bytes() == b"of another version"
+    assert (folder / "practice.safetensors.old").read_bytes() == b"of another version"
 
 
 def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
@@ -271,10 +271,10 @@ def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
     write_midi(SCORE, song)
     folder = worker.practised_in(order(str(song), tmp_path))
     folder.mkdir(parents=True)
-    (folder / "plan.npz").write_bytes(b"of another version")
+    (folder / "plan.safetensors").write_bytes(b"of another version")
     played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "planner"
-    assert [path.name for path in folder.iterdir()] == ["plan.npz.old"]
+    assert [path.name for path in folder.iterdir()] == ["plan.safetensors.old"]
 
 
 class Ended:

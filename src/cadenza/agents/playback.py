@@ -1,15 +1,13 @@
-"""Plays actions that were recorded or planned before."""
+"""Plays actions that were recorded or planned before, and the files that keep them."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Array, check_planned_for
 from cadenza.agents.planner.plan.tracking import Tracking
@@ -22,48 +20,39 @@ from cadenza.files import (
     FLOATS,
     INTEGERS,
     NUMBERS,
+    TENSORS,
     TEXT,
     ArrayOf,
     checked,
-    parsed_json,
     read_arrays,
-    write_atomically,
+    read_tensors,
+    write_tensors,
 )
 from cadenza.fingers import Fingers
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
-from cadenza.scene.config import Physics, SceneConfig, check_modules
+from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.view import View
 
 T = TypeVar("T")
 
-_CHANGE_NOTHING = {  # options that move no key and no hand
-    "n_steps_lookahead",
-    "n_seconds_lookahead",
-    "fingering",
-    "fingering_margin",
-    "key_press",
-    "energy_coefficient",
-    "sustain_term",
-    "forearm_term",
-    "touch",
-}
-_DISTURB = {"randomization"}  # what plans are tried against
-_TAKEN_FROM_PLAN = {"physics", "sleeping_keys"}
+PHYSICS = "physics", "sleeping_keys"
+"""Options of the scene that a plan brings along.
+
+A plan is played in the physics it was made in, since a micrometre can decide whether a finger
+catches on a key.
+"""
 _ACTION = {"action": ArrayOf(NUMBERS, ("steps", "actions"), needed=True, finite=True)}
-_ABOUT = {
-    "physics": ArrayOf(TEXT),
-    "sleeping_keys": ArrayOf(FLAGS),
-    "options": ArrayOf(TEXT),
-}
+_RECORDING = _ACTION | {"physics": ArrayOf(TEXT), "sleeping_keys": ArrayOf(FLAGS)}
 _PRACTISED = {
     "gain": ArrayOf(FLOATS, ("steps", "servos", 2), finite=True),
     "expected": ArrayOf(FLOATS, ("states", "servos", 2), finite=True),
     "later": ArrayOf(INTEGERS, ("steps", "hands"), within=(0, np.inf)),
-    "fingering": ArrayOf(FLOATS, ("notes", 3), finite=True),
 }
+_PLAN = _ACTION | {"fingering": ArrayOf(FLOATS, ("notes", 3), needed=True, finite=True)}
+_PLAN |= _PRACTISED
 _MOST = 2**31  # bytes: practice of an hour at 200 steps a second, of both whole hands, takes 60 %
 
 
@@ -82,53 +71,69 @@ class Playback(Agent):
         return self._plan[np.minimum(view.steps, steps - 1)]
 
 
-def physics_of(path: Path) -> dict[str, Any]:
-    """The fields of `SceneConfig` that say in which physics a plan was made.
+@dataclass(frozen=True)
+class _Facts:
+    """What a plan's file says beside its arrays."""
 
-    A plan is played in the physics it was made in, since a micrometre can decide whether a finger
-    catches on a key. Recordings of the published system do not say; there, keys never sleep.
-    """
-    arrays = read_arrays(path, _ABOUT, _MOST)
-    physics = str(arrays.get("physics", "published"))
-    return {
-        "physics": checked(physics, cast(Any, Physics), f"{path}, physics"),
-        "sleeping_keys": bool(arrays.get("sleeping_keys", False)),
-    }
-
-
-def options_of(task: TaskConfig, scene: SceneConfig, seed: int, **of_song: Any) -> dict[str, Any]:
-    """What has to be the same for a plan to play the same, by name, as JSON has it.
-
-    `of_song` says what of the song is played.
-    """
-    options = {n: v for n, v in asdict(task).items() if n not in _CHANGE_NOTHING | _DISTURB}
-    drawn = any(value for name, value in options.items() if name.startswith("random_"))
-    options |= {n: v for n, v in asdict(scene).items() if n not in _TAKEN_FROM_PLAN}
-    options |= of_song | ({"seed": seed} if drawn else {})
-    return dict(json.loads(json.dumps(options)))
+    song: str
+    dt: float
+    """Control step [s]."""
+    metrics: dict[str, Any]
+    options: dict[str, Any]
+    """What has to be the same for the plan to play the same, and `PHYSICS`."""
+    score: WrittenScore | None = None
+    """The song of a practised plan."""
 
 
-def check_options(path: Path, options: Mapping[str, Any]) -> None:
-    """Compares `options` with those that a plan was made with, where it says.
+@dataclass(frozen=True)
+class SavedPlan:
+    """What a file holds to be played: a plan, or the actions of a recorded episode."""
 
-    Raises:
-        CadenzaError: they differ.
-    """
-    text = str(read_arrays(path, _ABOUT, _MOST).get("options", "{}"))
-    made_with = parsed_json(text, dict[str, Any], f"{path}, options")
-    for name, value in made_with.items():
-        if name in _CHANGE_NOTHING:
-            continue
-        if name not in options:
-            raise CadenzaError(
-                f"{path}: was planned with an option {name!a}, which this version of Cadenza does "
-                "not have; plan it again"
-            )
-        if options[name] != value:
-            raise CadenzaError(
-                f"{path}: was planned with {name} {value!r}, but here it is {options[name]!r}; "
-                "use the same value"
-            )
+    path: Path
+    actions: Array
+    """(T, A) in actuator units, the pedal last."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Those that it was made with, as far as it says; see `cadenza.tasks.config.task_identity`."""
+    practised: PractisedPlan | None = None
+    score: Score | None = None
+    """The song, if it was practised."""
+
+    @property
+    def physics(self) -> dict[str, Any]:
+        """The fields of `SceneConfig` that say in which physics the plan was made.
+
+        Recordings of the published system do not say; there, keys never sleep.
+        """
+        return {name: self.options[name] for name in PHYSICS if name in self.options}
+
+    def config(self, kind: type[T]) -> T:
+        """The options of one kind, such as `TaskConfig`, that the plan was made with.
+
+        Raises:
+            CadenzaError: they are damaged.
+        """
+        names = {each.name for each in fields(cast(Any, kind))}
+        given = {name: value for name, value in self.options.items() if name in names}
+        return checked(given, kind, f"{self.path}, options")
+
+    def check(self, options: Mapping[str, Any]) -> None:
+        """Compares `options` with those that the plan was made with.
+
+        Raises:
+            CadenzaError: they differ.
+        """
+        for name in self.options.keys() - set(PHYSICS):
+            value = self.options[name]
+            if name not in options:
+                raise CadenzaError(
+                    f"{self.path}: was planned with an option {name!a}, which this version of "
+                    "Cadenza does not have; plan it again"
+                )
+            if options[name] != value:
+                raise CadenzaError(
+                    f"{self.path}: was planned with {name} {value!r}, but here it is "
+                    f"{options[name]!r}; use the same value"
+                )
 
 
 def save_plan(
@@ -140,85 +145,60 @@ def save_plan(
     hands: Fingers,
     practised: PractisedPlan | None = None,
 ) -> None:
-    """Writes what `load_plan` and its like and `check_options` read, and what there is to know.
+    """Writes what `load_plan` reads, and what else there is to know, as a .safetensors file.
 
-    action (T, A), physics, sleeping_keys, song, dt as in an episode; metrics and options as JSON;
-    fingering (N, 3), of each note of the song start [s], MIDI pitch and finger, -1 for none, by the
-    numbers that fingers of these `hands` have in the episode's arrays. Of a practised plan also
-    gain and expected, see `Tracking`, later, see `Variant`, and the song and its score as JSON.
+    Arrays: action (T, A) as in an episode; fingering (N, 3), of each note of the song start [s],
+    MIDI pitch and finger, -1 for none, by the numbers that fingers of these `hands` have in the
+    episode's arrays. Of a practised plan also gain and expected, see `Tracking`, and later, see
+    `Variant`. In the header: song, dt, metrics, options, and the score of a practised plan.
     """
     notes = [(note.start, note.pitch, hands.number(note.finger)) for note in fingered.notes]
-    more: dict[str, Any] = {}
+    arrays = {"action": episode["action"], "fingering": np.array(notes, np.float64).reshape(-1, 3)}
+    score = None
     if practised is not None:
-        (_, gain, expected), song = practised.tracking, asdict(WrittenScore.of(fingered))
-        more = {"gain": gain, "expected": expected, "later": practised.variant.later}
-        more["score"] = np.str_(json.dumps(song))
-    with write_atomically(path) as file:
-        np.savez_compressed(
-            file,
-            **more,
-            allow_pickle=False,
-            action=episode["action"],
-            physics=episode["physics"],
-            sleeping_keys=episode["sleeping_keys"],
-            song=np.str_(episode.song),
-            dt=np.float64(episode.dt),
-            metrics=np.str_(json.dumps(metrics)),
-            options=np.str_(json.dumps(options)),
-            fingering=np.array(notes, np.float64),
-        )
+        (_, gain, expected), later = practised.tracking, practised.variant.later
+        arrays |= {"gain": gain, "expected": expected, "later": later}
+        score = WrittenScore.of(fingered)
+    facts = _Facts(episode.song, episode.dt, dict(metrics), dict(options), score)
+    write_tensors(path, arrays, asdict(facts))
 
 
-def practised_in(path: Path) -> PractisedPlan | None:
-    """How a song was practised, where the file holds it.
+def load_plan(path: Path) -> SavedPlan:
+    """Reads a plan, or the array `action` (T, A) of a recorded episode, an .npz file.
 
     Raises:
-        CadenzaError: it is damaged.
+        CadenzaError: the file is not there, or holds something else.
     """
-    arrays = read_arrays(path, _ACTION | _PRACTISED, _MOST)
-    if not _PRACTISED.keys() <= arrays.keys():
-        return None
-    ctrl, expected = arrays["action"][:, :-1].astype(np.float64), arrays["expected"]
+    if path.suffix != TENSORS:
+        return _recorded(path)
+    arrays, about = read_tensors(path, _PLAN, _MOST)
+    facts = checked(about, _Facts, f"{path}, header")
+    actions = arrays["action"].astype(np.float64)
+    practised = _practised(arrays, actions, path) if arrays.keys() >= _PRACTISED.keys() else None
+    try:
+        score = None if facts.score is None else facts.score.score
+    except CadenzaError as error:
+        raise CadenzaError(f"{path}, score: {error}; use another copy") from error
+    saved = SavedPlan(path, actions, facts.options, practised, score)
+    for kind in TaskConfig, SceneConfig, Arrangement:
+        saved.config(kind)
+    return saved
+
+
+def _recorded(path: Path) -> SavedPlan:
+    arrays = read_arrays(path, _RECORDING, _MOST)
+    options = {name: arrays[name].item() for name in PHYSICS if name in arrays}
+    options.setdefault("sleeping_keys", False)
+    saved = SavedPlan(path, arrays["action"].astype(np.float64), options)
+    saved.config(SceneConfig)
+    return saved
+
+
+def _practised(arrays: Mapping[str, Any], actions: Array, path: Path) -> PractisedPlan:
+    ctrl, expected = actions[:, :-1], arrays["expected"]
     if expected.shape[:2] != (len(ctrl) + 1, ctrl.shape[1]):
         raise CadenzaError(f"{path}: does not fit together; it is damaged, use another copy")
     fingers = arrays["fingering"][:, 2].astype(np.int64)
-    tracking = Tracking(ctrl, arrays["gain"], expected)
-    return PractisedPlan(tracking, Variant(fingers, arrays["later"]))
-
-
-class PractisedSong(NamedTuple):
-    """A song and how it is to be set up, as a practised plan has them."""
-
-    score: Score
-    task: TaskConfig
-    scene: SceneConfig
-    arrangement: Arrangement
-
-
-def practised_song(path: Path) -> PractisedSong:
-    """The song that a practised plan plays.
-
-    Raises:
-        CadenzaError: the file is no such plan.
-    """
-    arrays = read_arrays(path, {"score": ArrayOf(TEXT, needed=True)} | _ABOUT, _MOST)
-    score = parsed_json(str(arrays["score"]), WrittenScore, f"{path}, score").score
-    options = parsed_json(str(arrays.get("options", "{}")), dict[str, Any], f"{path}, options")
-
-    def part(kind: type[T], more: Mapping[str, Any]) -> T:
-        named = {each.name for each in fields(cast(Any, kind))}
-        given = {name: value for name, value in options.items() if name in named}
-        return checked(given | dict(more), kind, f"{path}, options")
-
-    scene = part(SceneConfig, physics_of(path))
-    check_modules(scene, path)
-    return PractisedSong(score, part(TaskConfig, {}), scene, part(Arrangement, {}))
-
-
-def load_plan(path: Path) -> NDArray[np.float64]:
-    """The array `action` (T, A) of a plan or of a recorded episode.
-
-    Raises:
-        CadenzaError: the file is not there or holds no such array.
-    """
-    return read_arrays(path, _ACTION, _MOST)["action"].astype(np.float64)
+    return PractisedPlan(
+        Tracking(ctrl, arrays["gain"], expected), Variant(fingers, arrays["later"])
+    )

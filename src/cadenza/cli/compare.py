@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -118,14 +118,10 @@ def in_text(runs: Sequence[Run]) -> str:
 
 def _differing(own: Compare, command: Compare) -> str:
     """Options with which an agent plays something else, or in another scene, than the command."""
-    from cadenza.agents.playback import options_of
+    from cadenza.tasks.config import task_identity
 
-    def options(of: Compare) -> dict[str, Any]:
-        physics = {name: getattr(of.scene, name) for name in ("physics", "sleeping_keys")}
-        return options_of(of.task, of.scene, 0) | physics
-
-    others = options(command)
-    changed = {name: v for name, v in options(own).items() if v != others[name]}
+    options, others = (task_identity(each.task, each.scene, seed=0) for each in (own, command))
+    changed = {name: v for name, v in options.items() if v != others[name]}
     return ", ".join(f"{name} {v} instead of {others[name]}" for name, v in changed.items())
 
 

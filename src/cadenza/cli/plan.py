@@ -23,6 +23,7 @@ from cadenza.cli.performing import (
     setting_up,
 )
 from cadenza.cli.progress import stages
+from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import with_time_to_begin
@@ -32,12 +33,12 @@ from cadenza.tasks.config import with_time_to_begin
 class PlanCommand(Performing):
     """Plan a song, and write the actions and the fingering to files.
 
-    Example: cadenza plan OdeToJoy -o joy.npz
+    Example: cadenza plan OdeToJoy -o joy.safetensors
     """
 
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """The plan, a .npz file; played/SONG/plan.npz by default. The fingering is written beside it as
-    text, to a file that ends in .npz.fingering."""
+    """The plan, a .safetensors file; played/SONG/plan.safetensors by default. The fingering is
+    written beside it as text, to a file that ends in .safetensors.fingering."""
     seed: int = 0
     """Random seed."""
     quiet: Quiet = False
@@ -49,9 +50,9 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
     from cadenza.performing.planning import fingering_of, make_plan
 
     if command.output is not None:
-        check_name(command.output, ".npz", "a plan is a .npz file")
+        check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
     selection = selected(command, PLANNER)
-    path = command.output or default_folder(selection) / "plan.npz"
+    path = command.output or default_folder(selection) / f"plan{TENSORS}"
     with setting_up(selection, command, command.seed) as setup:
         check_writable(path.parent)
         tell_how_long(setup)

@@ -14,8 +14,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
-import numpy as np
-import safetensors.numpy
 from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError
@@ -23,11 +21,11 @@ from cadenza.files import (
     ANY,
     MOST_JSON,
     Expected,
-    check_arrays,
-    content_of,
     read_arrays,
     read_json,
+    read_tensors,
     sha256_of,
+    tensor_bytes,
     write_atomically,
 )
 
@@ -58,10 +56,9 @@ def write_sealed(
     new, old = _beside(folder, "new"), _beside(folder, "old")
     _remove(new)
     new.mkdir(parents=True)  # nobody else's
-    in_order = {name: np.asarray(array, order="C") for name, array in arrays.items()}
     files = {
         _FACTS: (json.dumps(facts, indent=1) + "\n").encode(),
-        _ARRAYS: safetensors.numpy.save(in_order),
+        _ARRAYS: tensor_bytes(arrays),
     }
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     files[MANIFEST] = json.dumps({"kind": kind, "sha256": digests}, indent=1).encode()
@@ -118,30 +115,14 @@ def read_sealed(
     facts = read_json(folder / _FACTS, dict[str, Any])
     if not expected:
         return facts, {}
-    content = content_of(folder / packed, _MOST_ARRAYS)
-    unpack = read_arrays if packed == _OLD_ARRAYS else _unpacked
-    return facts, unpack(content, expected, where=folder / packed)
+    if packed == _OLD_ARRAYS:
+        return facts, read_arrays(folder / packed, expected)
+    return facts, read_tensors(folder / packed, expected, _MOST_ARRAYS)[0]
 
 
 def is_old(folder: Path) -> bool:
     """Whether the version before has written it."""
     return (folder / _OLD_ARRAYS).exists() and not (folder / _ARRAYS).exists()
-
-
-def _unpacked(content: bytes, expected: Expected, where: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a .safetensors file by name.
-
-    Raises:
-        CadenzaError: it is no such file, or holds something else.
-    """
-    try:
-        arrays: dict[str, NDArray[Any]] = safetensors.numpy.load(content)
-    except Exception as error:  # damage shows in many ways
-        raise CadenzaError(f"{where}: not a readable .safetensors file") from error
-    if not all(map(str.isprintable, arrays)):
-        raise CadenzaError(f"{where}: holds arrays of names that cannot be printed")
-    check_arrays(arrays, expected, where)
-    return arrays
 
 
 def _remove(path: Path) -> None:

@@ -15,6 +15,7 @@ from cadenza.agents.planner.practice.practised_planner import PractisedPlan
 from cadenza.agents.playback import save_plan
 from cadenza.agents.registry import PLANNER
 from cadenza.errors import CadenzaError
+from cadenza.files import TENSORS
 from cadenza.fingers import Finger, Fingers
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
@@ -62,12 +63,20 @@ class Plan:
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:
-        """Writes the actions to `path`, a .npz file, and the fingers beside it.
+        """Writes the actions to `path`, a .safetensors file, and the fingers beside it.
 
         `cadenza.play(song, "playback", plan=path)` plays the actions. The fingers go to a file
-        whose name ends in .npz.fingering; call it `song.fingering`, and they go with `song.mid`.
+        whose name ends in .safetensors.fingering; call it `song.fingering`, and they go with
+        `song.mid`.
+
+        Raises:
+            CadenzaError: the name of `path` has another ending.
         """
         path = Path(path)
+        if path.suffix != TENSORS:
+            raise CadenzaError(
+                f"{path}: a plan is a {TENSORS} file; choose a name with that ending"
+            )
         save_plan(
             path,
             self.performance.episode,

@@ -11,11 +11,11 @@ import numpy as np
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.plan.tracking import Follower, Tracking
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.practice.practice import OF, Practice
+from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlan
 from cadenza.agents.registry import options_name
 from cadenza.errors import CadenzaError
-from cadenza.files import read_arrays, write_atomically, write_json
+from cadenza.files import write_json
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
 from cadenza.performing.setup import (
@@ -25,8 +25,6 @@ from cadenza.performing.setup import (
     Setup,
     is_own_folder,
 )
-
-_MOST = 2**32  # bytes: hours of music
 
 
 def check_is_practice(folder: Path) -> None:
@@ -62,9 +60,7 @@ class Practising:
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
         self.practice = Practice(setup.task.view(), rng, config, threads, progress)
         if self._path.exists():
-            self.practice.check_is_of(read_arrays(self._path, OF, _MOST), self._path)
-            arrays = read_arrays(self._path, self.practice.expected(), _MOST)
-            self.practice.restore(arrays, self._path)
+            self.practice.restore(self._path)
 
     def save(self) -> None:
         """Keeps in the folder how far practice has got, and of what it is."""
@@ -72,8 +68,7 @@ class Practising:
         if os.path.isfile(song) or is_own_folder(song):  # it goes on from anywhere
             settings = settings | {"song": os.path.abspath(song)}
         write_json(self._path.with_name(PRACTISED_HOW), settings)
-        with write_atomically(self._path) as file:
-            np.savez_compressed(file, allow_pickle=False, **self.practice.state())
+        self.practice.save(self._path)
 
     def save_plan(self) -> None:
         """Keeps in the folder what is played best so far, for `cadenza play`; it is performed.

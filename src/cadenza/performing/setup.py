@@ -16,15 +16,7 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.agent import Agent, Progress, silent
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practised_planner import PractisedHands
-from cadenza.agents.playback import (
-    Playback,
-    check_options,
-    load_plan,
-    options_of,
-    physics_of,
-    practised_in,
-    practised_song,
-)
+from cadenza.agents.playback import Playback, SavedPlan, load_plan
 from cadenza.agents.registry import (
     AGENTS,
     PLANNER,
@@ -38,6 +30,7 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.files import TENSORS
 from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.sealed_folder import MANIFEST
@@ -46,15 +39,15 @@ from cadenza.music.goals import held_pedal_changes, merged_notes
 from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
-from cadenza.scene.config import SceneConfig
+from cadenza.scene.config import SceneConfig, check_modules
 from cadenza.sim.threads import MOST_THREADS
-from cadenza.tasks.config import TaskConfig, with_time_to_begin
+from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import NamedSetup
 
-PRACTISED = "plan.npz"  # what the folder of a song that was practised holds
-PRACTICE = "practice.npz"  # how far it has been practised
+PRACTISED = f"plan{TENSORS}"  # what the folder of a song that was practised holds
+PRACTICE = f"practice{TENSORS}"  # how far it has been practised
 PRACTISED_HOW = "practice.json"  # and in what task and scene
 Song = str | Path | Score
 SomeAgent = str | Path | Agent
@@ -76,7 +69,7 @@ class Selection:
     scene: SceneConfig = field(default_factory=SceneConfig)
     """The same; for a plan, with the physics that it was made in."""
     learnt: LearntPolicy | None = None
-    plan: Path | None = None
+    plan: SavedPlan | None = None
     arrangement: Arrangement = field(default_factory=Arrangement)
 
     def at(self, named: NamedSetup) -> Selection:
@@ -126,7 +119,12 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
                 "--reduce and --first-seconds"
             )
         practised = practised_plan(song)
-        return _own_song(Path(song)) if practised is None else practised_song(practised).score
+        score = load_policy(Path(song)).score if practised is None else practised.score
+        if score is None:
+            raise CadenzaError(
+                f"{song}: plays any song; name one: cadenza play SONG --agent {song}"
+            )
+        return score
     score = arrangement.score(str(song))
     for remark in score.remarks:
         warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
@@ -136,15 +134,6 @@ def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score
             'two hands, use --reduce melody-bass, or --tracks with some that "cadenza info" lists',
             CadenzaWarning,
             stacklevel=2,
-        )
-    return score
-
-
-def _own_song(policy: Path) -> Score:
-    score = load_policy(policy).score
-    if score is None:
-        raise CadenzaError(
-            f"{policy}: plays any song; name one: cadenza play SONG --agent {policy}"
         )
     return score
 
@@ -182,14 +171,13 @@ def select(
     score = song if isinstance(song, Score) else load_song(song, arrangement)
     title = score.title if isinstance(song, Score) else str(song)
     practised = None if isinstance(song, Score) else practised_plan(song)
-    made = None if practised is None else practised_song(practised)
-    if made is not None:
-        arrangement = made.arrangement
+    if practised is not None:
+        arrangement = practised.config(Arrangement)
     selection = partial(Selection, song=title, score=score, arrangement=arrangement)
     if agent is None and not isinstance(song, Score) and is_own_folder(song):
-        if plan is None and practised is not None and made is not None:
-            own = partial(selection, task=made.task, scene=made.scene)
-            return _played_back(own, practised, configs)
+        if plan is None and practised is not None:
+            task, scene = practised.config(TaskConfig), practised.config(SceneConfig)
+            return _played_back(partial(selection, task=task, scene=scene), practised, configs)
         agent = song
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
@@ -197,12 +185,13 @@ def select(
         return selection(name=name, agent=checked_agent(agent, name), config=config)
     name = PLANNER if agent is None else current_name(str(agent))
     if (name == PLAYBACK) != (plan is not None):
-        raise CadenzaError("--agent playback and --plan FILE.npz go together: give both or neither")
+        raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
     if not isinstance(plan, str | Path | None):
-        raise CadenzaError(f"plan {plan!r:.100}: give the path of an .npz file")
+        raise CadenzaError(f"plan {plan!r:.100}: give the path of a file")
     if plan is not None:
-        scene = replace(SceneConfig(), **physics_of(Path(plan)))
-        return _played_back(partial(selection, scene=scene), Path(plan), configs)
+        saved = load_plan(Path(plan))
+        scene = replace(SceneConfig(), **saved.physics)
+        return _played_back(partial(selection, scene=scene), saved, configs)
     if (learnt := _policy(name, title)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     config, options = (configs or {}).get(name), agent_options(name)
@@ -211,21 +200,21 @@ def select(
 
 
 def _played_back(
-    selection: Callable[..., Selection], plan: Path, configs: Mapping[str, Any] | None
+    selection: Callable[..., Selection], plan: SavedPlan, configs: Mapping[str, Any] | None
 ) -> Selection:
     """Who plays a plan: open loop or, if it was practised, with feedback and a search.
 
     `configs` has the options of the planner that hold for the search.
     """
-    if (practised := practised_in(plan)) is None:
-        return selection(name=PLAYBACK, agent=Playback(load_plan(plan)), plan=plan)
+    if plan.practised is None:
+        return selection(name=PLAYBACK, agent=Playback(plan.actions), plan=plan)
     config = Planner((configs or {}).get(PLANNER)).config
     if config.effort:
         raise CadenzaError(
-            f"{plan}: is played as it was practised; leave out --planner.effort, or practise more: "
-            "cadenza practice"
+            f"{plan.path}: is played as it was practised; leave out --planner.effort, or practise "
+            "more: cadenza practice"
         )
-    return selection(name=PLAYBACK, agent=PractisedHands(practised, config), plan=plan)
+    return selection(name=PLAYBACK, agent=PractisedHands(plan.practised, config), plan=plan)
 
 
 def _policy(agent: str, song: str) -> LearntPolicy | None:
@@ -242,7 +231,7 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
     return load_policy(Path(agent))
 
 
-def practised_plan(song: str | Path) -> Path | None:
+def practised_plan(song: str | Path) -> SavedPlan | None:
     """The plan in the folder of a song that was practised; None if `song` is no such folder.
 
     Raises:
@@ -252,7 +241,11 @@ def practised_plan(song: str | Path) -> Path | None:
     if not is_own_folder(song):
         return None
     if (folder / PRACTISED).is_file():
-        return folder / PRACTISED
+        saved = load_plan(folder / PRACTISED)
+        if saved.practised is None or saved.score is None:
+            raise CadenzaError(f"{saved.path}: holds no song that was practised; use another copy")
+        check_modules(saved.config(SceneConfig), saved.path)
+        return saved
     if (folder / PRACTICE).is_file():
         raise CadenzaError(
             f"{song}: practice has not played the song to the end yet; run the same command again "
@@ -311,7 +304,7 @@ def set_up(
     seed = whole_number(seed, "seed", 0, MOST_SEED)
     if num_threads is not None:
         num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
-    options = options_of(task, scene, seed, **asdict(selection.arrangement))
+    options = task_identity(task, scene, seed, **asdict(selection.arrangement))
     if selection.plan is not None:
         _check_plan(selection.plan, options, made_in=selection.scene, played_in=scene)
     settings = _settings(selection, task, scene, seed)
@@ -348,12 +341,12 @@ def _lost_on_steps(track: GoalTrack) -> Iterator[str]:
 
 
 def _check_plan(
-    plan: Path, options: dict[str, Any], made_in: SceneConfig, played_in: SceneConfig
+    plan: SavedPlan, options: dict[str, Any], made_in: SceneConfig, played_in: SceneConfig
 ) -> None:
     """Raises: CadenzaError: with these options it would not play the same."""
-    check_options(plan, options)
+    plan.check(options)
     if played_in.physics != made_in.physics:
-        made = f"{plan}: made in the {made_in.physics} physics"
+        made = f"{plan.path}: made in the {made_in.physics} physics"
         played = f"{made}, played in the {played_in.physics} physics"
         warnings.warn(played, CadenzaWarning, stacklevel=4)
 
@@ -366,7 +359,7 @@ def _settings(
         "song": selection.song,
         "agent": selection.name,
         "seed": seed,
-        "plan": None if selection.plan is None else str(selection.plan),
+        "plan": None if selection.plan is None else str(selection.plan.path),
         "arrangement": asdict(selection.arrangement),
         "task": asdict(task),
         "scene": asdict(scene),

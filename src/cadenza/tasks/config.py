@@ -6,10 +6,12 @@ were kept without it would be carried out again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+import json
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
 
 from cadenza.configs import added
+from cadenza.scene.config import SceneConfig
 
 Fingering = Literal["auto", "transport", "off"]
 KeyPress = Literal["published", "graded"]
@@ -129,3 +131,35 @@ def with_time_to_begin() -> TaskConfig:
     From where they start, the hands cannot sound a note at time 0.
     """
     return TaskConfig(initial_buffer_time=0.5)
+
+
+# Options with which the same actions move keys and hands alike.
+_PLAYED_ALIKE = {
+    "n_steps_lookahead",
+    "n_seconds_lookahead",
+    "fingering",
+    "fingering_margin",
+    "key_press",
+    "energy_coefficient",
+    "sustain_term",
+    "forearm_term",
+    "touch",
+    "randomization",  # plans are tried against it
+}
+
+
+def task_identity(task: TaskConfig, scene: SceneConfig, seed: int, **song: Any) -> dict[str, Any]:
+    """The options, as JSON has them, that have to be the same for a plan to play the same.
+
+    What identifies a task for a plan stands here, below all that plans: a plan's file keeps it,
+    practice goes on only with the same, and comparisons tell where it differs.
+
+    Args:
+        task, scene: all options.
+        seed: counts only where the task draws something.
+        song: what of the song is played.
+    """
+    options = asdict(task) | asdict(scene)
+    drawn = any(value for name, value in asdict(task).items() if name.startswith("random_"))
+    chosen = {name: value for name, value in options.items() if name not in _PLAYED_ALIKE}
+    return dict(json.loads(json.dumps(chosen | song | ({"seed": seed} if drawn else {}))))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from cadenza.configs import added
-
 ENOUGH = 8.0
-"""Effort of practice: about 25 times the music of one core, half of that on two."""
+"""Effort of practice after which more gains little. It takes about 25 times as long as the music on
+one core, and half of that on two."""
 
 
 PLANNING_TIMESTEPS = 1e-4, 0.1
@@ -74,7 +73,7 @@ class PlannerConfig:
     """Maximum iterations of sampling per control step. It stops when a plan makes no mistake."""
     horizon: float = 0.35
     """Planning horizon [s]."""
-    proposals: Literal["learnt", "none"] = field(default="learnt", metadata=added(before="none"))
+    proposals: Literal["learnt", "none"] = "learnt"
     """learnt: a search begins with what networks would do, where they have learnt to play with such
     hands."""
     effort: float = 0.0

@@ -19,6 +19,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,14 +33,23 @@ from cadenza.agents.planner.practice.hand_practice import Attempt, Change
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Limits, Parts
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
-from cadenza.agents.playback import options_of
 from cadenza.configs import identity
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, TEXT, ArrayOf, Expected, first_fitting
+from cadenza.files import (
+    ANY,
+    FLOATS,
+    ArrayOf,
+    Expected,
+    check_arrays,
+    first_fitting,
+    read_tensors,
+    write_tensors,
+)
 from cadenza.music.metrics import step_metrics
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 from cadenza.sim.threads import Threads
+from cadenza.tasks.config import task_identity
 from cadenza.tasks.view import View
 
 EFFORT = 100
@@ -53,8 +63,7 @@ _STRIDE = 3  # intervals from one window to the next
 _CONSEQUENCES = 2  # intervals after a window whose cost counts too
 _AROUND = 0.15  # [s] before and after a step that share its failed attempts
 _ALWAYS_SAVED = ("practice", "best", "initial", "spliced")  # parts of a state
-OF = {"practice/of": ArrayOf(TEXT, needed=True)}
-"""What a state says first: what was practised."""
+_MOST_BYTES = 2**32  # of a file: hours of music
 
 
 class _Sweep(NamedTuple):
@@ -101,7 +110,7 @@ class Practice:
         self._threads = Threads(num_threads)
         self._initial = InitialTrajectories(track, start, config, rng, self._threads, progress)
         self._planned, self.trajectory = self._initial.best
-        self._about = _digest(self.plan, start, self._initial.seed, config)
+        self._identity = _digest(self.plan, start, self._initial.seed, config)
         dt = track.config.control_timestep
         self._around, self._apart, interval = (
             steps_in(seconds, dt) for seconds in (_AROUND, _APART, _INTERVAL)
@@ -364,7 +373,6 @@ class Practice:
     def _parts(self, sweep: _Sweep | None) -> Parts:
         parts: Parts = {
             "practice": {
-                "of": self._about,
                 "history": np.reshape(self.history, (-1, 3)),
                 "numbers": [self._num_units, self.simulated],
                 "num_failed": self._num_failed,
@@ -376,8 +384,32 @@ class Practice:
             parts |= {"sweep": numbers, "before": sweep.before._asdict()}
         return parts
 
-    def expected(self) -> Expected:
-        """The arrays that `state` holds, for whoever reads it from a file."""
+    def save(self, path: Path) -> None:
+        """Writes the state, for `restore`."""
+        write_tensors(path, self.state(), {"practice": self._identity})
+
+    def restore(self, path: Path) -> None:
+        """Goes on from a state that the same practice has saved.
+
+        Raises:
+            CadenzaError: the file is of another practice, or damaged.
+        """
+        arrays, facts = read_tensors(path, ANY, _MOST_BYTES)
+        if facts.get("practice") != self._identity:
+            raise CadenzaError(
+                f"{path}: is the practice of another song, or with other options or another "
+                "version of Cadenza; choose another folder with --output"
+            )
+        check_arrays(arrays, self._expected(), path)
+        try:
+            self._restore(arrays)
+        except (LookupError, OverflowError, TypeError, ValueError) as error:
+            raise CadenzaError(
+                f"{path}: damaged, parts of it are missing; delete it to practise from the start"
+            ) from error
+
+    def _expected(self) -> Expected:
+        """The arrays that `state` may hold."""
         sweep = _Sweep(0, np.zeros(self.num_steps), self.trajectory)
         everything = _named(self._parts(sweep) | self._initial.parts(everything=True))
         limits: Limits = {
@@ -396,27 +428,6 @@ class Practice:
             )
             for name, values in everything.items()
         } | {"practice/history": ArrayOf(FLOATS, ("sweeps", 3), needed=True, finite=True)}
-
-    def check_is_of(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
-        """Raises: CadenzaError: `arrays` of a `state`, if only `OF`, are of another practice."""
-        if str(arrays["practice/of"]) != self._about:
-            raise CadenzaError(
-                f"{where}: is the practice of another song, or with other options or another "
-                "version of Cadenza; choose another folder with --output"
-            )
-
-    def restore(self, arrays: Mapping[str, NDArray[Any]], where: object) -> None:
-        """Goes on from the `state` of the same practice, see `check_is_of`, as `expected`.
-
-        Raises:
-            CadenzaError: parts of it are missing.
-        """
-        try:
-            self._restore(arrays)
-        except (LookupError, OverflowError, TypeError, ValueError) as error:
-            raise CadenzaError(
-                f"{where}: damaged, parts of it are missing; delete it to practise from the start"
-            ) from error
 
     def _restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         parts: Parts = defaultdict(dict)
@@ -456,9 +467,7 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
 
 def _digest(plan: SongPlan, start: Array, seed: int, config: PlannerConfig) -> str:
     """A digest of all that practice begins with."""
-    task, scene = plan.track.config, plan.track.scene.config
-    physics = {"physics": scene.physics, "sleeping_keys": scene.sleeping_keys}
-    options = options_of(task, scene, seed, **physics)
+    options = task_identity(plan.track.config, plan.track.scene.config, seed)
     chosen = json.dumps([seed, options, identity(config)], sort_keys=True)
     digest = hashlib.sha256(chosen.encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
