@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cadenza
-from cadenza.agents.planner.misses import Miss, in_words, misses_of
+from cadenza.agents.planner.misses import Miss, misses_of, summary
 from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
 from cadenza.agents.planner.plan.presses import Press, presses_of
 from cadenza.agents.planner.plan.song_plan import SongPlan
@@ -92,7 +92,7 @@ def concert() -> Concert:
 
 def test_nothing_is_missed_where_nothing_is(concert: Concert) -> None:
     assert concert.misses() == []
-    assert in_words([], concert.episode) == ["missed 0 of 2 notes"]
+    assert summary([], concert.episode) == ["missed 0 of 2 notes"]
 
 
 @pytest.mark.parametrize("agent", ["planner", "generalist"])
@@ -275,12 +275,12 @@ def test_lost_notes_are_told_in_words(concert: Concert) -> None:
     neighbour(concert)
     concert.sounds(C5, 25, 30)
     missed, early = concert.misses()
-    assert in_words([missed, early], concert.episode) == [
+    assert summary([missed, early], concert.episode) == [
         "missed 1 of 2 notes: neighbouring key struck",
         "let go of 1 note early: key not held down",
     ]
     other = replace(missed, cause="out of reach")
-    assert in_words([missed, other, missed, early, early], concert.episode) == [
+    assert summary([missed, other, missed, early, early], concert.episode) == [
         "missed 3 of 2 notes: neighbouring key struck (2), out of reach (1)",
         "let go of 2 notes early: key not held down",
     ]

@@ -195,12 +195,12 @@ def print_scores(performance: Performance) -> None:
         f"planning took {metrics['planning_seconds']:.1f} s, "
         f"simulation {metrics['playing_seconds']:.1f} s"
     )
-    print(_return_in_words(metrics))
+    print(_return_summary(metrics))
     if metrics["unstable"]:
         print("the simulation became unstable and the episode ended early", file=sys.stderr)
 
 
-def _return_in_words(metrics: Mapping[str, Any]) -> str:
+def _return_summary(metrics: Mapping[str, Any]) -> str:
     """The return and its terms, as agents are rewarded for fingers that not all of them use."""
     terms = {
         name.removeprefix("reward/").replace("_", " "): value
@@ -216,11 +216,11 @@ def print_what_was_lost(performance: Performance) -> None:
     """How many notes, and why, if there was a plan."""
     from collections import Counter
 
-    from cadenza.agents.planner.misses import in_words
+    from cadenza.agents.planner.misses import summary
 
     if performance.track is None or performance.misses is None:
         return
-    print(*in_words(performance.misses, performance.episode), sep="\n")
+    print(*summary(performance.misses, performance.episode), sep="\n")
     reasons = Counter(reason for _, reason in performance.track.dropped or ())
     for reason, count in reasons.most_common():
         print(f"no finger for {counted(count, 'note')}: {reason}")

@@ -1,4 +1,4 @@
-"""How to play a song, as actions and fingers to keep."""
+"""Plans of songs: actions and fingers that can be saved and played again."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from cadenza.tasks.config import TaskConfig
 
 @dataclass(frozen=True)
 class Plan:
-    """A song planned from beginning to end."""
+    """A plan of a song from beginning to end."""
 
     score: Score
     """The song, with the fingers that play it."""
     performance: Performance
     """How it went."""
     options: dict[str, Any]
-    """What has to be the same for the plan to play the same."""
+    """What has to be the same for the plan to play the same, see `task_identity`."""
     hands: Fingers
-    """How the fingers are numbered in arrays."""
+    """The fingers' numbers in arrays."""
     practised: PractisedPlan | None = None
-    """What leads hands back to it that are pushed off, if it was practised."""
+    """The feedback that leads back hands that are pushed off, if the song was practised."""
 
     def __repr__(self) -> str:
         found = sum(finger is not None for finger in self.fingering)
@@ -54,7 +54,7 @@ class Plan:
 
     @property
     def fingering(self) -> tuple[Finger | None, ...]:
-        """Who plays each note of the score."""
+        """The finger of each note of the score."""
         return tuple(note.finger for note in self.score.notes)
 
     @property
@@ -120,12 +120,12 @@ def plan(
 
 
 def make_plan(setup: Setup, progress: Progress = silent) -> Plan:
-    """See `plan`; the agent of `setup` plans the whole song."""
+    """Plans what was set up, see `plan`; its agent plans the whole song."""
     return plan_of(setup, perform(setup, progress))
 
 
 def plan_of(setup: Setup, performance: Performance) -> Plan:
-    """What was planned for a performance by a planner.
+    """The plan that a planner has performed.
 
     Raises:
         CadenzaError: the hands could not play to the end.

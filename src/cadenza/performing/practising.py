@@ -1,4 +1,4 @@
-"""A song that is practised in a folder, in one go or in several."""
+"""Practice of a song that is kept in a folder, in one go or in several."""
 
 from __future__ import annotations
 
@@ -28,7 +28,11 @@ from cadenza.performing.setup import (
 
 
 def check_is_practice(folder: Path) -> None:
-    """Raises: CadenzaError: the folder holds a plan that was made in another way."""
+    """Checks that practice may go on in a folder.
+
+    Raises:
+        CadenzaError: it holds a plan that was made in another way.
+    """
     if (folder / PRACTISED).exists() and not (folder / PRACTICE).exists():
         raise CadenzaError(
             f"{folder}: holds {PRACTISED} from something else; choose another folder with --output"
@@ -36,17 +40,17 @@ def check_is_practice(folder: Path) -> None:
 
 
 class Practising:
-    """Practises what was set up, from where the folder says that it was left.
+    """Practice of what was set up, from where the folder says that it was left.
 
     Attributes:
-        practice: how far it has got.
-        performance: of what was played best when a plan was to be kept last.
+        practice: the practice itself.
+        performance: the performance of the last plan that was saved, or ended early.
     """
 
     def __init__(self, setup: Setup, folder: Path, progress: Progress = silent) -> None:
         """Args:
-            setup: of the planner.
-            folder: where practice is kept.
+            setup: the song, with the planner as its agent.
+            folder: the folder in which practice is kept.
             progress: is told of "fingers" and "postures".
 
         Raises:
@@ -63,7 +67,7 @@ class Practising:
             self.practice.restore(self._path)
 
     def save(self) -> None:
-        """Keeps in the folder how far practice has got, and of what it is."""
+        """Saves in the folder how far practice has got, and the settings to go on with."""
         settings, song = self._setup.settings, self._setup.settings["song"]
         if os.path.isfile(song) or is_own_folder(song):  # it goes on from anywhere
             settings = settings | {"song": os.path.abspath(song)}
@@ -71,10 +75,10 @@ class Practising:
         self.practice.save(self._path)
 
     def save_plan(self) -> None:
-        """Keeps in the folder what is played best so far, for `cadenza play`; it is performed.
+        """Performs what is played best so far, and saves it in the folder for `cadenza play`.
 
-        What ended early, because of a wrong key, is no plan; nor is what was played on a model
-        that differs.
+        Nothing is saved if the performance ended early, because of a wrong key, or if the task is
+        not played on the nominal model.
         """
         if self._setup.task.config.randomization.is_on:
             return
@@ -87,7 +91,7 @@ class Practising:
             plan.save(self._path.with_name(PRACTISED))
 
     def best(self) -> Setup:
-        """To play what is played best so far, with the fingers that play it."""
+        """The setup in which what is played best so far plays, with its fingers."""
         return self._setup_with(self.practice.best().practised)
 
     def _setup_with(self, practised: PractisedPlan) -> Setup:
@@ -102,7 +106,7 @@ class Practising:
 
 
 def _played(tracking: Tracking, performance: Performance) -> Tracking:
-    """The same as it was performed, which differs from rehearsals where hands play apart."""
+    """The tracking as it was performed, which differs from practice where hands play apart."""
     episode, beginning = performance.episode, tracking.expected[:1]
     follower = Follower(performance.scene, tracking)
     states = zip(episode["hand_qpos"], episode["hand_qvel"], strict=True)

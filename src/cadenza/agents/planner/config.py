@@ -1,4 +1,4 @@
-"""What can be chosen about the planners. Imports nothing heavy: the command line shows it."""
+"""Options of the planners. Imports nothing heavy: the command line shows them."""
 
 from __future__ import annotations
 

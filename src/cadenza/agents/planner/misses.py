@@ -51,9 +51,10 @@ Array = NDArray[np.float64]
 _IN_TIME = 0.05  # [s] that a note may begin late, or end early
 _SHORTEST = 0.1  # [s] that a key takes to go down
 _BESIDE = 0.002  # [m] a fingertip further than this from a key's edge is not over it
-_ASTRAY = 0.01  # [m]
-_TOUCHING = 0.003  # [m]
-_FAST = 0.7  # [m/s]
+_ASTRAY = 0.01  # [m] off the plan, nearly half a key
+_TOUCHING = 0.003  # [m] between surfaces: they may have touched within the step
+_FAST = 0.7  # [m/s] along the keyboard in the plan, just before the key is struck
+_NEAR = 2  # keys to either side that a finger may strike instead of its own
 _COMING = 0.2  # [s] within which a finger that is late is seen to come
 _STRIDE = 0.1  # [s] over which its speed is taken
 
@@ -67,19 +68,19 @@ class Miss:
     note: str
     """Its name, such as C4."""
     finger: Finger | None
-    """That should have played it."""
+    """The finger that should have played it."""
     what: str
     """What became of it, such as "never sounded"."""
     cause: str
-    """One of a few, to count them by."""
+    """Why, in a few words, by which misses are counted."""
     reason: str
-    """The same in more words."""
+    """The cause in more words."""
     sounded: bool
-    """In time; it was only let go early."""
+    """Whether it sounded in time, and was only let go early."""
 
 
 class _Note(NamedTuple):
-    """`key` should sound from step `first` up to, not including, `last`."""
+    """A note: `key` should sound from step `first` up to, not including, `last`."""
 
     key: int
     first: int
@@ -87,15 +88,15 @@ class _Note(NamedTuple):
 
 
 def misses_of(episode: Episode, plan: SongPlan) -> list[Miss]:
-    """What was lost of an episode, by time, where whoever played it followed `plan`."""
-    inquiry = _Inquiry(episode, plan)
+    """The misses of an episode by time, whose agent followed `plan`."""
+    diagnosis = _Diagnosis(episode, plan)
     runs = zip(*(array.tolist() for array in key_runs(episode["goal_keys"])), strict=True)
     notes = sorted((_Note(key, first, last) for first, last, key in runs), key=lambda n: n[1])
-    return [miss for note in notes if (miss := inquiry.into(note))]
+    return [miss for note in notes if (miss := diagnosis.miss(note))]
 
 
-def in_words(misses: Sequence[Miss], episode: Episode) -> list[str]:
-    """Lines such as "missed 3 of 210 notes: too fast to get there (2), no finger (1)"."""
+def summary(misses: Sequence[Miss], episode: Episode) -> list[str]:
+    """Counts misses, in lines such as "missed 3 of 210 notes: too fast to get there (2), ..."."""
     num_notes = len(key_runs(episode["goal_keys"])[0])
     missed = [miss.cause for miss in misses if not miss.sounded]
     early = [miss.cause for miss in misses if miss.sounded]
@@ -106,15 +107,15 @@ def in_words(misses: Sequence[Miss], episode: Episode) -> list[str]:
 
 
 def _counted(causes: Sequence[str]) -> str:
-    """After a colon, with how many of each where there are several."""
+    """Lists causes after a colon, with how many of each where there are several."""
     counts = Counter(causes).most_common()
     if len(counts) <= 1:
         return "".join(f": {cause}" for cause, _ in counts)
     return ": " + ", ".join(f"{cause} ({count})" for cause, count in counts)
 
 
-class _Inquiry:
-    """What is known about an episode, and the rules."""
+class _Diagnosis:
+    """The rules, and the arrays of an episode that they look at."""
 
     def __init__(self, episode: Episode, plan: SongPlan) -> None:
         nominal, self._keyboard = plan.nominal, plan.scene.keyboard
@@ -137,8 +138,8 @@ class _Inquiry:
         self._left_out = _left_out(plan.track)
         self._forearms = _forearms_apart(episode)
 
-    def into(self, note: _Note) -> Miss | None:
-        """What became of a note, if it was lost."""
+    def miss(self, note: _Note) -> Miss | None:
+        """How and why a note was lost, None if it was not."""
         press = self._presses.get((note.key, note.first))
         finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])
@@ -181,7 +182,7 @@ class _Inquiry:
         if press.last < note.last + 1 and press.last - press.first <= steps_in(_SHORTEST, self._dt):
             return (
                 "finger needed elsewhere",
-                f"let go too early to sound, as planned: {self._cut(press)}",
+                f"let go too early to sound, as planned: {self._why_cut(press)}",
             )
         if (neighbour := self._neighbour(note, press)) is not None:
             return "neighbouring key struck", f"the finger pressed {self._name(neighbour)} instead"
@@ -205,19 +206,21 @@ class _Inquiry:
         return "finger beside the key", where
 
     def _neighbour(self, note: _Note, press: Press) -> int | None:
-        """The key near by that the finger struck in place of its own."""
+        """The key nearby that the finger struck instead of its own, if any."""
         rows = slice(max(note.first - self._in_time, 0), note.first + 1 + 2 * self._in_time)
         before = np.pad(self._played, ((1, 0), (0, 0)))[:-1]
         wrong = (self._played & ~before & ~self._goal)[rows]
         tip = self._tips[min(note.first + self._in_time, self._steps - 1), press.finger]
-        for key in range(max(note.key - 2, 0), min(note.key + 3, self._keyboard.num_keys)):
+        for key in range(
+            max(note.key - _NEAR, 0), min(note.key + _NEAR + 1, self._keyboard.num_keys)
+        ):
             nearer = self._beside(tip, key) < self._beside(tip, note.key)
             if key != note.key and wrong[:, key].any() and nearer:
                 return key
         return None
 
     def _collision(self, row: int, finger: int) -> str:
-        """What is in the way of a finger that is not where it is planned to be, if anything."""
+        """Names what a finger that is off the plan touches, if anything."""
         tip = self._tips[row, finger]
         if np.linalg.norm(tip - self._planned[row + 1, finger]) <= _ASTRAY:
             return ""
@@ -233,7 +236,7 @@ class _Inquiry:
         return "the other forearm" if touch else ""
 
     def _speed(self, state: int, finger: int) -> float:
-        """At which the plan has it move along the keyboard before `state` [m/s]."""
+        """The planned speed of a finger along the keyboard before `state` [m/s]."""
         before = max(state - steps_in(_STRIDE, self._dt), 0)
         way = self._planned[state, finger, 1] - self._planned[before, finger, 1]
         return float(abs(way)) / ((state - before) * self._dt)
@@ -241,11 +244,11 @@ class _Inquiry:
     # Notes that were let go early
 
     def _why_early(self, note: _Note, press: Press | None, end: int) -> tuple[str, str]:
-        """Of a note that no longer sounds from step `end` on."""
+        """Cause and reason for a note that no longer sounds from step `end` on."""
         if press is None:
             return "no finger", "no finger was there for it; another pressed the key in passing"
         if press.last <= note.last and end >= press.last - 1 - self._in_time:
-            return "finger needed elsewhere", f"as planned: {self._cut(press)}"
+            return "finger needed elsewhere", f"as planned: {self._why_cut(press)}"
         beside = float(self._beside(self._tips[end, press.finger], note.key))
         if beside > _BESIDE:
             return (
@@ -254,8 +257,8 @@ class _Inquiry:
             )
         return "key not held down", "the key came up under the finger"
 
-    def _cut(self, press: Press) -> str:
-        """Why the plan lets a key go early."""
+    def _why_cut(self, press: Press) -> str:
+        """Says why the plan lets a key go early."""
         later = (p for p in self._of_finger[press.finger] if p.first > press.first)
         following = next((p for p in later if p.key != press.key), None)
         if following:
@@ -266,14 +269,14 @@ class _Inquiry:
         return "the hand had to jump"
 
     def _beside(self, tips: Array, key: int) -> Array:
-        """(...) how far fingertips (..., 3) are from being over a key [m], seen from above."""
+        """(...) horizontal distance of fingertips (..., 3) from a key's top [m], 0 over it."""
         outside = np.abs(tips - self._keyboard.centre[key])[..., :2]
         outside -= self._keyboard.half_size[key, :2]
         return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1))
 
 
 def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
-    """(key, step) -> why the note that begins there has no finger.
+    """Maps (key, step) to why the note that begins there has no finger.
 
     Where a key is struck again at once, the goal begins a step after the note.
     """
@@ -286,7 +289,7 @@ def _left_out(track: GoalTrack) -> Mapping[tuple[int, int], str]:
 
 
 def _forearms_apart(episode: Episode) -> Array:
-    """(T,) distance of the forearms along the keyboard [m]."""
+    """(T,) distance of the forearms along the keyboard [m], infinite without two."""
     bodies = list(episode.scene["bodies"])
     forearms = [prefix(side) + FOREARM for side in SIDES]
     if not set(forearms) <= set(bodies):

@@ -1,4 +1,4 @@
-"""Plays any score by planning alone: fingering, inverse kinematics of the song, refinement."""
+"""Plays any score by planning alone: fingering, inverse kinematics, and search while it plays."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from cadenza.tasks.view import View
 class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
     """Plans a song a window ahead of where it plays, and refines the plan as it goes.
 
-    With an effort, it plans and practises the whole song before it begins to play.
-
-    Its progress is that of "fingers" and "postures", and with an effort that of what `Practice`
-    says it is doing.
+    With an effort, it plans and practises the whole song before it begins to play. It reports the
+    progress of "fingers" and "postures", and with an effort of the stages of `Practice`.
     """
 
     def __init__(self, config: PlannerConfig | None = None) -> None:
@@ -32,43 +30,40 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         """
         super().__init__()
         self.config = config or PlannerConfig()
-        _check(self.config)
+        check_ranges(
+            self.config,
+            {
+                "num_candidates": (4, 10_000),
+                "iterations": (1, 10_000),
+                "horizon": (0, 60),
+                "effort": (0, MOST_EFFORT),
+            },
+        )
 
     def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
         """Raises:
         CadenzaError: there are no hands in the scene.
         """
-        if self.config.effort:
-            practice = self._practised(view, rng)
-            return PractisedPlanner(
-                view,
-                practice.best().practised,
-                self.config,
-                rng,
-                self.threads,
-                self.progress,
-                practice.plan,
-            )
-        return SongPlanner(view, rng, self.config, self.threads, self.progress)
-
-    def _practised(self, view: View, rng: np.random.Generator) -> Practice:
-        config, effort = replace(self.config, effort=0.0), self.config.effort
-        practice = Practice(view, rng, config, self.threads, self.progress)
+        config, threads, progress = self.config, self.threads, self.progress
+        if not config.effort:
+            return SongPlanner(view, rng, config, threads, progress)
+        practice = Practice(view, rng, replace(config, effort=0.0), threads, progress)
 
         def goes_on() -> bool:
-            self.progress(*practice.progress(effort))
+            progress(*practice.progress(config.effort))
             return True
 
-        practice.run(effort, goes_on)
+        practice.run(config.effort, goes_on)
         goes_on()
-        return practice
+        practised = practice.best().practised
+        return PractisedPlanner(view, practised, config, rng, threads, progress, practice.plan)
 
 
 class SongPlanner:
     """Plans and plays one song.
 
     Attributes:
-        plan: before refinement, as far as it goes; all of it when the song is over.
+        plan: the plan before refinement, as far as it goes; all of it when the song is over.
     """
 
     plan: SongPlan
@@ -82,10 +77,10 @@ class SongPlanner:
         progress: Progress,
     ) -> None:
         """Args:
-            view: of the first step, of one environment.
-            rng: what is random.
+            view: the view before the first step, of one environment.
+            rng: source of randomness.
             config: how to plan.
-            num_threads: that share the search.
+            num_threads: how many threads share the search.
             progress: is told of "fingers" and "postures".
 
         Raises:
@@ -117,21 +112,9 @@ class SongPlanner:
         return action
 
     def _plan_ahead(self, step: int) -> None:
-        """Plans another window before what a hand looks at from here ends."""
+        """Plans another window if a hand looks beyond the end of the plan from here."""
         seen = step + max(hand.refinement.steps_seen for hand in self._hands)
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
             for hand in self._hands:
                 hand.follow(self.plan, step)
-
-
-def _check(config: PlannerConfig) -> None:
-    check_ranges(
-        config,
-        {
-            "num_candidates": (4, 10_000),
-            "iterations": (1, 10_000),
-            "horizon": (0, 60),
-            "effort": (0, MOST_EFFORT),
-        },
-    )
