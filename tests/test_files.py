@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+import safetensors.numpy
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,9 +34,11 @@ from cadenza.files import (
     opened_in_place,
     read_arrays,
     read_json,
+    read_tensors,
     sha256_of,
     write_atomically,
     write_json,
+    write_tensors,
 )
 
 # Writing
@@ -366,6 +369,51 @@ def test_the_text_of_json_in_an_array_may_be_long(tmp_path: Path) -> None:
     text = json.dumps(["ü"] * 10_000, ensure_ascii=False)
     np.savez(tmp_path / "file.npz", text=np.str_(text))
     assert str(read_arrays(tmp_path / "file.npz", {"text": ArrayOf(TEXT)})["text"]) == text
+
+
+def test_tensors_come_back_with_what_there_is_to_know(tmp_path: Path) -> None:
+    path, arrays = tmp_path / "file.safetensors", {"a": np.arange(6.0).reshape(2, 3).T}
+    expected = {"a": ArrayOf(FLOATS, (3, 2), needed=True)}
+    facts = {"song": "Für", "length": 2, "scores": {"f1": None}}
+    write_tensors(path, arrays, facts)
+    once = path.read_bytes()
+    read, told = read_tensors(path, expected, 2**20)
+    np.testing.assert_array_equal(read["a"], arrays["a"])
+    assert told == facts
+    write_tensors(path, arrays, facts)
+    assert path.read_bytes() == once
+    write_tensors(path, arrays)
+    assert read_tensors(path, expected, 2**20)[1] == {}
+
+
+@pytest.mark.parametrize(
+    ("arrays", "saying"),
+    [
+        ({}, "no array named a"),
+        ({"a": np.zeros(3), "b": np.zeros(3)}, "b is float64"),
+        ({"a": np.array([np.inf])}, "not finite"),
+        ({"a\n": np.zeros(3)}, "names that cannot be printed"),
+        ({"a": np.zeros(2**18)}, "takes 2 MiB, .* no more than 1 MiB"),
+    ],
+)
+def test_tensors_of_something_else_are_refused(
+    arrays: dict[str, np.ndarray], saying: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "file.safetensors"
+    write_tensors(path, arrays)
+    with pytest.raises(CadenzaError, match=saying) as error:
+        read_tensors(path, {"a": ArrayOf(FLOATS, ("T",), needed=True, finite=True)}, 2**20)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("header", ["[1]", "{", "nonsense", '{"a": NaN}'])
+def test_a_header_that_says_nothing_sensible_is_refused(header: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.safetensors"
+    path.write_bytes(safetensors.numpy.save({}, {"facts": header}))
+    with pytest.raises(CadenzaError, match=r"file\.safetensors, header: ") as error:
+        read_tensors(path, ANY, 2**20)
+    assert "\n" not in str(error.value)
 
 
 # Names

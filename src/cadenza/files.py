@@ -18,7 +18,7 @@ import stat
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
@@ -388,24 +388,20 @@ Expected = Mapping[str, ArrayOf]
 ANY: Expected = {"*": ArrayOf(NUMBERS + TEXT, None)}
 
 
-def read_arrays(
-    source: Path | bytes, expected: Expected, most: int | None = None, where: object = None
-) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, expected: Expected, most: int | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of a .npz file by name; nothing that a file says is carried out.
 
     Args:
-        source: the file, or what it holds.
+        path: the file.
         expected: others are not read.
         most: bytes that all of them may take together; by default as many as the file, which is
             what a file that is not compressed can hold.
-        where: named in errors; the file by default.
 
     Raises:
         CadenzaError: the file is not there, is no such file, holds more, or something else.
     """
-    where = source if where is None else where
     try:
-        with _stream(source) as stream, opened_archive(stream) as file:
+        with opened(path) as stream, opened_archive(stream) as file:
             size = stream.seek(0, os.SEEK_END)
             members = {name: m for name, m in _members(file) if first_fitting(name, expected)}
             total = sum(member.file_size for member in members.values())
@@ -416,12 +412,12 @@ def read_arrays(
                 )
             arrays = {name: _array(file, member) for name, member in members.items()}
     except FileNotFoundError as error:
-        raise CadenzaError(f"{where}: there is no such file") from error
+        raise CadenzaError(f"{path}: there is no such file") from error
     except CadenzaError as error:
-        raise CadenzaError(f"{where}: {error}") from error
+        raise CadenzaError(f"{path}: {error}") from error
     except Exception as error:  # damage shows in many ways, down to numpy's tokenizer
-        raise CadenzaError(f"{where}: not a readable .npz file of plain arrays") from error
-    check_arrays(arrays, expected, where)
+        raise CadenzaError(f"{path}: not a readable .npz file of plain arrays") from error
+    check_arrays(arrays, expected, path)
     return arrays
 
 
@@ -484,10 +480,6 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], expected: Expected, where: 
             least, most = form.within
             if not ((array >= least) & (array <= most)).all():
                 raise CadenzaError(f"{where}: {name} is not within {least} and {most}; {_ANOTHER}")
-
-
-def _stream(source: Path | bytes) -> AbstractContextManager[IO[bytes]]:
-    return io.BytesIO(source) if isinstance(source, bytes) else opened(source)
 
 
 def _members(file: zipfile.ZipFile) -> Iterator[tuple[str, zipfile.ZipInfo]]:
