@@ -20,6 +20,7 @@ from cadenza.agents.agent import silent
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice import practice as practice_of_hands
+from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.planned_variant import PlannedVariant
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlanner
@@ -221,6 +222,17 @@ def test_hands_that_were_pushed_search_for_what_sounded_before() -> None:
     assert sum(searched) < 0.7 * sum(led_back)
     assert loss(*pushes[0], search=True) == searched[0]  # whatever they did before
     assert planned.search.simulated > 0
+
+
+def test_a_hand_corrects_how_far_its_fingertips_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(_: Perturbations, path: Any, first: int, last: int, count: int, *_rng: Any) -> Any:
+        return np.zeros((count, last - first, path.shape[1]))
+
+    monkeypatch.setattr(Perturbations, "draw", nothing)
+    corrected = practice()
+    corrected.run(EFFORT)
+    (_, f1, onsets), *_, (_, later_f1, later_onsets) = corrected.history
+    assert later_f1 + later_onsets / 2 > f1 + onsets / 2
 
 
 @pytest.mark.parametrize(
