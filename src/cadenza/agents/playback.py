@@ -73,27 +73,27 @@ class Playback(Agent):
 
 @dataclass(frozen=True)
 class _Facts:
-    """What a plan's file says beside its arrays."""
+    """The header of a plan's file."""
 
     song: str
     dt: float
     """Control step [s]."""
     metrics: dict[str, Any]
     options: dict[str, Any]
-    """What has to be the same for the plan to play the same, and `PHYSICS`."""
+    """Options that have to be the same for the plan to play the same, and `PHYSICS`."""
     score: WrittenScore | None = None
     """The song of a practised plan."""
 
 
 @dataclass(frozen=True)
 class SavedPlan:
-    """What a file holds to be played: a plan, or the actions of a recorded episode."""
+    """A file that can be played: a plan, or the actions of a recorded episode."""
 
     path: Path
     actions: Array
     """(T, A) in actuator units, the pedal last."""
     options: dict[str, Any] = field(default_factory=dict)
-    """Those that it was made with, as far as it says; see `cadenza.tasks.config.task_identity`."""
+    """Options that it was made with, as far as it says; see `task_identity`."""
     practised: PractisedPlan | None = None
     score: Score | None = None
     """The song, if it was practised."""

@@ -32,9 +32,9 @@ class Plan:
     score: Score
     """The song, with the fingers that play it."""
     performance: Performance
-    """How it went."""
+    """The performance of the plan."""
     options: dict[str, Any]
-    """What has to be the same for the plan to play the same, see `task_identity`."""
+    """Options that have to be the same for the plan to play the same, see `task_identity`."""
     hands: Fingers
     """The fingers' numbers in arrays."""
     practised: PractisedPlan | None = None
@@ -59,7 +59,7 @@ class Plan:
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """How well the plan plays: see `cadenza.agents.rollout.EpisodeResult`."""
+        """The scores of the plan: see `cadenza.agents.rollout.EpisodeResult`."""
         return self.performance.metrics
 
     def save(self, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Which notes a planned performance lost, and why, in plain words.
+"""Diagnosis of a planned performance: the notes that it lost, and why, in plain words.
 
 A note is a stretch of steps over which a key should sound without a break. It is lost where it
 never sounded, sounded more than `_IN_TIME` late, or was let go more than that early. Of these rules
@@ -70,7 +70,7 @@ class Miss:
     finger: Finger | None
     """The finger that should have played it."""
     what: str
-    """What became of it, such as "never sounded"."""
+    """The symptom, such as "never sounded"."""
     cause: str
     """Why, in a few words, by which misses are counted."""
     reason: str
@@ -139,7 +139,7 @@ class _Diagnosis:
         self._forearms = _forearms_apart(episode)
 
     def miss(self, note: _Note) -> Miss | None:
-        """How and why a note was lost, None if it was not."""
+        """The miss of a note, None if it was not lost."""
         press = self._presses.get((note.key, note.first))
         finger = self._numbers.finger(press.finger) if press else None
         sounding = note.first + np.flatnonzero(self._played[note.first : note.last, note.key])

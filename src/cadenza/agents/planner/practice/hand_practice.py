@@ -51,7 +51,7 @@ class Change(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """What a hand has tried in order to mend a fault."""
+    """An attempt of a hand to mend a fault, and its result."""
 
     step: int
     """The step with the loss."""

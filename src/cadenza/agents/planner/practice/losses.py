@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ONSET_WEIGHT = 0.5
-"""What all note onsets together are worth, where F1 is worth 1."""
+"""Weight of the F1 of note onsets beside that of F1, which is 1."""
 _EXTRA_ONSET = 0.5  # loss of a superfluous onset, relative to a missed one, which costs recall too
 _LONG_AGO = 1_000_000  # steps
 # Both are small beside the loss of one key in one step, so that they only decide between rollouts

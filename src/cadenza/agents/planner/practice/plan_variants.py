@@ -43,7 +43,7 @@ Passage = tuple[slice, slice]
 
 
 class Variant(NamedTuple):
-    """How H hands play N notes over T steps."""
+    """A choice of fingers for N notes, and of release times for H hands over T steps."""
 
     fingers: NDArray[np.int64]
     """(N,) the finger of each note, as hands number their fingers."""
@@ -67,7 +67,7 @@ class SplicedTrajectory(NamedTuple):
     track: GoalTrack
     """The song, with any fingers."""
     variant: Variant
-    """How the hands play it there."""
+    """The fingers and release times of its passages."""
     trajectory: Trajectory
     """The passages, which no hands have played one after the other."""
 

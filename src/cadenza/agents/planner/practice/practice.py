@@ -67,7 +67,7 @@ _MOST_BYTES = 2**32  # of a file: hours of music
 
 
 class _Sweep(NamedTuple):
-    """How far practice has gone over the song."""
+    """The progress of a sweep over the song."""
 
     first: int
     """The step at which the current window begins."""
@@ -78,7 +78,7 @@ class _Sweep(NamedTuple):
 
 
 class Practice:
-    """How far a song has been practised.
+    """Practice of one song.
 
     Attributes:
         trajectory: the best so far; where it has not been played yet, it is what is planned.

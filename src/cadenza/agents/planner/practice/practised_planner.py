@@ -26,13 +26,13 @@ class PractisedPlan(NamedTuple):
     """All that it takes to play a song as it was practised."""
 
     tracking: Tracking
-    """What the hands do, and the feedback that leads them back to it."""
+    """The controls, and the feedback that leads the hands back to the trajectory."""
     variant: Variant
     """The fingers with which they play, and when they let go."""
 
 
 class PracticeResult(NamedTuple):
-    """How well both hands have played a song in the whole scene."""
+    """A trajectory of the whole song, and its scores in the whole scene."""
 
     practised: PractisedPlan
     f1: float

@@ -24,7 +24,7 @@ _UNSTABLE = 1000.0  # cost of a step that leaves the simulation unusable; no oth
 
 
 class Trajectory(NamedTuple):
-    """What H hands with A servos have played over T steps."""
+    """Controls of H hands with A servos over T steps, and what came of them."""
 
     ctrl: Array
     """(T, A)"""
@@ -39,7 +39,7 @@ class Trajectory(NamedTuple):
 
     @classmethod
     def unplayed(cls, tracking: Tracking, num_keys: int, num_hands: int) -> Trajectory:
-        """What is planned, before any of it has been played; no loss is known."""
+        """The planned trajectory before any of it has been played: no loss is known yet."""
         steps = len(tracking.ctrl)
         return cls(
             tracking.ctrl.copy(),
