@@ -33,8 +33,8 @@ from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.generalist.generalist import HASTE, shipped_for
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
-from cadenza.agents.planner.search.fingertip_correction import FURTHEST as FURTHEST_ASTRAY
-from cadenza.agents.planner.search.horizon_cost import NO_HARM
+from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
+from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.agents.planner.search.networks.weights import CONSTANTS, FURTHEST, Network, Weights
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.collecting.episode import excerpt
@@ -98,11 +98,11 @@ class Demands:
         sounding, depth = key_qpos >= keyboard.sounds_from, key_qpos / keyboard.travel
         lacks = ~sounding + np.clip(1 - depth, 0, 1) ** 2
         missed = WRONG * share * held * lacks + WRONG * (self._due[step] & ~sounding)
-        too_far = sounding + np.maximum(depth - NO_HARM, 0) ** 2
+        too_far = sounding + np.maximum(depth - HARMLESS_DEPTH, 0) ** 2
         wrong = WRONG * share * self._wrong[step] * too_far
         wrong += EARLY * (self._early[step] & sounding & ~before)
         off = (tips - self._tips[step + 1]) * COUNTS
-        lost = self._weight[step + 1] * np.minimum((off * off).sum(axis=1), FURTHEST_ASTRAY**2)
+        lost = self._weight[step + 1] * np.minimum((off * off).sum(axis=1), MAX_ERROR**2)
         keys = np.flatnonzero(missed)
         np.add.at(lost, self._fingers[step, keys], missed[keys])
         keys = np.flatnonzero(wrong)

@@ -27,7 +27,7 @@ from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_rehearsal
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal
-from cadenza.agents.planner.search.iterative_learning_control import changes
+from cadenza.agents.planner.search.iterative_learning_control import control_update
 from cadenza.agents.planner.search.networks.inputs import Corrections, HandInputs
 from cadenza.agents.planner.search.networks.weights import Weights
 from cadenza.agents.rollout import play_episode
@@ -157,11 +157,11 @@ def test_corrections_of_a_left_hand_are_mirrored(scene_of_both: SongPlan) -> Non
     scene = scene_of_both.scene
     corrections = Corrections.of(SIDES, hand_alone(scene, "right").scene)
     names = [name.rpartition("/")[2] for name in scene.actuator_names]
-    answer = np.full(corrections.turned.shape, 0.5, np.float32)
+    answer = np.full(corrections.sign.shape, 0.5, np.float32)
     right, left = corrections.ctrl(answer)
     opposite = np.flatnonzero(right == -left)
     assert [names[i] for i in opposite] == [n for n in names[: len(right)] if "forearm_tx" in n]
-    np.testing.assert_allclose(corrections.answer(corrections.ctrl(answer)), answer)
+    np.testing.assert_allclose(corrections.output(corrections.ctrl(answer)), answer)
 
 
 @pytest.fixture(scope="module")
@@ -242,8 +242,8 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
     def noted(self: RehearsedHand, step: int, state: State) -> Array:
         rehearsal, here = self._rehearsal, state.hand_qpos[0, self._joints]
         played = step - rehearsal._first
-        if 0 < played < len(rehearsal._foreseen):
-            off.append(np.abs(here - rehearsal._foreseen[played - 1]).max())
+        if 0 < played < len(rehearsal._expected):
+            off.append(np.abs(here - rehearsal._expected[played - 1]).max())
         return act(self, step, state)
 
     monkeypatch.setattr(RehearsedHand, "act", noted)
@@ -255,12 +255,12 @@ def test_plays_as_it_has_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_keeps_no_change_that_makes_it_worse(monkeypatch: pytest.MonkeyPatch) -> None:
     score = load_score("MoonlightOpening").beginning(3.0)
     changed = actions(score, GeneralistConfig(rehearsals=1))
-    hardly = lambda off, *others: 1e-9 * changes(off, *others)  # noqa: E731
-    monkeypatch.setattr(hand_rehearsal, "changes", hardly)
+    hardly = lambda off, *others: 1e-9 * control_update(off, *others)  # noqa: E731
+    monkeypatch.setattr(hand_rehearsal, "control_update", hardly)
     plan = actions(score, GeneralistConfig(rehearsals=1))
     assert np.abs(changed - plan).max() > 0.01
-    too_far = lambda off, *others: np.full_like(changes(off, *others), 0.3)  # noqa: E731
-    monkeypatch.setattr(hand_rehearsal, "changes", too_far)
+    too_far = lambda off, *others: np.full_like(control_update(off, *others), 0.3)  # noqa: E731
+    monkeypatch.setattr(hand_rehearsal, "control_update", too_far)
     np.testing.assert_allclose(actions(score, GeneralistConfig(rehearsals=1)), plan, atol=1e-3)
 
 
@@ -270,7 +270,7 @@ def test_half_a_second_begins_with_what_the_one_before_found_for_it(
     rehearse, changed = RehearsedHand._rehearse, list[bool]()
 
     def noted(self: RehearsedHand, step: int) -> None:
-        known, plan = self._rehearsal.beyond, self._tracking.ctrl.copy()
+        known, plan = self._rehearsal.tail, self._tracking.ctrl.copy()
         rehearse(self, step)
         np.testing.assert_array_equal(self._tracking.ctrl[step : step + len(known)], known)
         np.testing.assert_array_equal(

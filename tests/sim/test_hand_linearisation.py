@@ -36,7 +36,7 @@ def test_predicts_where_hands_go_that_begin_elsewhere(scene: Scene, ctrl: np.nda
     seen = HandLineariser(scene, np.full(2 * joints + servos, 1e-5), DT).linearise(start, ctrl)
     other = PlanningSimulation(scene, 1, DT)
     z = 1e-3 * np.random.default_rng(0).standard_normal(2 * joints + servos)
-    other.displace(z[None, :joints], z[None, joints : 2 * joints])
+    other.displace_hands(z[None, :joints], z[None, joints : 2 * joints])
     start.step(ctrl[:1])
     other.step(ctrl[:1] + z[2 * joints :])
     for seen_by, values in (
@@ -80,7 +80,7 @@ def test_displacing_one_simulation_leaves_the_other(scene: Scene, ctrl: np.ndarr
     simulation = PlanningSimulation(scene, 2, DT)
     simulation.step(np.repeat(ctrl[:1], 2, axis=0))
     before = simulation.state
-    simulation.displace(by, 2 * by)
+    simulation.displace_hands(by, 2 * by)
     for name, factor in (("hand_qpos", 1), ("hand_qvel", 2)):
         moved = getattr(simulation.state, name) - getattr(before, name)
         assert_array_equal(moved[0], 0.0)

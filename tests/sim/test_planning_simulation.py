@@ -1,4 +1,4 @@
-"""What planners do to simulations: copies, places, and several steps at once."""
+"""What planners do to simulations: copies, states that are set, and rollouts."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_coordinates_are_those_of_keys_and_hands(scene: Scene) -> None:
     assert_array_equal(velocities[:, scene.hand_qvel], simulation.state.hand_qvel)
 
 
-def test_what_is_placed_has_no_past(scene: Scene) -> None:
+def test_joints_that_are_set_have_no_past(scene: Scene) -> None:
     """Two simulations with different pasts go on alike, from the joints that were asked for."""
     used, fresh = PlanningSimulation(scene, 1), PlanningSimulation(scene, 1)
     for ctrl in controls(scene, 1, seed=1):
@@ -115,7 +115,7 @@ def test_what_is_placed_has_no_past(scene: Scene) -> None:
         np.linspace(0, 0.05, 88),
     )
     for simulation in (used, fresh):
-        simulation.place(*place)
+        simulation.set_joints(*place)
         for name, wanted in zip(("hand_qpos", "hand_qvel", "key_qpos"), place, strict=True):
             assert_array_equal(getattr(simulation.state, name)[0], wanted)
         for ctrl in controls(scene, 1):

@@ -1,4 +1,4 @@
-"""Derivatives of whole control steps by the hands and their controls."""
+"""Derivatives of whole control steps by the hands and their controls, by finite differences."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ Array = NDArray[np.float64]
 
 
 class HandLinearisation(NamedTuple):
-    """T control steps, and how that to which they lead depends on how they begin.
+    """Derivatives of T control steps of hands with J joints and A actuators, among K keys.
 
-    Derivatives are by z = (positions, speeds, control), 2 J + A of the hands' J joints and A
-    actuators, at the beginning of the step. The K keys begin it as they are.
+    All are by z = (positions, speeds, control), 2 J + A numbers, at the beginning of the step.
     """
 
     hands: Array
-    """(T, 2 J, 2 J + A) of the hands' positions and speeds."""
+    """(T, 2 J, 2 J + A) derivatives of the hands' positions and speeds."""
     keys: Array
-    """(T, K, 2 J + A) of the keys' angles."""
+    """(T, K, 2 J + A) derivatives of the keys' angles."""
     fingertips: Array
-    """(T, F, 3, 2 J + A) of the fingertips' places."""
+    """(T, F, 3, 2 J + A) derivatives of the fingertips' positions."""
     states: State
-    """What the steps lead to, arrays (T, ...)."""
+    """States after the steps, arrays (T, ...)."""
 
 
 class HandLineariser:
-    """Takes differences over whole control steps, as large as the deviations to be met.
+    """Linearises by finite differences as large as the deviations that are expected.
 
-    `linearisation.Lineariser` differentiates every physics step by keys and hands and says what the
-    next micrometre does, in which dry friction holds joints where they are.
+    `linearisation.Lineariser` differentiates every physics step, with differences so small that dry
+    friction holds the joints.
     """
 
     def __init__(
@@ -44,19 +43,19 @@ class HandLineariser:
     ) -> None:
         """Args:
         scene: with hands; its keys may sleep.
-        difference: (2 J + A,) of each element of z.
+        difference: (2 J + A,) size of the difference of each element of z.
         control_timestep: [s]
         num_threads: how many threads share the work.
         """
         self._difference = difference
         self._joints = len(scene.hand_joint_names)
         self._displaced = np.concatenate([np.zeros((1, len(difference))), np.diag(difference)])
-        self._along = PlanningSimulation(scene, 1, control_timestep)
+        self._nominal = PlanningSimulation(scene, 1, control_timestep)
         self._batch = PlanningSimulation(scene, 1 + len(difference), control_timestep, num_threads)
 
     def linearise(self, start: MujocoSimulation, ctrl: Array) -> HandLinearisation:
-        """Along the steps that simulation 0 of `start` would take with controls (T, A)."""
-        self._along.copy_from(start, 0)
+        """Linearises the steps that simulation 0 of `start` would take with controls (T, A)."""
+        self._nominal.copy_from(start, 0)
         rows = [self._step(control) for control in ctrl]
         hands, keys, fingertips, states = zip(*rows, strict=True)
         joined = State._make(np.concatenate(parts) for parts in zip(*states, strict=True))
@@ -64,19 +63,19 @@ class HandLineariser:
 
     def _step(self, control: Array) -> tuple[Array, Array, Array, State]:
         batch, joints = self._batch, self._joints
-        batch.copy_from(self._along, 0)
-        batch.displace(self._displaced[:, :joints], self._displaced[:, joints : 2 * joints])
+        batch.copy_from(self._nominal, 0)
+        batch.displace_hands(self._displaced[:, :joints], self._displaced[:, joints : 2 * joints])
         batch.step(control + self._displaced[:, 2 * joints :])
-        self._along.step(control[None])
+        self._nominal.step(control[None])
         state = batch.state
         hands = np.concatenate([state.hand_qpos, state.hand_qvel], axis=1)
         return (
-            self._slope(hands),
-            self._slope(state.key_qpos),
-            self._slope(state.fingertip_xpos),
-            self._along.state,
+            self._derivatives(hands),
+            self._derivatives(state.key_qpos),
+            self._derivatives(state.fingertip_xpos),
+            self._nominal.state,
         )
 
-    def _slope(self, values: Array) -> Array:
+    def _derivatives(self, values: Array) -> Array:
         """(..., 2 J + A) derivatives from values (1 + 2 J + A, ...)."""
         return np.moveaxis(values[1:] - values[0], 0, -1) / self._difference

@@ -1,4 +1,4 @@
-"""Both hands, each simulated by itself at a piano of its own, and what they play combined."""
+"""Both hands, each simulated by itself at a piano of its own; the keys are combined."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ class HandsApart:
         num_threads: int = 1,
         watch_forearms: bool = False,
     ) -> None:
-        """As `MujocoSimulation`, of a scene with both hands."""
+        """Takes the arguments of `MujocoSimulation`, and a scene with both hands."""
         self.scene = scene
         self._alone = [hand_alone(scene, side) for side in SIDES]
         self._parts = [
             MujocoSimulation(alone.scene, num_envs, control_timestep, num_threads)
             for alone in self._alone
         ]
-        self._rows = [_rows_in(scene, alone) for alone in self._alone]
+        self._rows = [_indices_of(scene, alone) for alone in self._alone]
         self._combine()
 
     def part(self, side: Side) -> State:
-        """What one hand does at its own piano."""
+        """The state of one hand at its own piano."""
         return self._parts[SIDES.index(side)].state
 
     def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
@@ -91,8 +91,8 @@ class HandsApart:
             part.close()
 
 
-def _rows_in(scene: Scene, alone: HandAlone) -> dict[str, Any]:
-    """Name of what can be randomized -> what of the whole `scene` concerns one hand's own."""
+def _indices_of(scene: Scene, alone: HandAlone) -> dict[str, Any]:
+    """Name of a factor -> indices, in the factors of the whole scene, of those of one hand."""
     whole, part = scene.model, alone.scene.model
     bodies = as_ids(whole.body(part.body(b).name).id for b in range(part.nbody))
     joints = as_ids(whole.joint(part.joint(j).name).dofadr[0] for j in range(part.njnt))

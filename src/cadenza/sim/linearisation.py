@@ -17,12 +17,12 @@ from cadenza.sim.mujoco_simulation import PHYSICS_STATE
 Array = NDArray[np.float64]
 
 EPSILON = 1e-8
-"""Of the finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch
-so often that at 1e-6 the derivatives over a control step can be wrong by their own size."""
+"""Finite differences [m, rad, m/s, rad/s, actuator units]. Contacts and dry friction switch so
+often that at 1e-6 the derivatives over a control step can be wrong by their own size."""
 
 
 class Linearisation(NamedTuple):
-    """T control steps of P physics steps, and how what is seen after each depends on small changes.
+    """States and derivatives after each of the P physics steps of T control steps.
 
     K keys, V joints of keys and hands, A actuators, F fingers of two hands.
     """
@@ -76,20 +76,20 @@ class Lineariser:
         self.scene = scene
         self._shape = num_steps, num_substeps
         self._data = [mujoco.MjData(scene.model) for _ in range(num_steps * num_substeps)]
-        self._ahead = mujoco.MjData(scene.model)
+        self._rolled_out = mujoco.MjData(scene.model)
         self._pool, self._centred = ThreadPoolExecutor(num_threads), centred
 
     def linearise(self, state: Array, ctrl: Array) -> Linearisation:
         """Args:
-        state: (S,) where to begin, as `MujocoSimulation.physics_state` returns it.
+        state: (S,) the first one, as `MujocoSimulation.physics_state` returns it.
         ctrl: (T, A) in actuator units, held for a control step each.
         """
-        seen = self._roll_out(state, ctrl)
+        states = self._roll_out(state, ctrl)
         transitions = np.array(list(self._pool.map(self._differentiate, self._data)))
         steps = np.split(transitions, self._shape[0])
-        return seen._replace(jacobian=np.array([list(_products(step)) for step in steps]))
+        return states._replace(jacobian=np.array([list(_products(step)) for step in steps]))
 
-    def _blank(self) -> Linearisation:
+    def _empty(self) -> Linearisation:
         model, shape = self.scene.model, self._shape
         keys, fingers = self.scene.keyboard.num_keys, self.scene.fingers.count
         return Linearisation(
@@ -102,28 +102,28 @@ class Lineariser:
         )
 
     def _roll_out(self, state: Array, ctrl: Array) -> Linearisation:
-        """Leaves in `_data` where each physics step begins; returns what is seen after each."""
-        model, data, seen = self.scene.model, self._ahead, self._blank()
+        """The states after each physics step; leaves the states before them in `_data`."""
+        model, data, states = self.scene.model, self._rolled_out, self._empty()
         mujoco.mj_resetData(model, data)
         mujoco.mj_setState(model, data, state, PHYSICS_STATE)
-        for row, beginning in zip(np.ndindex(self._shape), self._data, strict=True):
+        for row, before in zip(np.ndindex(self._shape), self._data, strict=True):
             data.ctrl = ctrl[row[0]]
-            _copy_state(model, data, beginning)
+            _copy_state(model, data, before)
             mujoco.mj_step(model, data)
-            self._look(seen, row)
-        return seen
+            self._read(states, row)
+        return states
 
-    def _look(self, seen: Linearisation, row: tuple[int, int]) -> None:
-        model, data, scene = self.scene.model, self._ahead, self.scene
+    def _read(self, states: Linearisation, row: tuple[int, int]) -> None:
+        model, data, scene = self.scene.model, self._rolled_out, self.scene
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         keys = scene.key_qpos  # as all joints have one coordinate, these are their joints too
-        seen.key_qpos[row] = data.qpos[keys]
-        seen.key_xpos[row] = data.geom_xpos[scene.key_geoms]
-        lever = seen.key_xpos[row] - data.xanchor[keys]
-        seen.key_jacobian[row] = np.cross(data.xaxis[keys], lever)
-        seen.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
-        there = seen.fingertip_jacobian[row][scene.fingers_there]
+        states.key_qpos[row] = data.qpos[keys]
+        states.key_xpos[row] = data.geom_xpos[scene.key_geoms]
+        lever = states.key_xpos[row] - data.xanchor[keys]
+        states.key_jacobian[row] = np.cross(data.xaxis[keys], lever)
+        states.fingertip_xpos[row][scene.fingers_there] = data.site_xpos[scene.fingertip_sites]
+        there = states.fingertip_jacobian[row][scene.fingers_there]
         for jacobian, site in zip(there, scene.fingertip_sites, strict=True):
             mujoco.mj_jacSite(model, data, jacobian, None, site)
 

@@ -30,38 +30,40 @@ class Lock:
     def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
         return Lock, ()
 
-    def _wait_for(self, seconds: float) -> bool:
+    def _acquire_within(self, seconds: float) -> bool:
         return self._lock.acquire(timeout=max(seconds, 0.0))
 
-    def _free(self) -> None:
+    def _renew(self) -> None:
         self._lock = threading.RLock()
 
 
 _LOCKS: weakref.WeakSet[Lock] = weakref.WeakSet()
 _HELD: list[Lock] = []  # while this process forks
-_PATIENCE = 2.0  # [s] that a fork waits for whoever holds a lock
+_FORK_TIMEOUT = 2.0  # [s] that a fork waits for whoever holds a lock
 
 
-def _hold_all() -> None:
+def _acquire_all() -> None:
     # A child forked in the middle of a step would hold half of one, and locks of the C library.
-    latest = time.monotonic() + _PATIENCE
-    _HELD.extend(lock for lock in list(_LOCKS) if lock._wait_for(latest - time.monotonic()))
+    latest = time.monotonic() + _FORK_TIMEOUT
+    _HELD.extend(lock for lock in list(_LOCKS) if lock._acquire_within(latest - time.monotonic()))
 
 
-def _let_all_go() -> None:
+def _release_all() -> None:
     while _HELD:
         _HELD.pop().__exit__()
 
 
-def _free_all() -> None:
+def _renew_all() -> None:
     # The thread that held one when the process forked does not exist in the child.
     _HELD.clear()
     for lock in _LOCKS:
-        lock._free()
+        lock._renew()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_hold_all, after_in_parent=_let_all_go, after_in_child=_free_all)
+    os.register_at_fork(
+        before=_acquire_all, after_in_parent=_release_all, after_in_child=_renew_all
+    )
 
 
 class _Locked(Protocol):

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 PHYSICS_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 MOST_ENVS = 10_000
-"""Each takes about a megabyte, and half of one more with a model of its own."""
+"""The most simulations of a batch. Each takes about 1 MB, or 1.5 MB with a model of its own."""
 _LOG = logging.getLogger(__name__)
 _AWAKE = "nbody_awake", "nparent_awake", "nv_awake", "ntree_awake"  # what MuJoCo does not pickle
 UNSTABLE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
@@ -88,12 +88,12 @@ class MujocoSimulation:
             hand_qpos: (len(env_ids), J) joint positions to start from; zero by default.
         """
 
-        def put(row: int, data: mujoco.MjData) -> None:
+        def change(row: int, data: mujoco.MjData) -> None:
             mujoco.mj_resetData(self.scene.model, data)
             if hand_qpos is not None:
                 data.qpos[self.scene.hand_qpos] = hand_qpos[row]
 
-        self._put(put, env_ids)
+        self._change(change, env_ids)
 
     @one_at_a_time
     def randomize(self, env_id: int, factors: Factors) -> None:
@@ -103,13 +103,13 @@ class MujocoSimulation:
         scale(self._models[env_id], self.scene, factors, self._data[env_id])
         self._factors[env_id] = factors
 
-    def _put(
-        self, put: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
+    def _change(
+        self, change: Callable[[int, mujoco.MjData], None], env_ids: Sequence[int] | None = None
     ) -> None:
-        """Has `put(row, data)` change simulations, all by default, and reads what follows."""
+        """Has `change(row, data)` change simulations, all by default, and reads their states."""
         state = self.state.copy()
         for row, i in enumerate(self._ids(env_ids)):
-            put(row, self._data[i])
+            change(row, self._data[i])
             mujoco.mj_step1(self._models[i], self._data[i])
             self._read(i, state, i)
         self.state = state
@@ -123,7 +123,7 @@ class MujocoSimulation:
         Args:
             ctrl: one row for every simulation, also for those not stepped.
             env_ids: which simulations to step; all by default.
-            held: what there is first, if controls are late.
+            held: the controls until then, if controls are late.
         """
         out = self.state.copy()
 
@@ -132,7 +132,7 @@ class MujocoSimulation:
             self._read(i, out, i)
 
         self._threads.for_each(self._ids(env_ids), advance)
-        self._follow(out)
+        self._set_state(out)
 
     def _ids(self, env_ids: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if env_ids is None else env_ids
@@ -170,8 +170,8 @@ class MujocoSimulation:
             out.touch[row][scene.fingers_there] = data.sensordata
         out.unstable[row] = data.warning.number[UNSTABLE].any()
 
-    def _follow(self, state: State) -> None:
-        """`state` is what a step has led to."""
+    def _set_state(self, state: State) -> None:
+        """Takes the state after a step, and logs which simulations have become unstable."""
         for i in (state.unstable & ~self.state.unstable).nonzero()[0]:
             _LOG.warning("simulation %d became unstable", i)
         self.state = state
@@ -182,11 +182,11 @@ class MujocoSimulation:
         for each in data:
             mujoco.mj_copyData(each, self.scene.model, self._data[env_id])
             if self._models[env_id] is not self.scene.model:
-                mujoco.mj_step1(self.scene.model, each)  # what follows from the state follows anew
+                mujoco.mj_step1(self.scene.model, each)  # derived quantities by the nominal model
 
     @one_at_a_time
     def physics_state(self, env_id: int) -> Array:
-        """(S,) what decides how simulation `env_id` goes on, except which keys sleep."""
+        """(S,) the full state of simulation `env_id`, except for which keys sleep."""
         model = self.scene.model
         state = np.empty(mujoco.mj_stateSize(model, PHYSICS_STATE))
         mujoco.mj_getState(model, self._data[env_id], state, PHYSICS_STATE)
@@ -205,8 +205,7 @@ class MujocoSimulation:
         return {**self.__dict__, "_data": data, "_awake": awake, "_models": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Earlier versions did not keep them.
-        for data, counts in zip(state["_data"], state.pop("_awake", ()), strict=False):
+        for data, counts in zip(state["_data"], state.pop("_awake"), strict=True):
             for name, count in zip(_AWAKE, counts, strict=True):
                 setattr(data, name, count)
         self.__dict__.update(state)

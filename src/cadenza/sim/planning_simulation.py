@@ -1,4 +1,4 @@
-"""Simulations in which a planner tries out what it might do."""
+"""Simulations that a planner puts into any state, and rolls out."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 
 def as_mujoco(simulation: Simulation) -> MujocoSimulation:
-    """The same simulation, whose physical state a planner can take over.
+    """`simulation` itself, whose physical state a planner can take over.
 
     Raises:
-        CadenzaError: it is one of another engine, or of hands that play apart.
+        CadenzaError: the simulation is one of another engine, or of hands that play apart.
     """
     if isinstance(simulation, HandsApart):
         raise CadenzaError(
@@ -33,13 +33,13 @@ def as_mujoco(simulation: Simulation) -> MujocoSimulation:
 
 
 class PlanningSimulation(MujocoSimulation):
-    """N simulations that can be put into any state, and that look several steps ahead."""
+    """N simulations that can be put into any state, and rolled out for several steps."""
 
     @one_at_a_time
     def rollout(self, ctrl: Array) -> State:
         """Takes K control steps in every simulation and returns all states on the way.
 
-        The same as K times `step`, but no simulation waits for another in between.
+        The result is that of K times `step`, but no simulation waits for another in between.
 
         Args:
             ctrl: (N, K, A) in actuator units.
@@ -55,7 +55,7 @@ class PlanningSimulation(MujocoSimulation):
                 self._read(i, states, (i, k))
 
         self._threads.for_each(range(self.num_envs), advance)
-        self._follow(State._make(values[:, -1] for values in states))
+        self._set_state(State._make(values[:, -1] for values in states))
         return states
 
     @one_at_a_time
@@ -75,10 +75,10 @@ class PlanningSimulation(MujocoSimulation):
         self.state = state
 
     @one_at_a_time
-    def place(
+    def set_joints(
         self, hand_qpos: Array, hand_qvel: Array, key_qpos: Array, key_qvel: Array | float = 0.0
     ) -> None:
-        """Puts the joints of every simulation of this batch here.
+        """Sets the joints of every simulation of this batch, and resets everything else.
 
         Args:
             hand_qpos: (J,) [m, rad].
@@ -87,17 +87,17 @@ class PlanningSimulation(MujocoSimulation):
             key_qvel: (K,) [rad/s].
         """
 
-        def put(_: int, data: mujoco.MjData) -> None:
+        def change(_: int, data: mujoco.MjData) -> None:
             mujoco.mj_resetData(self.scene.model, data)
             data.qpos[self.scene.hand_qpos] = hand_qpos
             data.qvel[self.scene.hand_qvel] = hand_qvel
             data.qpos[self.scene.key_qpos] = key_qpos
             data.qvel[self.scene.key_qpos] = key_qvel  # each key is one hinge
 
-        self._put(put)
+        self._change(change)
 
     @one_at_a_time
-    def displace(self, hand_qpos: Array, hand_qvel: Array) -> None:
+    def displace_hands(self, hand_qpos: Array, hand_qvel: Array) -> None:
         """Moves the hands of each simulation and leaves the keys as they are.
 
         Args:
@@ -105,24 +105,24 @@ class PlanningSimulation(MujocoSimulation):
             hand_qvel: (N, J) to add to their speeds [m/s, rad/s].
         """
 
-        def put(row: int, data: mujoco.MjData) -> None:
+        def change(row: int, data: mujoco.MjData) -> None:
             data.qpos[self.scene.hand_qpos] += hand_qpos[row]
             data.qvel[self.scene.hand_qvel] += hand_qvel[row]
 
-        self._put(put)
+        self._change(change)
 
     @one_at_a_time
     def set_physics_state(self, state: Array) -> None:
         """Puts every simulation of this batch into a state (S,) that `physics_state` returned.
 
-        That state may be of another scene, which differs from this one in sleeping keys only.
+        The state may come from another scene, which differs from this one in sleeping keys only.
         """
 
-        def put(_: int, data: mujoco.MjData) -> None:
+        def change(_: int, data: mujoco.MjData) -> None:
             mujoco.mj_resetData(self.scene.model, data)
             mujoco.mj_setState(self.scene.model, data, state, PHYSICS_STATE)
 
-        self._put(put)
+        self._change(change)
 
     @one_at_a_time
     def coordinates(self) -> Array:

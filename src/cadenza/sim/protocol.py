@@ -1,4 +1,4 @@
-"""What a task needs of a simulation, whichever engine is behind it."""
+"""The interface of simulations, whichever engine is behind it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class State(NamedTuple):
 
     @classmethod
     def zeros(cls, scene: Scene, *rows: int) -> State:
-        """Of the shapes of `scene`, with leading dimensions `rows`."""
+        """A state of zeros with the shapes of `scene` and leading dimensions `rows`."""
         joints, actuators = len(scene.hand_joint_names), len(scene.actuator_names)
         keys = scene.keyboard.num_keys
         return cls(
@@ -63,7 +63,7 @@ class State(NamedTuple):
         )
 
     def copy(self) -> State:
-        """The same in arrays of its own."""
+        """A copy with arrays of its own."""
         return State._make(values.copy() for values in self)
 
 
@@ -72,10 +72,10 @@ class Simulation(Protocol):
 
     @property
     def state(self) -> State:
-        """After the last step or reset, and from the beginning; nobody writes to its arrays."""
+        """State after the last step or reset, or the first one; nobody writes to its arrays."""
 
     def reset(self, env_ids: Sequence[int], hand_qpos: Array) -> None:
-        """Puts some simulations back to the start: all at rest, the keys up.
+        """Resets some simulations: everything is at rest, and the keys are up.
 
         Args:
             env_ids: which.
@@ -86,17 +86,17 @@ class Simulation(Protocol):
         """Takes one control step.
 
         Args:
-            ctrl: (N, A) in actuator units, one row for every simulation, also for those not
-                stepped; held through the step.
+            ctrl: (N, A) in actuator units, held through the step; one row for every simulation,
+                also for those not stepped.
             env_ids: which simulations to step; all if None.
         """
 
     def close(self) -> None:
-        """Frees threads and the like. A step may follow."""
+        """Frees threads and other resources; a later step starts them again."""
 
 
 class Held(NamedTuple):
-    """What is held at the beginning of a control step, until the controls of that step arrive."""
+    """Controls that are held at the beginning of a control step, until its own ones arrive."""
 
     ctrl: Array
     """(N, A) in actuator units."""
@@ -117,7 +117,7 @@ class RandomizableSimulation(Simulation, Protocol):
         """
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None, held: Held | None = None) -> None:
-        """See `Simulation.step`; `held` is what there is first, if controls are late."""
+        """See `Simulation.step`; `held` are the controls until `ctrl` arrives, if it is late."""
 
 
 class MakeSimulation(Protocol):

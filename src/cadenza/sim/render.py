@@ -1,4 +1,4 @@
-"""Pictures of the scene, drawn off screen by MuJoCo through EGL or OSMesa, whichever works."""
+"""Draws pictures of the scene off screen, by MuJoCo with EGL or OSMesa, whichever works."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAMPLES = 4  # of each pixel in small pictures; drawing takes two and a half ti
 
 @dataclass(frozen=True)
 class Picture:
-    """How to look at the scene."""
+    """Size and camera of a picture."""
 
     width: int = 640
     height: int = 360

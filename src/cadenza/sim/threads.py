@@ -1,4 +1,4 @@
-"""Threads that share the work on a batch."""
+"""A pool of threads that share the work on a batch."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ MOST_THREADS = 1024
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def default_threads() -> int:
-    """How many an agent uses unless it is told: one for each hand, if there are cores for them."""
+    """The number of threads of an agent by default: one for each hand, if there are cores."""
     return min(2, available_cores())
 
 
 class Threads:
-    """Started when they are first needed. A copy, and a forked child, starts its own."""
+    """A pool that starts when it is first needed. A copy, and a forked child, starts its own."""
 
     def __init__(self, num_threads: int) -> None:
         """Raises:
@@ -36,50 +36,51 @@ class Threads:
         self._pool_of = os.getpid()
 
     def for_each(self, ids: Sequence[int], work: Callable[[int], None]) -> None:
-        """Calls `work` with each of `ids`.
+        """Calls `work` with each of `ids` and waits for all calls.
 
-        Returns when all is done. If a call raises, so does this, when no call is under way.
+        An exception of a call is raised when no other call is running.
         """
         workers = min(self._num_threads, len(ids))
         if workers <= 1:
             for i in ids:
                 work(i)
             return
-        pool = self._started()
-        shared = iter(list(ids))  # each thread takes the next one that nobody has taken
+        pool = self._running_pool()
+        queue = iter(list(ids))  # each thread takes the next id that nobody has taken
 
-        def work_on() -> None:
-            for i in shared:
+        def work_on_queue() -> None:
+            for i in queue:
                 work(i)
 
-        futures = [pool.submit(work_on) for _ in range(workers)]
+        futures = [pool.submit(work_on_queue) for _ in range(workers)]
         wait(futures)  # or some would go on to write while the caller handles an error
         for future in futures:
             future.result()
 
     def together(self, calls: Sequence[Callable[[], _T]]) -> list[_T]:
-        """What calls return. Threads that have nothing else to do make some of them.
+        """The results of `calls`, some of which idle threads make.
 
-        May be called from within `for_each`. If a call raises, so does this, when no call is under
-        way.
+        May be called from within `for_each`. An exception of a call is raised when no other call is
+        running.
         """
         if self._num_threads == 1 or len(calls) < 2:
             return [call() for call in calls]
-        by_others = [(call, self._started().submit(call)) for call in calls[1:]]
+        pool = self._running_pool()
+        submitted = [(call, pool.submit(call)) for call in calls[1:]]
         try:
             first = calls[0]()
-            return [first, *(call() if f.cancel() else f.result() for call, f in by_others)]
+            return [first, *(call() if f.cancel() else f.result() for call, f in submitted)]
         except BaseException:
-            wait([future for _, future in by_others if not future.cancel()])
+            wait([future for _, future in submitted if not future.cancel()])
             raise
 
-    def _started(self) -> ThreadPoolExecutor:
+    def _running_pool(self) -> ThreadPoolExecutor:
         if self._pool is None or self._pool_of != os.getpid():
             self._pool, self._pool_of = ThreadPoolExecutor(self._num_threads), os.getpid()
         return self._pool
 
     def close(self) -> None:
-        """Stops them."""
+        """Stops the threads."""
         if self._pool is not None and self._pool_of == os.getpid():
             self._pool.shutdown()
         self._pool = None

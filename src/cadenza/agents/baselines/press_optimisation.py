@@ -22,7 +22,7 @@ from cadenza.agents.control_steps import steps_in
 from cadenza.agents.planner.config import TrackedPressesConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.tracking import Tracking
-from cadenza.agents.planner.search.horizon_cost import NO_HARM
+from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.scene.scene import Scene
 from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_linearisation import HandLinearisation, HandLineariser
@@ -239,7 +239,7 @@ class PressOptimisation:
         """Weighted residuals (N, K), (N, F, 3) of the states after `step`."""
         part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
         lacking = np.where(part.mine[step], depth - 1.0, 0.0)
-        harm = np.where(part.wrong[step], np.maximum(depth - NO_HARM, 0.0), 0.0)
+        harm = np.where(part.wrong[step], np.maximum(depth - HARMLESS_DEPTH, 0.0), 0.0)
         offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
         return np.sqrt(_ALMOST) * (lacking + harm), self._tip_weight(step) * offset
 

@@ -46,7 +46,7 @@ def rehearsed(
             for step in range(steps):
                 state = simulation.state
                 qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
-                ctrl[step, mine] = hand.refinement.act(qpos, qvel, keys)
+                ctrl[step, mine] = hand.search.act(qpos, qvel, keys)
                 simulation.step(ctrl[step : step + 1, mine])
                 state = simulation.state
                 expected[step + 1, mine] = follower.posture(state.hand_qpos, state.hand_qvel)[0]

@@ -34,7 +34,7 @@ class CorrectedHands:
         self.servos = scene.servos_on(*self._sides)
         self.corrections = Corrections.of(self._sides, self._alone)
         self.about = About.of(self._alone)
-        self.answer = np.zeros_like(self.corrections.turned)
+        self.answer = np.zeros_like(self.corrections.sign)
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
@@ -70,4 +70,4 @@ class CorrectedHands:
 
     def recommended(self, ctrl: Array, planned: Array) -> Array:
         """(H, A) the answers that would make controls (H A,) of those that were planned."""
-        return self.corrections.answer((ctrl - planned).reshape(self.answer.shape))
+        return self.corrections.output((ctrl - planned).reshape(self.answer.shape))

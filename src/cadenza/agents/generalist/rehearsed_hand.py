@@ -10,14 +10,13 @@ from cadenza.agents.planner.plan.hand_goals import ABOUT_TO_PRESS, HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.planner.search.hand_rehearsal import HandRehearsal, RehearsalConfig
-from cadenza.agents.planner.search.horizon_cost import look_ahead
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.protocol import State
 
-_REHEARSAL = RehearsalConfig(window=0.5, judged=0.5, seen=0.7, left=1.0)
+_REHEARSAL = RehearsalConfig(window=0.5, judged_after=0.5, corrected_after=0.7, max_mistakes=1.0)
 _AS_FORESEEN = 1e-3  # [rad] that a key may be off where the rehearsal had it, to be as fast
 
 
@@ -39,12 +38,11 @@ class RehearsedHand:
         rehearsals: most changes of each half second.
         """
         dt = plan.track.config.control_timestep
-        self._side, self._keyboard = side, plan.scene.keyboard
+        self._side = side
         self._alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._simulation = PlanningSimulation(self._alone, 1, dt)
-        self._rollouts = HandRollouts(self._alone, dt)
-        config = _REHEARSAL._replace(takes=rehearsals + 1)
-        self._rehearsal = HandRehearsal(self._alone, self._rollouts, dt, config)
+        config = _REHEARSAL._replace(iterations=rehearsals + 1)
+        self._rehearsal = HandRehearsal(self._alone, HandRollouts(self._alone, dt), dt, config)
         self.steps_seen = self._rehearsal.steps_seen + steps_in(ABOUT_TO_PRESS, dt)
         self.follow(plan, 0)
 
@@ -58,9 +56,9 @@ class RehearsedHand:
     def act(self, step: int, state: State) -> Array:
         """(A,) the next controls."""
         qpos, qvel = state.hand_qpos[0, self._joints], state.hand_qvel[0, self._joints]
-        if step >= self._rehearsal.ends:
+        if step >= self._rehearsal.end:
             key_qpos = state.key_qpos[0]
-            self._simulation.place(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
+            self._simulation.set_joints(qpos, qvel, key_qpos, self._key_qvel(key_qpos))
             self._rehearse(step)
         back = self._tracking.feedback(step, self._follower.posture(qpos, qvel))
         return self._follower.clip(self._rehearsal.ctrl(step)[0] - back)
@@ -69,15 +67,14 @@ class RehearsedHand:
         """Rehearses the steps from one on."""
         last = min(step + self._rehearsal.steps_seen, len(self._tracking.ctrl))
         rows = np.arange(step, last)
-        ahead = look_ahead(self._goals, rows, self._keyboard, self._rollouts, self._simulation)
-        if step == self._rehearsal.ends:  # the one before has found how to begin
-            known = self._rehearsal.beyond
+        if step == self._rehearsal.end:  # the one before has found how to begin
+            known = self._rehearsal.tail
             self._tracking.ctrl[step : step + len(known)] = known
-        self._rehearsal.rehearse(self._tracking, rows, ahead)
+        self._rehearsal.rehearse(self._goals, self._tracking, rows, self._simulation)
 
     def _key_qvel(self, key_qpos: Array) -> Array:
         """(K,) speeds of keys at (K,), as far as they were foreseen: no state says them."""
         speeds, keys = np.zeros_like(key_qpos), self._rehearsal.keys
-        there, speed = self._rehearsal.keys_then
+        there, speed = self._rehearsal.keys_at_end
         speeds[keys] = np.where(np.abs(key_qpos[keys] - there) < _AS_FORESEEN, speed, 0.0)
         return speeds

@@ -113,7 +113,7 @@ class SongPlanner:
 
     def _plan_ahead(self, step: int) -> None:
         """Plans another window if a hand looks beyond the end of the plan from here."""
-        seen = step + max(hand.refinement.steps_seen for hand in self._hands)
+        seen = step + max(hand.search.steps_seen for hand in self._hands)
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
             for hand in self._hands:

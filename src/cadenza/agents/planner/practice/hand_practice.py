@@ -21,12 +21,12 @@ from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.planner.practice.losses import Losses
 from cadenza.agents.planner.practice.perturbations import Perturbations
 from cadenza.agents.planner.practice.trajectory import Trajectory
-from cadenza.agents.planner.search.fingertip_correction import Correction
+from cadenza.agents.planner.search.fingertip_correction import servo_corrections
 from cadenza.agents.planner.search.rollouts import EXPECTED
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
 from cadenza.scene.servos import servos_of
-from cadenza.sim.hand_rollouts import PLACES, HandRollouts
+from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
@@ -93,11 +93,10 @@ class HandPractice:
         dt = plan.track.config.control_timestep
         alone, self.servos, _ = hand_alone(plan.scene, side)
         tracking = plan.nominal.tracking.of(self.servos)
-        self._slides = servos_of(alone).along_keyboard
+        self._servos = servos_of(alone)
         self._gain, self._follower = tracking.gain, Follower(alone, tracking)
         self._goals, self._losses, self._threads = goals, Losses(plan, goals), threads
         self._perturbations = Perturbations(alone, tracking.expected[:, :, 0], dt)
-        self._correction = Correction(alone)
         self._rollouts = HandRollouts(alone, dt, plan.scene)
         self._lead, self._horizon = steps_in(_LEAD, dt), steps_in(_HORIZON, dt)
         self._keys = plan.goals.keys
@@ -149,8 +148,8 @@ class HandPractice:
         tips = self._goals.fingertips[first : end + 1, :, 1]
         here = simulation.state.fingertip_xpos[0, self._goals.fingers, 1]
         low, high = (edge(np.append(tips, here)) for edge in (np.min, np.max))
-        slides = offsets[..., self._slides]  # of hands that slide
-        self._rollouts.begin_from(
+        slides = offsets[..., self._servos.along_keyboard]  # of hands that slide
+        self._rollouts.start_from(
             simulation, low + slides.min(initial=0.0), high + slides.max(initial=0.0)
         )
 
@@ -179,11 +178,11 @@ class HandPractice:
         offsets = np.pad(offsets, ((0, 0), (1, steps - changed), (0, 0)))
         best, lowest, simulated = None, unchanged.cost, steps
         lowest_by_step = np.array(unchanged.step_costs)
-        for i in range(0, len(offsets), PLACES):
+        for i in range(0, len(offsets), NUM_SLOTS):
             cost_to_go = EXPECTED * (lowest_by_step.sum() - np.cumsum(lowest_by_step))
             pair = [
                 partial(self._roll_out, trajectory, first, lowest, cost_to_go, each, place)
-                for place, each in enumerate(offsets[i : i + PLACES])
+                for place, each in enumerate(offsets[i : i + NUM_SLOTS])
             ]
             for rollout in self._threads.together(pair):
                 done = len(rollout.step_costs)
@@ -200,8 +199,8 @@ class HandPractice:
         states = slice(first + 1, first + 1 + changed)
         off = self._goals.fingertips[states] - np.array(unchanged.fingertips[:changed])
         weight = self._goals.weight[states] / self._goals.weight.max()
-        hand_qpos = np.array(unchanged.hand_qpos[:changed])
-        change = self._correction.of(self._rollouts, hand_qpos, off, weight)
+        jacobian = self._rollouts.fingertip_jacobian(np.array(unchanged.hand_qpos[:changed]))
+        change = servo_corrections(off, weight, jacobian, self._servos)
         change = change[np.minimum(np.arange(1, changed + 1), changed - 1)]
         servos = [np.ones(change.shape[1], bool)] * 2
         servos += [self._perturbations.servos(rng) for _ in _CORRECTION_SCALES[2:]]

@@ -221,7 +221,7 @@ class InitialTrajectories:
         numbers = {"numbers": [self.num_played, self._num_tried]}
         parts: Parts = {"initial": numbers | planned.variant._asdict()}
         if self.is_playing or everything:
-            states = self._planned.search.memories
+            states = self._planned.search.search_states
             for side, state in zip(planned.plan.scene.sides, states, strict=True):
                 parts[side] = state._asdict()
         if self._best_before or everything:
@@ -263,9 +263,9 @@ class InitialTrajectories:
         (simulation,) = self._snapshots.values()
         search = self._planned.search
         for ctrl in self._trajectory.ctrl[: self.num_played]:
-            search.again(simulation.state, ctrl)
+            search.replay(simulation.state, ctrl)
             simulation.step(ctrl[None])
-        search.remember(states)
+        search.restore(states)
         self._snapshots = {self.num_played: simulation}
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cadenza.agents.planner.plan.hand_goals import HandGoals, first_steps, last_in_time, may_begin
 from cadenza.agents.planner.plan.song_plan import SongPlan
-from cadenza.agents.planner.search.fingertip_correction import FURTHEST
-from cadenza.agents.planner.search.horizon_cost import NO_HARM
+from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
+from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.tasks import reward
 
 Array = NDArray[np.float64]
@@ -108,9 +108,9 @@ class Losses:
         loss += self._onset * onsets
         depth = reward.key_state(key_qpos, travel)
         too_high = mine * (1.0 - depth)
-        too_deep = unwanted * np.maximum(depth - NO_HARM, 0.0)
+        too_deep = unwanted * np.maximum(depth - HARMLESS_DEPTH, 0.0)
         offset = fingertips - goals.fingertips[step + 1]
-        squared = np.minimum((offset * offset).sum(axis=1), FURTHEST**2)
+        squared = np.minimum((offset * offset).sum(axis=1), MAX_ERROR**2)
         astray = squared @ goals.weight[step + 1]
         nearly = _DEPTH_WEIGHT * (too_high @ too_high + too_deep @ too_deep)
         nearly += _FINGERTIP_WEIGHT * astray

@@ -1,4 +1,4 @@
-"""Ways for a hand to get off what it is caught by: it, or some of its fingers, are lifted."""
+"""Candidates of a search that are not drawn: escape motions and crossover."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from cadenza.scene.servos import Servos
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LIFTED = (0.05, 0.1)  # [s] for which a hand lifts itself where it is caught between keys
-_DETOURS = (0.1, 0.2, 0.3)  # [s] for which it or fingers are lifted
-_STRAIGHT_UP = 0.1  # [s] of them: what pushes against a key is kept from rising by friction
+_HAND_LIFTS = (0.05, 0.1)  # [s] for which a hand is lifted from between keys
+_LIFTS = (0.1, 0.2, 0.3)  # [s] for which it or some of its fingers are lifted
+_STRAIGHT_UP = 0.1  # [s] without sideways motion: friction holds down what pushes against a key
 
 
-class Detours:
-    """Makes them of plans (H, A)."""
+class EscapeMotions:
+    """Lifts a hand, or some of its fingers, off keys that block their way.
+
+    All methods take and return control sequences (H, A). To save rollouts, `hand_lift` and
+    `of_one_duration` lift for one duration at each step, and for another at the next.
+    """
 
     def __init__(self, servos: Servos, dt: float) -> None:
         """Args:
@@ -28,63 +32,64 @@ class Detours:
         """
         self._servos, self._dt = servos, dt
 
-    def lifted(self, plan: Array, step: int) -> Array:
-        """(H, A) the plan, with the hand lifted for a time that changes from step to step."""
-        seconds = _LIFTED[step % len(_LIFTED)]
-        return self._servos.clip(plan + self._lift(self._servos.lift, seconds, len(plan)))
+    def hand_lift(self, ctrl: Array, step: int) -> Array:
+        """(H, A) `ctrl` (H, A) with the hand lifted at the beginning."""
+        seconds = _HAND_LIFTS[step % len(_HAND_LIFTS)]
+        return self._servos.clip(ctrl + self._lift(self._servos.lift, seconds, len(ctrl)))
 
-    def some(self, plan: Array, caught: Mask, posture: Array, step: int) -> Array:
-        """(3, H, A) ways around what fingers are caught by, for a time that changes likewise.
+    def of_one_duration(self, ctrl: Array, caught: Mask, posture: Array, step: int) -> Array:
+        """(3, H, A) `ctrl` with the fingers lifted that are caught; with the hand; with all.
 
         Args:
-            plan: (H, A)
-            caught: (F,) which fingers.
+            ctrl: (H, A)
+            caught: (F,) which fingers are caught.
             posture: (A,) of the hand now.
-            step: the first one.
+            step: the first one of the horizon.
         """
-        return self._around(plan, caught, posture, 0.0)[step % len(_DETOURS) :: len(_DETOURS)]
+        return self._lifted(ctrl, caught, posture, 0.0)[step % len(_LIFTS) :: len(_LIFTS)]
 
-    def all(self, plan: Array, caught: Mask, posture: Array) -> Array:
-        """(D, H, A) such ways, also those on which what is lifted first goes nowhere else."""
-        ways = [self._around(plan, caught, posture, up) for up in (0.0, _STRAIGHT_UP)]
-        return np.concatenate(ways)
+    def all(self, ctrl: Array, caught: Mask, posture: Array) -> Array:
+        """(M, H, A) such motions of every duration, and those that first go straight up."""
+        motions = [self._lifted(ctrl, caught, posture, up) for up in (0.0, _STRAIGHT_UP)]
+        return np.concatenate(motions)
 
-    def _around(self, plan: Array, caught: Mask, posture: Array, up: float) -> Array:
+    def _lifted(self, ctrl: Array, caught: Mask, posture: Array, straight_up: float) -> Array:
         fingers, hand = np.append(caught, False)[self._servos.finger], self._servos.finger < 0
-        ways = []
+        motions = []
         for lifted in (fingers, fingers | hand, np.ones_like(hand)):
-            way = plan.copy()
-            way[: round(up / self._dt), lifted] = posture[lifted]
+            motion = ctrl.copy()
+            motion[: round(straight_up / self._dt), lifted] = posture[lifted]
             lift = self._servos.lift * lifted
-            ways += [way + self._lift(lift, seconds, len(way)) for seconds in _DETOURS]
-        return self._servos.clip(np.array(ways))
+            motions += [motion + self._lift(lift, seconds, len(motion)) for seconds in _LIFTS]
+        return self._servos.clip(np.array(motions))
 
     def _lift(self, lift: Array, seconds: float, horizon: int) -> Array:
-        """(H, A) what is added to the controls for so long; `lift` is (A,)."""
+        """(H, A) what is added to the controls: `lift` (A,) for so long, then nothing."""
         return lift * (np.arange(horizon)[:, None] < steps_in(seconds, self._dt))
 
 
-_WORTH = 0.15  # that a finger has to cost less
-_SEEN = 3  # steps that must have been tried for that
+_MIN_GAIN = 0.15  # of cost, for which a finger's servos are taken from another candidate
+_MIN_STEPS = 3  # that a candidate must have been simulated for to be compared
 
 
-def combined(plans: Array, costs: Sequence[Array], best: int, finger: NDArray[np.intp]) -> Array:
-    """(C, H, A) the best plan, with each finger as in the plan in which it does best by itself.
+def crossover(
+    candidates: Array, costs: Sequence[Array], best: int, finger: NDArray[np.intp]
+) -> Array:
+    """(1, H, A) the best candidate, with each finger as in the candidate where it costs least.
 
-    One plan mends what one finger does, another what another does, and each is worse elsewhere. As
-    the hand is where it is, fingers hardly move each other.
-
-    There is none if no finger does much better in another plan.
+    One candidate corrects one finger, another corrects another, and each is worse elsewhere. Where
+    the hand stays, fingers hardly move each other. The result is empty, (0, H, A), if no finger
+    does much better in another candidate.
 
     Args:
-        plans: (N, H, A)
-        costs: (L, F) of each, what L of its H steps have cost by finger.
-        best: which has been tried to its end, and cost least.
+        candidates: (N, H, A)
+        costs: (L, F) of each candidate, by finger, of those L of its H steps that were simulated.
+        best: the cheapest candidate, which was simulated to its end.
         finger: (A,) that each servo moves, -1 for the whole hand.
     """
-    so_far = np.pad(costs[best].cumsum(axis=0), ((1, 0), (0, 0)))
-    better = np.array([so_far[len(cost)] - cost.sum(axis=0) for cost in costs])
-    better[[len(cost) < min(_SEEN, len(costs[best])) for cost in costs]] = 0.0
-    of = np.where(better.max(axis=0) > _WORTH, better.argmax(axis=0), best)
-    plan = plans[np.append(of, best)[finger], :, np.arange(len(finger))].T
-    return plan[None] if (of != best).any() else plans[:0]
+    until = np.pad(costs[best].cumsum(axis=0), ((1, 0), (0, 0)))
+    gains = np.array([until[len(cost)] - cost.sum(axis=0) for cost in costs])
+    gains[[len(cost) < min(_MIN_STEPS, len(costs[best])) for cost in costs]] = 0.0
+    parent = np.where(gains.max(axis=0) > _MIN_GAIN, gains.argmax(axis=0), best)
+    child = candidates[np.append(parent, best)[finger], :, np.arange(len(finger))].T
+    return child[None] if (parent != best).any() else candidates[:0]

@@ -1,4 +1,4 @@
-"""The search of one hand in the state of the whole scene, and the searches of all hands."""
+"""The searches of all hands of a scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Tracking
 from cadenza.agents.planner.search.hand_search import HandSearch, SearchState
-from cadenza.agents.planner.search.network_candidate import proposal
+from cadenza.agents.planner.search.network_candidate import network_candidate
 from cadenza.agents.planner.search.networks.weights import shipped
 from cadenza.fingers import Side
 from cadenza.scene.scene import hand_alone
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 
 
 class HandInScene:
-    """A hand that refines its part of a plan, and where it stands among both.
+    """The search of one hand, which acts on the state of the whole scene.
 
     Attributes:
-        refinement: what the hand does.
-        servos: which of both hands' are its own.
+        search: of the hand alone.
+        servos: the slice of the scene's servos that are the hand's.
     """
 
     def __init__(
@@ -41,39 +41,38 @@ class HandInScene:
         """Args:
         plan: what it follows first.
         side: of the hand.
-        config: how to refine it.
+        config: how to search.
         rng: what is random.
-        threads: that share the search.
+        threads: that share the rollouts.
         """
         alone, self.servos, self._joints = hand_alone(plan.scene, side)
         self._side = side
-        known = shipped() if config.proposals == "learnt" else {}
-        self._weights = known.get(plan.scene.hand.name)
-        dt = plan.track.config.control_timestep
-        self.refinement = HandSearch(alone, config, dt, rng, threads)
+        weights = shipped() if config.proposals == "learnt" else {}
+        self._weights = weights.get(plan.scene.hand.name)
+        self.search = HandSearch(alone, config, plan.track.config.control_timestep, rng, threads)
         self.follow(plan, 0)
 
     def follow(self, plan: SongPlan, step: int) -> None:
-        """From that step on, by a plan that goes further than the one before."""
-        proposed = proposal(plan, self._side, self._weights, step)
+        """Changes the plan, from `step` on, to one that goes further."""
         tracking = plan.nominal.tracking.of(self.servos)
-        self.refinement.follow(HandGoals(plan, self._side), tracking, proposed)
+        network = network_candidate(plan, self._side, self._weights, step)
+        self.search.follow(HandGoals(plan, self._side), tracking, network)
 
     def act(self, state: State) -> Array:
-        """(A,) its controls, from the first of the states of both hands."""
-        return self.refinement.act(*self._here(state))
+        """(A,) the hand's controls, for the first simulation of a `state` of the scene."""
+        return self.search.act(*self._joint_state(state))
 
-    def again(self, state: State, ctrl: Array) -> None:
-        """Takes a step with its controls (A,) that `act` returned in that state before."""
-        self.refinement.again(*self._here(state), ctrl)
+    def replay(self, state: State, ctrl: Array) -> None:
+        """Repeats a step, with the controls (A,) that `act` returned for it."""
+        self.search.replay(*self._joint_state(state), ctrl)
 
-    def _here(self, state: State) -> tuple[Array, Array, Array]:
+    def _joint_state(self, state: State) -> tuple[Array, Array, Array]:
         qpos, qvel = state.hand_qpos[0, self._joints], state.hand_qvel[0, self._joints]
         return qpos, qvel, state.key_qpos[0]
 
 
 class HandsInScene:
-    """H hands, which search wherever they are about to make mistakes."""
+    """The searches of all hands, each with random numbers of its own."""
 
     def __init__(
         self,
@@ -86,7 +85,7 @@ class HandsInScene:
         plan: of the whole song, which they follow first.
         config: how to search.
         rng: what is random.
-        threads: that share the search.
+        threads: that share the rollouts.
         """
         sides = plan.scene.sides
         self._threads, self._size = threads, plan.nominal.tracking.ctrl.shape[1]
@@ -96,7 +95,7 @@ class HandsInScene:
         ]
 
     def act(self, state: State) -> Array:
-        """(A,) the controls of all, from the first of the states."""
+        """(A,) the controls of all hands, for the first simulation of a `state`."""
         ctrl = np.zeros(self._size)
 
         def act(i: int) -> None:
@@ -105,41 +104,41 @@ class HandsInScene:
         self._threads.for_each(range(len(self._hands)), act)
         return ctrl
 
-    def again(self, state: State, ctrl: Array) -> None:
-        """Takes a step with the controls (A,) that `act` returned in that state before."""
+    def replay(self, state: State, ctrl: Array) -> None:
+        """Repeats a step, with the controls (A,) that `act` returned for it."""
         for hand in self._hands:
-            hand.again(state, ctrl[hand.servos])
+            hand.replay(state, ctrl[hand.servos])
 
     @property
-    def memories(self) -> list[SearchState]:
-        """Of each hand."""
-        return [hand.refinement.memory for hand in self._hands]
+    def search_states(self) -> list[SearchState]:
+        """What decides the next actions of each hand."""
+        return [hand.search.state for hand in self._hands]
 
-    def remember(self, memories: Sequence[SearchState]) -> None:
-        """Goes on as what had those memories would have."""
-        for hand, memory in zip(self._hands, memories, strict=True):
-            hand.refinement.remember(memory)
+    def restore(self, states: Sequence[SearchState]) -> None:
+        """Goes on as hands that had these `search_states`."""
+        for hand, state in zip(self._hands, states, strict=True):
+            hand.search.restore(state)
 
     def follow(
         self,
         tracking: Tracking,
-        parts: Sequence[HandGoals],
+        goals: Sequence[HandGoals],
         step: int,
         rngs: Sequence[np.random.Generator],
     ) -> None:
-        """From a step on, follow what was played, and search where less of it would sound now.
+        """Follows what was played, from `step` on, and searches where less of it would sound.
 
         Args:
             tracking: of what was played.
-            parts: what each hand has to do, with the keys that sounded as those that it holds.
+            goals: of each hand, which holds the keys that sounded.
             step: with which to go on.
             rngs: what is random, of each hand.
         """
-        for hand, part, rng in zip(self._hands, parts, rngs, strict=True):
-            hand.refinement.follow(part, tracking.of(hand.servos))
-            hand.refinement.start_over(step, rng)
+        for hand, part, rng in zip(self._hands, goals, rngs, strict=True):
+            hand.search.follow(part, tracking.of(hand.servos))
+            hand.search.reset(step, rng)
 
     @property
     def simulated(self) -> int:
-        """Control steps in trials since they began to follow."""
-        return sum(hand.refinement.simulated for hand in self._hands)
+        """Control steps in rollouts since they began to follow."""
+        return sum(hand.search.simulated for hand in self._hands)

@@ -1,4 +1,4 @@
-"""What networks would have a hand do: the first candidate of a search."""
+"""The candidate of a search that networks compute."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cadenza.sim.hand_rollouts import HandRollouts
 Array = NDArray[np.float64]
 
 
-class Proposal:
-    """Corrects one hand's plan by networks that have learnt from other songs how to.
+class NetworkCandidate:
+    """Corrections of one hand's plan by networks that were trained on other songs.
 
-    They answer step by step to where a trial of their answers has come to.
+    The networks act step by step on the state that the rollout of their own controls has reached.
     """
 
     def __init__(self, plan: SongPlan, side: Side, weights: Weights, first: int) -> None:
@@ -29,7 +29,7 @@ class Proposal:
         plan: of the song, as far as it goes.
         side: of the hand.
         weights: of the networks.
-        first: the first step that is proposed.
+        first: the first step of the song that may be asked for.
         """
         alone, servos, _ = hand_alone(plan.scene, side)
         self._inputs = HandInputs(plan, [side], alone, first)
@@ -37,37 +37,35 @@ class Proposal:
         self._tracking, self._servos = plan.nominal.tracking.of(servos), servos_of(alone)
 
     def controls(
-        self, trials: HandRollouts, step: int, planned: Array, before: Array, key_qpos: Array
+        self, simulator: HandRollouts, step: int, planned: Array, previous: Array, key_qpos: Array
     ) -> Iterator[Array]:
-        """(A,) the controls of H steps, of a trial that is made with them.
+        """(A,) the controls of each of H steps, for a rollout in slot 0 that is made with them.
 
         Args:
-            trials: of this hand, in whose first place that is.
+            simulator: of this hand.
             step: the first of the steps.
             planned: (H, A) their controls by the plan, without feedback.
-            before: (A,) by how much the controls of the step before them were corrected.
-            key_qpos: (K,) of the whole keyboard before them [rad].
+            previous: (A,) the correction of the controls of the step before.
+            key_qpos: (K,) of the whole keyboard before the first step [rad].
         """
-        key_qpos, answer = key_qpos.copy(), self._corrections.answer(before[None])
+        key_qpos, output = key_qpos.copy(), self._corrections.output(previous[None])
         for row, ctrl in enumerate(planned, step):
-            posture = self._servos.of_joints.T @ np.stack(trials.hand_joints(), axis=1)
-            ctrl = self._servos.clip(ctrl - self._tracking.feedback(row, posture))
-            key_qpos[trials.keys] = trials.key_qpos()
-            told = self._inputs.at(row, posture[None], answer, trials.fingertips(), key_qpos)
-            corrected = self._servos.clip(ctrl + self._corrections.ctrl(self._weights(told)))
-            answer = self._corrections.answer(corrected - ctrl)
+            state = simulator.servo_state()
+            ctrl = self._servos.clip(ctrl - self._tracking.feedback(row, state))
+            key_qpos[simulator.keys] = simulator.key_qpos()
+            inputs = self._inputs.at(row, state[None], output, simulator.fingertips(), key_qpos)
+            corrected = self._servos.clip(ctrl + self._corrections.ctrl(self._weights(inputs)))
+            output = self._corrections.output(corrected - ctrl)
             yield corrected[0]
 
 
-def proposal(plan: SongPlan, side: Side, weights: Weights | None, first: int) -> Proposal | None:
-    """By networks; None if there are none, or if they have learnt with other hands.
+def network_candidate(
+    plan: SongPlan, side: Side, weights: Weights | None, first: int
+) -> NetworkCandidate | None:
+    """A `NetworkCandidate`; None without networks, or with networks that other hands trained.
 
-    Args:
-        plan: of the song, as far as it goes.
-        side: of the hand.
-        weights: of the networks.
-        first: the first step that is proposed.
+    The arguments are those of `NetworkCandidate`.
     """
     if weights is None or weights.sizes != sizes_of(plan.scene):
         return None
-    return Proposal(plan, side, weights, first)
+    return NetworkCandidate(plan, side, weights, first)

@@ -1,98 +1,183 @@
-"""Simulates plans of a hand's next steps in simulation, and tells what they cost."""
+"""Simulates candidates for a hand's controls over the look-ahead horizon."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import partial
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.agents.planner.search.horizon_cost import HorizonCost, Rollout
-from cadenza.sim.hand_rollouts import PLACES, HandRollouts
+from cadenza.agents.planner.plan.hand_goals import HandGoals
+from cadenza.agents.planner.search.horizon_cost import HorizonCost
+from cadenza.keyboards.keyboard import Keyboard
+from cadenza.sim.hand_rollouts import NUM_SLOTS, HandRollouts
+from cadenza.sim.planning_simulation import PlanningSimulation
 from cadenza.sim.threads import Threads
 
 Array = NDArray[np.float64]
 
-EXPECTED = 0.8  # of the least that a step has cost in other plans, it will cost in this one
+EXPECTED = 0.8
+"""The cost to go that a rollout is expected to have, as a share of the least that was seen."""
+
+
+class Rollout(NamedTuple):
+    """A simulated control sequence, of the L steps that were simulated."""
+
+    cost: float
+    """Infinite if it was given up, or diverged."""
+    mistakes: int
+    """How often a key was wrong."""
+    step_costs: list[float]
+    fingertips: list[Array]
+    """(F, 3) after each step [m]."""
+    hand_qpos: list[Array]
+    """(J,) likewise [m, rad]."""
+    key_qpos: list[Array]
+    """(K,) likewise, of the keys that are simulated [rad]."""
+    key_qvel: list[Array]
+    """(K,) likewise [rad/s]."""
+
+
+def start_rollouts(
+    simulator: HandRollouts,
+    simulation: PlanningSimulation,
+    goals: HandGoals,
+    steps: NDArray[np.intp],
+    keyboard: Keyboard,
+) -> HorizonCost:
+    """Has rollouts start where a hand is, over all keys on its way through `steps` (H,).
+
+    Args:
+        simulator: of the hand.
+        simulation: of the hand on all keys, in its present state.
+        goals: of the hand.
+        steps: (H,) of the song.
+        keyboard: all of it.
+
+    Returns:
+        The cost of rollouts over these steps.
+    """
+    y_now = simulation.state.fingertip_xpos[0, goals.fingers, 1]
+    y = np.append(goals.fingertips[steps + 1, :, 1], y_now)
+    simulator.start_from(simulation, float(y.min()), float(y.max()))
+    key_qpos = simulation.state.key_qpos[0, simulator.keys]
+    return HorizonCost(goals, steps, keyboard, simulator.keys, key_qpos)
+
+
+def roll_out(
+    simulator: HandRollouts,
+    horizon: HorizonCost,
+    ctrl: Iterable[Array],
+    slot: int = 0,
+    *,
+    judged: int | None = None,
+    cutoff: float = np.inf,
+    cost_to_go: Array | None = None,
+) -> Rollout:
+    """Simulates controls (H, A), whose rows may depend on the state that was reached.
+
+    Args:
+        simulator: of the hand, started.
+        horizon: the cost.
+        ctrl: (H, A)
+        slot: of the simulator.
+        judged: how many steps count in the cost and the mistakes; all by default.
+        cutoff: a rollout that is expected to cost as much is given up.
+        cost_to_go: (H,) what is expected after each step; without it, nothing is given up.
+    """
+    cost, mistakes, costs = 0.0, 0, list[float]()
+    tips, hand_qpos, key_qpos, key_qvel = (list[Array]() for _ in range(4))
+    sounding, given_up = horizon.sounding, False
+    judged = horizon.num_steps if judged is None else judged
+    for k, state in enumerate(simulator.run(islice(ctrl, horizon.num_steps), slot)):
+        more, wrong, sounding = horizon.step_cost(k, state[0], state[1], sounding)
+        if k < judged:
+            cost, mistakes = cost + more, mistakes + wrong
+        costs.append(more)
+        tips.append(state[1])
+        hand_qpos.append(simulator.hand_joints(slot)[0].copy())
+        key_qpos.append(state[0].copy())
+        key_qvel.append(simulator.key_qvel(slot).copy())
+        if cost_to_go is not None and cost + cost_to_go[k] >= cutoff:
+            given_up = True
+            break
+    useless = given_up or simulator.unstable(slot)
+    return Rollout(
+        np.inf if useless else cost, mistakes, costs, tips, hand_qpos, key_qpos, key_qvel
+    )
 
 
 class Rollouts:
-    """Plans of the same steps, all from where trials of a hand begin.
+    """Rollouts of candidates for the same steps, all from the same state.
 
     Attributes:
-        ahead: what the steps ask of the hand.
-        simulated: control steps, in all trials of plans so far.
+        horizon: their cost.
+        simulated: control steps in all rollouts so far.
     """
 
-    ahead: HorizonCost
+    horizon: HorizonCost
 
-    def __init__(self, trials: HandRollouts, threads: Threads, *, to_their_end: bool) -> None:
+    def __init__(
+        self, simulator: HandRollouts, keyboard: Keyboard, threads: Threads, *, all_costs: bool
+    ) -> None:
         """Args:
-        trials: of the hand.
-        threads: that share them.
-        to_their_end: whether, of many plans, the costs of those count that are no better than
-            others. Otherwise they are given up.
+        simulator: of the hand.
+        keyboard: all of it.
+        threads: that share the rollouts.
+        all_costs: whether the costs of all candidates are of use. If only the cheapest is, the
+            others are given up.
         """
-        self._trials, self._threads, self._to_their_end = trials, threads, to_their_end
-        self.simulated = 0
+        self._simulator, self._keyboard, self._threads = simulator, keyboard, threads
+        self._all_costs, self.simulated = all_costs, 0
 
-    def begin(self, ahead: HorizonCost) -> None:
-        """Plans are of the steps that are `ahead` from here on, where trials begin now."""
-        self.ahead = ahead
-        self._least = np.full(ahead.num_steps, np.inf)
+    def start(
+        self, simulation: PlanningSimulation, goals: HandGoals, steps: NDArray[np.intp]
+    ) -> None:
+        """Has rollouts start where the hand is in `simulation`, for `steps` (H,) of its goals."""
+        self.horizon = start_rollouts(self._simulator, simulation, goals, steps, self._keyboard)
+        self._least = np.full(self.horizon.num_steps, np.inf)
 
-    def one(self, ctrl: Iterable[Array], most: float = np.inf) -> Rollout:
-        """Simulates a plan (H, A).
+    def simulate(self, ctrl: Iterable[Array], cutoff: float = np.inf) -> Rollout:
+        """Simulates controls (H, A), unless they are likely to cost `cutoff` or more.
 
-        One that will hardly cost less than `most` is given up before its end, at infinite cost: its
-        remaining steps are expected to cost most of the least that they cost any plan so far.
+        The rollout is then given up before its end, at infinite cost.
         """
-        trial = self._run(ctrl, most)
-        self._note(trial)
-        return trial
+        rollout = self._run(ctrl, cutoff)
+        self._record(rollout)
+        return rollout
 
-    def all(self, candidates: Array, most: float = np.inf) -> list[Rollout]:
-        """Simulates plans (N, H, A); those that cost more than `most` or another one are of no use.
+    def simulate_all(self, candidates: Array, cutoff: float = np.inf) -> list[Rollout]:
+        """Simulates candidates (N, H, A); those that cost more than `cutoff` are of no use.
 
-        They are tried in pairs, so that an idle thread can take one of each: what is known of the
-        pairs before decides what is given up, however many threads there are.
+        They are simulated in pairs, so that an idle thread can take one of each. What is known of
+        earlier pairs decides what is given up, so that the result does not depend on the threads.
         """
-        trials = list[Rollout]()
-        for i in range(0, len(candidates), PLACES):
-            useful = np.inf if self._to_their_end else most
+        rollouts = list[Rollout]()
+        for first in range(0, len(candidates), NUM_SLOTS):
+            useful = np.inf if self._all_costs else cutoff
             runs = [
-                partial(self._run, ctrl, useful, place)
-                for place, ctrl in enumerate(candidates[i : i + PLACES])
+                partial(self._run, ctrl, useful, slot)
+                for slot, ctrl in enumerate(candidates[first : first + NUM_SLOTS])
             ]
-            for trial in self._threads.together(runs):
-                self._note(trial)
-                trials.append(trial)
-                most = min(most, trial.cost)
-        return trials
+            for rollout in self._threads.together(runs):
+                self._record(rollout)
+                rollouts.append(rollout)
+                cutoff = min(cutoff, rollout.cost)
+        return rollouts
 
-    def _run(self, ctrl: Iterable[Array], most: float, place: int = 0) -> Rollout:
-        rest = self._least.sum() - np.cumsum(self._least) if most < np.inf else None
-        cost, mistakes, steps = 0.0, 0, list[float]()
-        tips, qpos, keys = list[Array](), list[Array](), list[Array]()
-        given_up, sounding = False, self.ahead.sounding
-        inside = islice(ctrl, len(self._least))
-        for k, (key_qpos, fingertips) in enumerate(self._trials.run(inside, place)):
-            more, wrong, sounding = self.ahead.cost(k, key_qpos, fingertips, sounding)
-            cost, mistakes = cost + more, mistakes + wrong
-            steps.append(more)
-            tips.append(fingertips)
-            qpos.append(self._trials.hand_joints(place)[0].copy())
-            keys.append(key_qpos.copy())
-            given_up = rest is not None and cost + EXPECTED * rest[k] >= most
-            if given_up:
-                break
-        no_use = given_up or self._trials.unstable(place)
-        return Rollout(np.inf if no_use else cost, mistakes, steps, tips, qpos, keys)
+    def _run(self, ctrl: Iterable[Array], cutoff: float, slot: int = 0) -> Rollout:
+        cost_to_go = None
+        if cutoff < np.inf:
+            cost_to_go = EXPECTED * (self._least.sum() - np.cumsum(self._least))
+        return roll_out(
+            self._simulator, self.horizon, ctrl, slot, cutoff=cutoff, cost_to_go=cost_to_go
+        )
 
-    def _note(self, trial: Rollout) -> None:
-        """Reckons with a trial."""
-        taken = len(trial.steps)
-        self.simulated += taken
-        self._least[:taken] = np.minimum(self._least[:taken], trial.steps)
+    def _record(self, rollout: Rollout) -> None:
+        """Counts its steps, and lowers the least costs that were seen."""
+        steps = len(rollout.step_costs)
+        self.simulated += steps
+        self._least[:steps] = np.minimum(self._least[:steps], rollout.step_costs)

@@ -1,7 +1,7 @@
-"""How to go on from plans that were tried and what they cost: one family, three members.
+"""Update rules of sampling-based control: predictive sampling, cross-entropy method, MPPI.
 
-Each takes N candidates and their costs, and says where to look next: around which plan, and how
-far around it.
+Each takes N candidates, their costs, and the distribution that they were drawn from, and returns
+the distribution of the next ones.
 """
 
 from __future__ import annotations
@@ -17,51 +17,57 @@ from cadenza.agents.planner.config import SamplingMethod
 Array = NDArray[np.float64]
 
 
-class Around(NamedTuple):
-    """A plan (H, A) and the standard deviation of candidates around it, (H, A)."""
+class SamplingDistribution(NamedTuple):
+    """Mean and standard deviation of control sequences, both (H, A)."""
 
     mean: Array
     sigma: Array
 
 
-Update = Callable[[Array, Array, Around], Around]
+Update = Callable[[Array, Array, SamplingDistribution], SamplingDistribution]
 
-_ELITES = 0.25  # of the candidates
-_LEAST_SIGMA = 0.2  # of what it was, so that the search goes on
-_TEMPERATURE = 0.1  # of the spread of the costs
+_ELITE_SHARE = 0.25  # of the candidates
+_MIN_SIGMA = 0.2  # of the standard deviation before the update: it must not collapse
+_TEMPERATURE = 0.1  # of the standard deviation of the costs
+_MIN_TEMPERATURE = 1e-9  # where all costs are the same
 
 
-def cheapest(candidates: Array, cost: Array, around: Around) -> Around:
-    """Predictive sampling (Howell et al., 2022): on from the best, as widely as before.
+def predictive_sampling(
+    candidates: Array, cost: Array, before: SamplingDistribution
+) -> SamplingDistribution:
+    """Moves the mean to the cheapest candidate (Howell et al., 2022).
 
-    Where all cost infinitely, as those do that are no better than what is known, nothing changes.
+    Nothing changes if all costs are infinite, as they are where no candidate is an improvement.
     """
     best = int(np.argmin(cost))
-    return Around(candidates[best], around.sigma) if np.isfinite(cost[best]) else around
+    return before._replace(mean=candidates[best]) if np.isfinite(cost[best]) else before
 
 
-def elites(candidates: Array, cost: Array, around: Around) -> Around:
-    """Cross-entropy method (Rubinstein, 1999): mean and spread of the best quarter."""
+def cross_entropy(
+    candidates: Array, cost: Array, before: SamplingDistribution
+) -> SamplingDistribution:
+    """Cross-entropy method (Rubinstein, 1999): mean and standard deviation of the elites."""
     if not np.isfinite(cost).any():
-        return around
-    count = max(2, round(_ELITES * len(candidates)))
-    best = candidates[np.argsort(cost, kind="stable")[:count]]
-    return Around(best.mean(axis=0), np.maximum(best.std(axis=0), _LEAST_SIGMA * around.sigma))
+        return before
+    count = max(2, round(_ELITE_SHARE * len(candidates)))
+    elites = candidates[np.argsort(cost, kind="stable")[:count]]
+    sigma = np.maximum(elites.std(axis=0), _MIN_SIGMA * before.sigma)
+    return SamplingDistribution(elites.mean(axis=0), sigma)
 
 
-def weighted(candidates: Array, cost: Array, around: Around) -> Around:
-    """MPPI (Williams et al., 2017): the mean, weighted by exp(-cost / temperature)."""
+def mppi(candidates: Array, cost: Array, before: SamplingDistribution) -> SamplingDistribution:
+    """MPPI (Williams et al., 2017): the mean weighted by exp(-cost / temperature)."""
     finite = np.isfinite(cost)
     if not finite.any():
-        return around
+        return before
     above = np.where(finite, cost - cost.min(), np.inf)
-    temperature = _TEMPERATURE * above[finite].std() + 1e-9
+    temperature = _TEMPERATURE * above[finite].std() + _MIN_TEMPERATURE
     weight = np.exp(-above / temperature)
-    return Around(np.einsum("n,nha->ha", weight / weight.sum(), candidates), around.sigma)
+    return before._replace(mean=np.einsum("n,nha->ha", weight / weight.sum(), candidates))
 
 
 UPDATES: dict[SamplingMethod, Update] = {
-    "predictive-sampling": cheapest,
-    "cross-entropy": elites,
-    "mppi": weighted,
+    "predictive-sampling": predictive_sampling,
+    "cross-entropy": cross_entropy,
+    "mppi": mppi,
 }

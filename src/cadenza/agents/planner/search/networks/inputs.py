@@ -229,7 +229,7 @@ def _cases(presses: Array, depths: Array, from_now: Array, from_next: Array) -> 
 class Corrections(NamedTuple):
     """Answers as controls of H hands."""
 
-    turned: Array
+    sign: Array
     """(H, A)"""
     scale: Array
     """(A,) what counts as one [m, rad]."""
@@ -241,8 +241,8 @@ class Corrections(NamedTuple):
 
     def ctrl(self, answer: Floats) -> Array:
         """(H, A) what is added to the controls, by the answer (H, A)."""
-        return within(answer, -_MOST, _MOST) * self.turned * self.scale
+        return within(answer, -_MOST, _MOST) * self.sign * self.scale
 
-    def answer(self, ctrl: Array) -> Array:
+    def output(self, ctrl: Array) -> Array:
         """The inverse of `ctrl`, of what was added."""
-        return within(ctrl * self.turned / self.scale, -_MOST, _MOST)
+        return within(ctrl * self.sign / self.scale, -_MOST, _MOST)

@@ -1,4 +1,4 @@
-"""What networks propose to the planner's search."""
+"""The candidate that networks compute for the planner's search."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cadenza.agents.agent import Array
 from cadenza.agents.generalist.generalist import Generalist, shipped_for
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
-from cadenza.agents.planner.search.network_candidate import Proposal, proposal
+from cadenza.agents.planner.search.network_candidate import NetworkCandidate, network_candidate
 from cadenza.agents.rollout import play_episode
 from cadenza.music.libraries.library import load_score
 from cadenza.scene.config import SceneConfig
@@ -38,10 +38,10 @@ def test_proposes_what_the_generalist_plays() -> None:
         played.append(action[:-1])
         plan, hands = agent.planners[0].plan, agent.planners[0]._hands[0]  # type: ignore[union-attr]
         if step % STEPS == 0:
-            ahead = proposal(plan, "right", shipped_for(task.scene), step)
+            ahead = network_candidate(plan, "right", shipped_for(task.scene), step)
             ctrl = plan.nominal.tracking.ctrl
             assert ahead
-            trials.begin_from(
+            trials.start_from(
                 task.simulation, *np.quantile(plan.nominal.fingertips[..., 1], (0, 1))
             )
             planned, keys = ctrl[step : step + STEPS], state.key_qpos[0]
@@ -59,13 +59,13 @@ def test_proposes_what_the_generalist_plays() -> None:
 @pytest.fixture
 def proposed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The steps from which on networks have proposed something."""
-    steps, controls = list[int](), Proposal.controls
+    steps, controls = list[int](), NetworkCandidate.controls
 
-    def noted(self: Proposal, trials: HandRollouts, step: int, *given: Any) -> Any:
+    def noted(self: NetworkCandidate, trials: HandRollouts, step: int, *given: Any) -> Any:
         steps.append(step)
         return controls(self, trials, step, *given)
 
-    monkeypatch.setattr(Proposal, "controls", noted)
+    monkeypatch.setattr(NetworkCandidate, "controls", noted)
     return steps
 
 

@@ -1,4 +1,4 @@
-"""What is tried out is what happens, whatever is left out of the trials."""
+"""Rollouts are what happens in the whole scene, whatever is left out of their models."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from cadenza.agents.playback import load_plan
 from cadenza.fingers import Side
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene, colliding_parts, hand_alone, reduced_model
+from cadenza.scene.servos import servos_of
 from cadenza.sim.hand_rollouts import HandRollouts
 from cadenza.sim.planning_simulation import PlanningSimulation
 
@@ -24,50 +25,52 @@ def test_a_hand_on_the_keys_near_it_moves_as_on_all(side: Side) -> None:
     scene, servos, _ = hand_alone(build_scene(), side)
     actions = load_plan(RECORDED).actions[:, :-1][:, servos]
     whole, there = PlanningSimulation(scene), PlanningSimulation(scene)
-    trials = HandRollouts(scene, whole.control_timestep)
+    rollouts = HandRollouts(scene, whole.control_timestep)
     fingers = scene.fingers_there
     touched = False
     for step in range(len(actions) - AHEAD):
         if step % 5 == 0:
             there.copy_from(whole, 0)
             y = whole.state.fingertip_xpos[0, fingers, 1]
-            trials.begin_from(whole, y.min(), y.max())
-            assert trials.keys.stop - trials.keys.start < 40
+            rollouts.start_from(whole, y.min(), y.max())
+            assert rollouts.keys.stop - rollouts.keys.start < 40
             ahead = actions[step : step + AHEAD]
-            for (key_qpos, fingertips), ctrl in zip(trials.run(ahead), ahead, strict=True):
+            for (key_qpos, fingertips), ctrl in zip(rollouts.run(ahead), ahead, strict=True):
                 there.step(ctrl[None])
-                expected = there.state.key_qpos[0, trials.keys]
+                expected = there.state.key_qpos[0, rollouts.keys]
                 np.testing.assert_allclose(key_qpos, expected, atol=1e-3)
                 tips = there.state.fingertip_xpos[0, fingers]
                 np.testing.assert_allclose(fingertips, tips, atol=1e-3)
-                touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[trials.keys]).any())
-            assert not trials.unstable()
-            np.testing.assert_array_equal(trials.fingertips(), fingertips)
+                touched |= bool((key_qpos > 0.5 * scene.keyboard.travel[rollouts.keys]).any())
+            assert not rollouts.unstable()
+            np.testing.assert_array_equal(rollouts.fingertips(), fingertips)
         whole.step(actions[step][None])
     assert touched
 
 
-def test_fingertips_move_with_joints_as_told() -> None:
+def test_fingertips_move_with_servos_as_the_jacobian_says() -> None:
     scene, _, _ = hand_alone(build_scene(), "left")
     simulation, moved = PlanningSimulation(scene), PlanningSimulation(scene)
-    trials = HandRollouts(scene, simulation.control_timestep)
+    rollouts = HandRollouts(scene, simulation.control_timestep)
     y = scene.keyboard.centre[:, 1]
-    trials.begin_from(simulation, y[30], y[50])
+    rollouts.start_from(simulation, y[30], y[50])
     rng = np.random.default_rng(0)
     low, high = scene.model.jnt_range[scene.model.dof_jntid[scene.hand_qvel]].T
     posture = rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high)
-    (motion,) = trials.fingertip_motion(posture[None])
-    step = 1e-6 * rng.standard_normal(len(posture))
+    (jacobian,) = rollouts.fingertip_jacobian(posture[None])
+    servos = servos_of(scene)
+    change = 1e-6 * rng.standard_normal(len(servos.low))
+    step = servos.joints.T @ change
     for simulated, qpos in ((simulation, posture), (moved, posture + step)):
-        simulated.place(qpos, np.zeros_like(qpos), np.zeros(len(y)))
+        simulated.set_joints(qpos, np.zeros_like(qpos), np.zeros(len(y)))
     before, after = (
         each.state.fingertip_xpos[0, scene.fingers_there] for each in (simulation, moved)
     )
-    np.testing.assert_allclose(motion @ step, after - before, atol=1e-10)
+    np.testing.assert_allclose(jacobian @ change, after - before, atol=1e-10)
 
 
 @pytest.mark.parametrize("hand", ["shadow", "allegro"])
-def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
+def test_a_reduced_model_keeps_joints_servos_and_weight(hand: str) -> None:
     scene = build_scene(SceneConfig(hands="left", hand=hand))
     whole, some = scene.model, reduced_model(scene, range(30, 50), colliding_parts(scene))
     joints = [some.joint(j).name for j in range(some.njnt)]
@@ -90,17 +93,17 @@ def test_a_hand_on_keys_keeps_joints_servos_and_weight(hand: str) -> None:
 def test_models_are_few_however_far_a_hand_goes_and_the_same_when_made_again() -> None:
     scene, _, _ = hand_alone(build_scene(), "right")
     simulation = PlanningSimulation(scene)
-    trials = HandRollouts(scene, simulation.control_timestep)
+    rollouts = HandRollouts(scene, simulation.control_timestep)
     y = scene.keyboard.centre[:, 1]
     actions = np.zeros((AHEAD, scene.model.nu))
 
     def tried() -> list[np.ndarray]:
-        trials.begin_from(simulation, y[30], y[50])
-        return [fingertips.copy() for _, fingertips in trials.run(actions)]
+        rollouts.start_from(simulation, y[30], y[50])
+        return [fingertips.copy() for _, fingertips in rollouts.run(actions)]
 
     before = tried()
     for low in range(0, 84, 6):
         for high in range(low + 6, 88, 24):
-            trials.begin_from(simulation, y[low], y[high])
-    assert len(trials._on_keys) <= 16
+            rollouts.start_from(simulation, y[low], y[high])
+    assert len(rollouts._models) <= 16
     np.testing.assert_array_equal(tried(), before)

@@ -1,4 +1,4 @@
-"""Changes of controls by how far fingertips missed."""
+"""Updates of controls by the fingertip errors of a rollout."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cadenza.agents.planner.plan.tracking import discretised
-from cadenza.agents.planner.search.iterative_learning_control import NEAR, changes
+from cadenza.agents.planner.search.iterative_learning_control import TOLERANCE, control_update
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene, hand_alone
 from cadenza.scene.servos import servos_of
@@ -26,7 +26,6 @@ def test_least_squares_over_all_steps_at_once(alone: Scene) -> None:
     weight = rng.random((STEPS, FINGERS))
     motion = 0.05 * rng.standard_normal((STEPS, FINGERS, 3, count))
     gain = 0.2 * rng.random((STEPS, count, 2))
-    sigma = 0.05 + 0.1 * rng.random(count)
     step, push = discretised(servos, DT)
 
     def led_to(change: np.ndarray) -> np.ndarray:
@@ -41,9 +40,9 @@ def test_least_squares_over_all_steps_at_once(alone: Scene) -> None:
     response = np.array(
         [led_to(unit.reshape(STEPS, count)).ravel() for unit in np.eye(STEPS * count)]
     ).T
-    root = np.repeat(np.sqrt(weight), 3, axis=1).ravel() / NEAR
-    rows = np.concatenate([root[:, None] * response, np.diag(np.tile(1 / sigma, STEPS))])
+    root = np.repeat(np.sqrt(weight), 3, axis=1).ravel() / TOLERANCE
+    rows = np.concatenate([root[:, None] * response, np.diag(np.tile(1 / servos.noise, STEPS))])
     wanted = np.concatenate([root * off.ravel(), np.zeros(STEPS * count)])
     expected = np.linalg.lstsq(rows, wanted, rcond=None)[0].reshape(STEPS, count)
-    found = changes(off, weight, motion, gain, servos, sigma, DT)
+    found = control_update(off, weight, motion, gain, servos, DT)
     np.testing.assert_allclose(found, expected, atol=1e-9)

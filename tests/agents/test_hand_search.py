@@ -1,0 +1,160 @@
+"""The receding-horizon search of one hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from one_hand import DT, OneHand
+
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner
+from cadenza.agents.planner.search import hand_search
+from cadenza.agents.planner.search.fingertip_correction import servo_corrections
+from cadenza.agents.planner.search.hand_search import HandSearch
+from cadenza.agents.planner.search.rollouts import Rollouts
+from cadenza.agents.rollout import play_episode
+from cadenza.fingers import Side
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.score import Note, Score
+from cadenza.scene.config import SceneConfig
+from cadenza.sim.threads import Threads
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from numbered import finger
+
+BUFFER = TaskConfig(initial_buffer_time=0.5)
+HORIZON = 7  # steps
+
+
+def melody(*pitches: int, length: float = 0.4) -> Score:
+    return Score(tuple(Note(i * length, (i + 1) * length, p) for i, p in enumerate(pitches)))
+
+
+def octaves(side: Side, white: int, black: int, length: float) -> Score:
+    """An octave on white keys, from which the hand jumps to one on black keys."""
+    low, high = (0, 4) if side == "right" else (9, 5)
+    return Score(
+        tuple(
+            Note(start, end, pitch + up, finger=finger(number))
+            for start, end, pitch in ((0.0, 0.4, white), (0.4, 0.4 + length, black))
+            for up, number in ((0, low), (12, high))
+        )
+    )
+
+
+def search_of(hand: OneHand, **options: Any) -> HandSearch:
+    config = PlannerConfig(**options)
+    search = HandSearch(hand.scene, config, DT, np.random.default_rng(0), Threads(1))
+    search.follow(hand.goals, hand.tracking)
+    return search
+
+
+def play(hand: OneHand, search: HandSearch) -> None:
+    """One step."""
+    hand.simulation.step(search.act(*hand.joint_state)[None])
+
+
+@pytest.mark.parametrize(
+    ("side", "white", "black"), [("left", 59, 63), ("left", 62, 66), ("right", 59, 61)]
+)
+def test_caught_fingers_get_free(side: Side, white: int, black: int) -> None:
+    hand = OneHand(octaves(side, white, black, 2.0), side)
+    keys = [black - 21, black - 9]
+
+    def sound() -> bool:
+        return bool((hand.simulation.state.key_qpos[0, keys] >= PIANO.sounds_from[keys]).all())
+
+    as_planned = search_of(hand, method="none")
+    for _ in range(25):
+        play(hand, as_planned)
+    assert not sound()
+    search, heard = search_of(hand), []
+    search.reset(25, np.random.default_rng(0))
+    for _ in range(15):
+        play(hand, search)
+        heard.append(sound())
+    assert any(heard)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("white", "black"), [(59, 56), (60, 58), (60, 49), (62, 44)])
+def test_jumps_from_white_octaves_to_black_ones_land(white: int, black: int) -> None:
+    task = PianoTask([octaves("left", white, black, 1.2)], BUFFER, SceneConfig(hands="left"))
+    agent = Planner(PlannerConfig(fingering="score"))
+    assert play_episode(task, agent).metrics["f1"] > 0.75
+
+
+def rollouts_of(hand: OneHand, first: int) -> tuple[Rollouts, np.ndarray]:
+    """Rollouts from step `first` on, after the plan was played so far, and its controls."""
+    as_planned = search_of(hand, method="none")
+    for _ in range(first):
+        play(hand, as_planned)
+    rollouts = Rollouts(hand.simulator, PIANO, Threads(1), all_costs=False)
+    steps = np.arange(first, first + HORIZON)
+    rollouts.start(hand.simulation, hand.goals, steps)
+    return rollouts, hand.tracking.ctrl[steps]
+
+
+def test_fingertips_that_go_astray_are_corrected() -> None:
+    hand = OneHand(melody(60, 64, 67, length=0.4))
+    rollouts, nominal = rollouts_of(hand, 6)
+    astray = hand.servos.clip(nominal + 2 * hand.servos.noise)
+    before = rollouts.simulate(astray)
+    error, weight = rollouts.horizon.fingertip_errors(np.array(before.fingertips))
+    jacobian = hand.simulator.fingertip_jacobian(np.array(before.hand_qpos))
+    change = servo_corrections(error, weight, jacobian, hand.servos)
+    later = np.minimum(np.arange(HORIZON) + 1, HORIZON - 1)
+    after = [rollouts.simulate(hand.servos.clip(astray + k * change[later])) for k in (1, 2)]
+    assert min(rollout.cost for rollout in after) < 0.5 * before.cost
+    assert min(rollout.mistakes for rollout in after) < before.mistakes
+
+
+def test_giving_candidates_up_early_changes_no_cost_that_counts() -> None:
+    hand = OneHand(melody(60, 72, 61, length=0.2))
+    rollouts, nominal = rollouts_of(hand, 8)
+    noise = np.random.default_rng(0).standard_normal((10, 1, nominal.shape[1]))
+    candidates = hand.servos.clip(nominal + hand.servos.noise * noise)
+    whole = [rollouts.simulate(ctrl) for ctrl in candidates]
+    cutoff = float(np.median([rollout.cost for rollout in whole]))
+    cut = [rollouts.simulate(ctrl, cutoff) for ctrl in candidates]
+    kept = [pair for pair in zip(whole, cut, strict=True) if np.isfinite(pair[1].cost)]
+    assert 0 < len(kept) < len(candidates)
+    assert all(before[:3] == after[:3] for before, after in kept)
+    assert min(rollout.cost for rollout in whole) == min(rollout.cost for rollout in cut)
+
+
+def test_hopeless_music_is_searched_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated = []
+    run = hand_search.HandRollouts.run
+
+    def counted(simulator: hand_search.HandRollouts, *args: Any) -> Iterator[object]:
+        for state in run(simulator, *args):
+            simulated.append(1)
+            yield state
+
+    monkeypatch.setattr(hand_search.HandRollouts, "run", counted)
+    leaps = PianoTask([melody(*[40, 90] * 10, length=0.1)], BUFFER, SceneConfig(hands="right"))
+    agent = Planner(PlannerConfig(num_candidates=8, iterations=5))
+    steps = play_episode(leaps, agent).metrics["steps"]
+    share = sum(simulated) / steps / (5 * 8 * HORIZON)
+    assert 0.5 < share / hand_search.BUDGET_SHARE < 1.05
+
+
+def test_a_replayed_search_goes_on_as_it_did() -> None:
+    hand = OneHand(melody(60, 79, 61, 78, 58, length=0.15))  # too fast, so that it samples
+    search = search_of(hand)
+    played, states = [], []
+    for _ in range(24):
+        state, joints = search.state, hand.joint_state
+        states.append(state)
+        played.append((joints, search.act(*joints)))
+        hand.simulation.step(played[-1][1][None])
+    again = search_of(hand)
+    for joints, ctrl in played[:16]:
+        again.replay(*joints, ctrl)
+    again.restore(states[16])
+    for joints, ctrl in played[16:]:
+        np.testing.assert_array_equal(again.act(*joints), ctrl)

@@ -1,0 +1,139 @@
+"""What rollouts over the look-ahead horizon cost, and where fingertips should have been."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from one_hand import OneHand
+
+from cadenza.agents.agent import Array
+from cadenza.agents.planner.search.horizon_cost import HorizonCost
+from cadenza.keyboards.piano import PIANO
+from cadenza.music.libraries.library import load_score
+from cadenza.music.score import Note, Score
+
+CHORD = 64, 67, 72
+
+
+class Chord:
+    """A chord of three notes, with fingertips where they should be."""
+
+    def __init__(self) -> None:
+        hand = OneHand(Score(tuple(Note(0.0, 0.5, pitch, 80) for pitch in CHORD)))
+        self.goals, keys = hand.goals, hand.plan.goals.keys
+        self.steps = np.flatnonzero(keys.any(axis=1))
+        self.tips = self.goals.fingertips[self.steps + 1]
+        self.horizon = HorizonCost(self.goals, self.steps, PIANO, slice(None), np.zeros(88))
+        self.wanted = keys[self.steps]
+
+    def by_finger(self, depth: Array) -> Array:
+        return self.horizon.by_finger(depth * PIANO.travel, self.tips)
+
+
+def test_costs_of_fingers_are_those_of_the_steps() -> None:
+    chord = Chord()
+    for seed in range(10):
+        depth = np.random.default_rng(seed).uniform(0.0, 1.2, chord.wanted.shape)
+        sounding, costs = np.zeros(88, bool), []
+        for k, (keys, tips) in enumerate(zip(depth * PIANO.travel, chord.tips, strict=True)):
+            cost, _, sounding = chord.horizon.step_cost(k, keys, tips, sounding)
+            costs.append(cost)
+        by_finger = chord.by_finger(depth)
+        assert by_finger.shape == chord.tips.shape[:2]
+        np.testing.assert_allclose(by_finger.sum(axis=1), costs)
+
+
+def test_a_silent_key_is_the_fault_of_the_finger_that_should_press_it() -> None:
+    chord, key = Chord(), CHORD[1] - PIANO.lowest_pitch
+    depth = chord.wanted.astype(float)
+    fine = chord.by_finger(depth)
+    depth[:, key] = 0.0
+    worse = chord.by_finger(depth) > fine
+    finger = chord.goals.asked[chord.steps[0], key]
+    assert (worse == (np.arange(worse.shape[1]) == finger)).all()
+
+
+def test_a_wrong_key_is_the_fault_of_the_finger_over_it() -> None:
+    chord, finger = Chord(), 4
+    depth = chord.wanted.astype(float)
+    fine = chord.by_finger(depth)
+    chord.tips[:, finger] = PIANO.centre[CHORD[-1] - PIANO.lowest_pitch + 4]
+    depth[:, CHORD[-1] - PIANO.lowest_pitch + 4] = 1.0
+    worse = chord.by_finger(depth) > fine + 2.0
+    assert (worse == (np.arange(worse.shape[1]) == finger)).all()
+
+
+def test_notes_that_do_not_begin_in_time_and_keys_struck_again_cost_more() -> None:
+    hand = OneHand(Score((Note(0.0, 0.5, 60),)))
+    key, wrong = 60 - 21, 65 - 21
+    first, *_, last = np.flatnonzero(hand.plan.goals.keys[:, key])
+    steps = np.arange(first, last + 1)
+    horizon = HorizonCost(hand.goals, steps, PIANO, slice(None), np.zeros(88))
+
+    def cost(key: int, sounds: str) -> float:
+        """Cost of a key of its own, or a wrong one, that sounds where the text has an x."""
+        before, total = np.zeros(88, bool), 0.0
+        for k, down in enumerate(sounds):
+            key_qpos = np.zeros(88)
+            key_qpos[key] = PIANO.travel[key] * (down == "x")
+            tips = hand.goals.fingertips[steps[k] + 1]
+            more, _, before = horizon.step_cost(k, key_qpos, tips, before)
+            total += more
+        return total
+
+    in_time = cost(key, "xxxxxxxxxx")
+    lost = cost(key, ".xxxxxxxxx") - in_time
+    assert lost > 0
+    assert cost(key, "..xxxxxxxx") - in_time > 2 * lost
+    assert cost(key, "xxxxx.xxxx") - in_time > cost(key, "xxxxxxxxx.") - in_time > 0
+    assert cost(wrong, "..x.x.....") > cost(wrong, "..xx......") > cost(wrong, "..........")
+
+
+# Where fingertips should have been
+
+
+class Played:
+    """Twinkle, with fingertips just where the plan has them, and keys as it holds them."""
+
+    def __init__(self) -> None:
+        self.goals = OneHand(load_score("TwinkleTwinkleLittleStar")).goals
+        self.steps = np.arange(30)
+        self.tips = self.goals.fingertips[self.steps + 1]
+        self.sounding = (self.goals.mine & self.goals.planned)[self.steps]
+
+    def errors(self) -> tuple[Array, Array]:
+        horizon = HorizonCost(self.goals, self.steps, PIANO, slice(None), np.zeros(88))
+        return horizon.errors_by_sound(self.tips, self.sounding * PIANO.travel)
+
+
+@pytest.fixture
+def played() -> Played:
+    return Played()
+
+
+def test_who_plays_as_planned_makes_no_errors(played: Played) -> None:
+    error, weight = played.errors()
+    assert (error == 0.0).all()
+    assert weight.max() == 1.0
+
+
+def test_a_finger_whose_key_is_silent_should_have_been_deeper(played: Played) -> None:
+    step, key = np.argwhere(played.sounding)[2]
+    finger = played.goals.asked[step, key]
+    played.sounding[step, key] = False
+    error, weight = played.errors()
+    assert np.argwhere(error).tolist() == [[step, finger, 2]]
+    assert error[step, finger, 2] < -0.003
+    assert weight[step, finger] == 1.0
+
+
+def test_a_finger_on_a_key_that_should_be_silent_should_have_been_higher(played: Played) -> None:
+    step, key = 2, 40  # before anything sounds
+    assert played.goals.wrong[step, key]
+    played.sounding[step, key] = True
+    assert (played.errors()[0] == 0.0).all()  # no finger is near
+    played.tips[step, 3, :2] = PIANO.centre[key, :2]
+    error, weight = played.errors()
+    assert (error[step - 1 : step + 1, 3, 2] > 0.003).all()
+    assert (weight[step - 1 : step + 1, 3] == 1.0).all()
+    assert (error[[step - 2, step + 1]] == 0.0).all()
