@@ -35,7 +35,7 @@ from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
-from cadenza.agents.planner.search.networks.weights import CONSTANTS, FURTHEST, Network, Weights
+from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network, Weights
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.evaluation.collecting.episode import excerpt
 from cadenza.files import plain, read_json, write_atomically, write_json
@@ -292,7 +292,7 @@ def _said(layers: Layers, network: Network, told: Any) -> Any:
     """(N, M, O) by layers that are told what a network is, as `Network` says it."""
     told = jnp.concatenate([told, jnp.tile(CONSTANTS, (len(told), 1))], axis=1)
     shown = (told[:, network.inputs] - network.middle) / network.spread
-    x = jnp.clip(shown, -FURTHEST, FURTHEST).reshape(1, -1, len(network.middle))
+    x = jnp.clip(shown, -INPUT_LIMIT, INPUT_LIMIT).reshape(1, -1, len(network.middle))
     for kernel, bias in layers[:-1]:
         x = jax.nn.relu(x @ kernel + bias)
     kernel, bias = layers[-1]

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
 from cadenza.agents.planner.plan.song_plan import plan_song
-from cadenza.agents.planner.search.networks.inputs import About
+from cadenza.agents.planner.search.networks.inputs import InputLayout
 from cadenza.agents.planner.search.networks.weights import (
     CONSTANTS,
-    FURTHEST,
+    INPUT_LIMIT,
     NETWORKS,
     Network,
     Weights,
@@ -117,7 +117,7 @@ def joined(lessons: list[Lesson]) -> Lesson:
     return Lesson(*(np.concatenate(parts) for parts in zip(*lessons, strict=True)))
 
 
-def parts_of(about: About, servos: Array) -> list[tuple[Array, Array]]:
+def parts_of(about: InputLayout, servos: Array) -> list[tuple[Array, Array]]:
     """What each network is told, and for which servos it answers, see `Network`."""
     size, fingers = len(about.finger), np.unique(servos[servos >= 0])
     zero, one = size, size + 1
@@ -223,7 +223,7 @@ def of_parts(lessons: list[Lesson], inputs: Array, servos: Array) -> Lesson:
 
 
 def network_of(
-    songs: list[Lesson], about: About, inputs: Array, servos: Array
+    songs: list[Lesson], about: InputLayout, inputs: Array, servos: Array
 ) -> tuple[Network, list[float]]:
     """One that is told `inputs` (M, I) and answers for `servos` (M, O).
 
@@ -236,7 +236,7 @@ def network_of(
 
     def scaled(some: list[Lesson]) -> Lesson:
         told, wanted = of_parts(some, inputs, servos)
-        return Lesson(np.clip((told - middle) / spread, -FURTHEST, FURTHEST), wanted)
+        return Lesson(np.clip((told - middle) / spread, -INPUT_LIMIT, INPUT_LIMIT), wanted)
 
     fold = np.random.default_rng(0).permutation(len(songs)) % FOLDS
     trained = []
@@ -273,7 +273,7 @@ def main() -> None:
     lessons = [joined(of_song) for of_song in of_songs.values()]
     print(f"{sum(len(x.inputs) for x in lessons)} states of a hand, of {len(lessons)} songs")
     alone = hand_alone(scene, scene.sides[0]).scene
-    about, servos = About.of(alone), servos_of(alone).finger
+    about, servos = InputLayout.of(alone), servos_of(alone).finger
     networks = []
     for name, part in zip(NETWORKS, parts_of(about, servos), strict=True):
         network, explains = network_of(lessons, about, *part)

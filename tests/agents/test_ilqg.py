@@ -193,7 +193,7 @@ def slope(scene: Scene, start: np.ndarray, ctrl: np.ndarray, direction: np.ndarr
     return (ends[1] - ends[0]) / 2e-8
 
 
-def test_geometry_at_the_looks_is_that_of_the_simulation(waking: Scene) -> None:
+def test_geometry_after_each_physics_step_is_that_of_the_simulation(waking: Scene) -> None:
     simulation, ctrl = pressing(waking)
     seen = Lineariser(waking, 2, 10).linearise(simulation.physics_state(0), np.array([ctrl, ctrl]))
     for k in range(2):

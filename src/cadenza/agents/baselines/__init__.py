@@ -1,1 +1,1 @@
-"""Planners that are there to be compared with: of the paper, and of whole songs in advance."""
+"""Planners to compare with: those of the paper, and planners of whole songs in advance."""

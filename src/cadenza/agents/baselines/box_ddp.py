@@ -1,4 +1,4 @@
-"""Control-limited differential dynamic programming: the part that knows nothing of the piano.
+"""Control-limited differential dynamic programming (box-DDP), for any quadratic model.
 
 Tassa, Mansard, Todorov, "Control-Limited Differential Dynamic Programming", ICRA 2014 (below: the
 paper).
@@ -15,14 +15,15 @@ from scipy.linalg import cho_factor, cho_solve
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ENOUGH = 1e-9  # length of the free gradient, relative to the whole at the start
-_MOST_NEWTON_STEPS = 100
-_ARMIJO = 0.1
-_SHRINK = 0.6
+_TOLERANCE = 1e-9  # norm of the free gradient, relative to the gradient at the start
+_MAX_NEWTON_STEPS = 100
+_ARMIJO = 0.1  # share of the decrease that the gradient predicts
+_BACKTRACKING = 0.6  # factor between step sizes
+_MIN_STEP_SIZE = 1e-12  # below which rounding errors decide
 
 
 class Model(NamedTuple):
-    """K steps in quadratic approximation; n states x and m controls u make up z = (x, u)."""
+    """Quadratic model of K steps, with n states x and m controls u that make up z = (x, u)."""
 
     transition: Array
     """(K, n, n + m) derivatives of the next state by z."""
@@ -33,12 +34,12 @@ class Model(NamedTuple):
 
 
 class FeedbackLaw(NamedTuple):
-    """Changes of the controls: `offset` + `gain` times how far the state is from the nominal."""
+    """Changes of the controls, k + K dx, where dx is the deviation from the nominal states."""
 
     offset: Array
-    """(K, m)."""
+    """(K, m) k of each step."""
     gain: Array
-    """(K, m, n); its rows are zero for controls at a limit."""
+    """(K, m, n) K of each step; its rows are zero for controls at a limit."""
 
 
 def box_qp(
@@ -51,7 +52,7 @@ def box_qp(
         gradient: (m,).
         low: (m,).
         high: (m,).
-        start: (m,) where to begin.
+        start: (m,) initial guess.
 
     Returns:
         The solution (m,), and which of its elements are free (m,), not held at a limit.
@@ -60,29 +61,34 @@ def box_qp(
         np.linalg.LinAlgError: the Hessian is not positive definite in the free directions.
     """
     x = np.clip(start, low, high)
-    enough = _ENOUGH * (np.linalg.norm(gradient) + np.linalg.norm(hessian @ x))
-    for _ in range(_MOST_NEWTON_STEPS):
-        slope = gradient + hessian @ x
-        free = ~(((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0)))
-        if np.linalg.norm(slope[free]) <= enough:
+    tolerance = _TOLERANCE * (np.linalg.norm(gradient) + np.linalg.norm(hessian @ x))
+    for _ in range(_MAX_NEWTON_STEPS):
+        here = gradient + hessian @ x
+        free = ~(((x <= low) & (here > 0)) | ((x >= high) & (here < 0)))
+        if np.linalg.norm(here[free]) <= tolerance:
             break
         step = np.zeros_like(x)
-        step[free] = -_solve(hessian[np.ix_(free, free)], slope[free])
-        x, before = _search(hessian, slope, x, step, low, high), x
+        step[free] = -_solve(hessian[np.ix_(free, free)], here[free])
+        x, before = _line_search(hessian, here, x, step, low, high), x
         if (x == before).all():
             break
     return x, free
 
 
-def _search(hessian: Array, slope: Array, x: Array, step: Array, low: Array, high: Array) -> Array:
-    """The longest step along the projected `step` that decreases the cost enough (Armijo)."""
+def _line_search(
+    hessian: Array, gradient: Array, x: Array, step: Array, low: Array, high: Array
+) -> Array:
+    """Where the longest projected step leads that meets the Armijo condition.
+
+    `gradient` (m,) is that at `x`.
+    """
     size = 1.0
-    while size > 1e-12:
+    while size > _MIN_STEP_SIZE:
         end = np.clip(x + size * step, low, high)
         change = end - x
-        if slope @ change + change @ hessian @ change / 2 <= _ARMIJO * (slope @ change):
+        if gradient @ change + change @ hessian @ change / 2 <= _ARMIJO * (gradient @ change):
             return end  # not x + change, which may miss a limit by a rounding
-        size *= _SHRINK
+        size *= _BACKTRACKING
     return x
 
 
@@ -93,10 +99,10 @@ def _solve(matrix: Array, right: Array) -> Array:
 def backward_pass(
     model: Model, controls: Array, low: Array, high: Array, regularisation: float
 ) -> FeedbackLaw:
-    """The law that minimises the quadratic model within the limits (the paper, III-C).
+    """The feedback law that minimises the quadratic model within the limits (the paper, III-C).
 
     Args:
-        model: of K steps; after the last nothing costs.
+        model: of K steps; there is no terminal cost.
         controls: (K, m) nominal controls.
         low: (m,) limits of the controls.
         high: (m,).
@@ -108,22 +114,22 @@ def backward_pass(
     steps, m = controls.shape
     n = model.transition.shape[1]
     law = FeedbackLaw(np.zeros((steps, m)), np.zeros((steps, m, n)))
-    value_gradient, value_hessian = np.zeros(n), np.zeros((n, n))
-    warm = np.zeros(m)
+    v_x, v_xx = np.zeros(n), np.zeros((n, n))
+    warm_start = np.zeros(m)
     for k in reversed(range(steps)):
         transition = model.transition[k]
-        q = model.gradient[k] + transition.T @ value_gradient
-        qq = model.hessian[k] + transition.T @ value_hessian @ transition
-        damped = qq[n:, n:] + regularisation * np.eye(m)
+        q_z = model.gradient[k] + transition.T @ v_x
+        q_zz = model.hessian[k] + transition.T @ v_xx @ transition
+        q_uu = q_zz[n:, n:] + regularisation * np.eye(m)
         limits = low - controls[k], high - controls[k]
-        offset, free = box_qp(damped, q[n:], *limits, warm)
+        offset, free = box_qp(q_uu, q_z[n:], *limits, warm_start)
         gain = np.zeros((m, n))
         if free.any():
-            gain[free] = -_solve(damped[np.ix_(free, free)], qq[n:][free, :n])
+            gain[free] = -_solve(q_uu[np.ix_(free, free)], q_zz[n:][free, :n])
         closed = np.concatenate([np.eye(n), gain])  # z by x, under the law
-        value_gradient = closed.T @ (q + qq[:, n:] @ offset)
-        value_hessian = closed.T @ qq @ closed
-        value_hessian = (value_hessian + value_hessian.T) / 2
+        v_x = closed.T @ (q_z + q_zz[:, n:] @ offset)
+        v_xx = closed.T @ q_zz @ closed
+        v_xx = (v_xx + v_xx.T) / 2
         law.offset[k], law.gain[k] = offset, gain
-        warm = offset
+        warm_start = offset
     return law

@@ -15,22 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.agents.agent import Array, PlannerPerEnv
-from cadenza.agents.baselines.rehearsal import rehearsed
-from cadenza.agents.planner.config import ICPConfig
+from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.planner.config import ICPConfig, PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Follower, Tracking
+from cadenza.agents.planner.search.hands_in_scene import HandInScene
 from cadenza.fingering.players import Players
 from cadenza.fingering.search import Dropped
 from cadenza.fingers import SIDES, Finger
 from cadenza.hands.reach import Reach
 from cadenza.music.score import Note, chords
+from cadenza.scene.scene import hand_alone
+from cadenza.sim.mujoco_simulation import MujocoSimulation
+from cadenza.sim.threads import Threads
 from cadenza.tasks.goal_track import GoalTrack, players_of
 from cadenza.tasks.view import View
 
-_MOVES = 20  # of the hand; the matches repeat after two or three
+_MAX_ITERATIONS = 20  # of ICP; the matches repeat after two or three
 _LIFT = 0.1  # [s] that a finger takes from one key to another
-_AHEAD = 2.0  # [s] after a chord, of keys onto which the hand is moved at the same time
+_LOOK_AHEAD = 2.0  # [s] after a chord, of keys that the hand is matched to at the same time
+_FORBIDDEN = 2.0  # [m^2] penalty of a match, more than any squared distance
+_BUSY = 1.0  # [m^2] penalty of a finger that is on its way from another key
+
+# More iterations than while it plays, and a shorter horizon.
+_REHEARSAL = PlannerConfig(num_candidates=16, iterations=8, horizon=0.3, proposals="none")
 
 
 class ICP(PlannerPerEnv["PlanFollower"]):
@@ -55,6 +63,45 @@ class ICP(PlannerPerEnv["PlanFollower"]):
         if not self.config.rehearse:
             return PlanFollower(plan, plan.nominal.tracking)
         return PlanFollower(plan, rehearsed(plan, start, rng, self.threads, self.progress))
+
+
+def rehearsed(
+    plan: SongPlan, start: Array, rng: np.random.Generator, num_threads: int, progress: Progress
+) -> Tracking:
+    """Controls and states of a rehearsal, in which the planner's search refined the plan.
+
+    Each hand rehearses by itself. What disturbs it only in the performance, such as another arm,
+    is left to feedback.
+
+    Args:
+        plan: of the whole song.
+        start: (J,) where the joints of the hands begin [m, rad].
+        rng: what is random.
+        num_threads: that share the search.
+        progress: is told of "rehearsing".
+    """
+    tracking = plan.nominal.tracking
+    ctrl, expected = tracking.ctrl.copy(), tracking.expected.copy()
+    sides, dt = plan.scene.sides, plan.track.config.control_timestep
+    threads, steps = Threads(num_threads), len(ctrl)
+    try:
+        for i, side in enumerate(sides):
+            hand = HandInScene(plan, side, _REHEARSAL, rng, threads)
+            scene, mine, joints = hand_alone(plan.scene, side)
+            follower = Follower(scene, tracking.of(mine))
+            simulation = MujocoSimulation(scene, 1, dt)
+            simulation.reset([0], start[None, joints])
+            for step in range(steps):
+                state = simulation.state
+                qpos, qvel, keys = state.hand_qpos[0], state.hand_qvel[0], state.key_qpos[0]
+                ctrl[step, mine] = hand.search.act(qpos, qvel, keys)
+                simulation.step(ctrl[step : step + 1, mine])
+                state = simulation.state
+                expected[step + 1, mine] = follower.posture(state.hand_qpos, state.hand_qvel)[0]
+                progress("rehearsing", i * steps + step + 1, len(sides) * steps)
+    finally:
+        threads.close()
+    return tracking._replace(ctrl=ctrl, expected=expected)
 
 
 class PlanFollower:
@@ -110,7 +157,7 @@ def nearest_fingers(notes: Sequence[Note], hand: int, players: Players) -> list[
     done, fingers = 0, list[int | None]()
     for chord in chords(notes):
         done += len(chord)
-        soon = notes[done : bisect_left(starts, chord[0].start + _AHEAD)]
+        soon = notes[done : bisect_left(starts, chord[0].start + _LOOK_AHEAD)]
         struck = {note.pitch: note for note in sorted(chord, key=lambda n: (n.pitch, n.end))}
         keys, ahead = ([note.pitch - lowest for note in some] for some in (struck.values(), soon))
         played = moving.play([*struck.values()], y[keys], y[ahead], reached[keys])
@@ -124,7 +171,7 @@ class _Hand:
     """A hand that moves along the keyboard as one rigid body, from chord to chord."""
 
     reach: Reach
-    place: float
+    position: float
     """[m]"""
     last: dict[int, tuple[float, float]] = field(default_factory=dict)
     """Finger -> where it pressed last [m], and until when [s]."""
@@ -150,10 +197,10 @@ class _Hand:
         rising = left[:, 1] > now - _LIFT
         window = self._at_once(keys, ahead, len(free))
         busy = rising[:, None] & (left[:, :1] != window)
-        price = busy + 2.0 * ~self._spans(free, window, held)  # more than any way squared
-        price[:, len(keys) :] = 0.0
-        price[:, : len(keys)] += 2.0 * ~reached.T[free]
-        matches = self._matched(window, free, price, held)
+        penalty = _BUSY * busy + _FORBIDDEN * ~self._spans(free, window, held)
+        penalty[:, len(keys) :] = 0.0
+        penalty[:, : len(keys)] += _FORBIDDEN * ~reached.T[free]
+        matches = self._matched(window, free, penalty, held)
         chosen: list[int | None] = [None] * len(chord)
         for i, finger in sorted((i, f) for i, f in matches.items() if i < len(chord)):
             others = {**held, **{f: keys[j] for j in range(i) if (f := chosen[j]) is not None}}
@@ -186,28 +233,28 @@ class _Hand:
         self,
         keys: Array,
         free: Sequence[int],
-        price: Array,
+        penalty: Array,
         held: dict[int, float],
     ) -> dict[int, int]:
-        """Key -> finger: nearest points, the hand moved onto them, and again.
+        """Key -> finger, by matching the nearest points and moving the hand onto them in turn.
 
         Iterative closest points (Besl & McKay, 1992) for a motion along the keyboard alone.
 
         Args:
             keys: (N,) [m].
             free: the F fingers that can be matched.
-            price: (F, N) of a finger that is still on its way from another key, and of one that
+            penalty: (F, N) of a finger that is still on its way from another key, and of one that
                 does not reach from what others hold [m^2].
             held: where the other fingers stay.
         """
         rest, fingers, matches = self.reach.rest, list(free), dict[int, int]()
-        for _ in range(_MOVES):
-            tips = self.place + rest[fingers]
-            rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + price)
+        for _ in range(_MAX_ITERATIONS):
+            tips = self.position + rest[fingers]
+            rows, columns = linear_sum_assignment((tips[:, None] - keys) ** 2 + penalty)
             found = {int(key): fingers[row] for row, key in zip(rows, columns, strict=True)}
-            ways = [keys[key] - rest[finger] for key, finger in found.items()]
-            ways += [y - rest[finger] for finger, y in held.items()]
-            self.place = float(np.mean(ways)) if ways else self.place
+            offsets = [keys[key] - rest[finger] for key, finger in found.items()]
+            offsets += [y - rest[finger] for finger, y in held.items()]
+            self.position = float(np.mean(offsets)) if offsets else self.position
             if found == matches:
                 break
             matches = found

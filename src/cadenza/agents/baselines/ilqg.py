@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from cadenza.agents.agent import Array, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
-from cadenza.agents.baselines.pairs import Pairs, pairs_of
+from cadenza.agents.baselines.pairs import Pairs, flattened, pairs_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, ILQGConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
@@ -38,7 +38,7 @@ Ids = NDArray[np.intp]
 _KEY_RADIUS = 0.1
 _FINGER_RADIUS = 0.01  # [m]
 _NO_CHANGE = 1e-6  # of controls, in half ranges
-_TRUSTED_STEP = 0.3  # shorter ones say that the model holds less far than it thought
+_TRUSTED_STEP = 0.3  # shorter steps say that the model is less accurate than it was taken to be
 
 
 class ILQG(PlannerPerEnv["ILQGPlanner"]):
@@ -87,16 +87,16 @@ class ILQGPlanner:
         self.config, hold = config, task.config.control_timestep
         self._steps = _times(config.horizon, hold, "horizon", "control_timestep")
         planning = config.planning_timestep
-        self._looks = _times(hold, planning, "control_timestep", "planning_timestep")
+        self._substeps = _times(hold, planning, "control_timestep", "planning_timestep")
         # MuJoCo has no derivatives of a scene in which keys sleep.
         waking = build_scene(replace(task.scene.config, sleeping_keys=False))
         scene = in_steps_of(waking, planning)
         self._rollouts = PlanningSimulation(scene, 1 + config.num_step_sizes, planning, num_threads)
-        shape = (self._steps, self._looks)
+        shape = (self._steps, self._substeps)
         self._lineariser = Lineariser(scene, *shape, num_threads, config.centred)
         self._step_sizes = np.append(0.0, np.geomspace(1.0, 1e-3, config.num_step_sizes))
         self._goals = view.tracks[0].goals
-        self._task, self._cost = task, _Cost(task, self._goals, self._steps, self._looks)
+        self._task, self._cost = task, _Cost(task, self._goals, self._steps, self._substeps)
         low, high = task.action_low[:-1], task.action_high[:-1]
         self._centre, self._half_range = (low + high) / 2, (high - low) / 2
         self._rest = (np.clip(0.0, low, high) - self._centre) / self._half_range
@@ -111,7 +111,7 @@ class ILQGPlanner:
     def _act(self, view: View) -> Array:
         now = int(view.steps[0])
         start = as_mujoco(view.simulation).physics_state(int(view.env_ids[0]))
-        self._cost.look_ahead(now)
+        self._cost.set_horizon(now)
         improved = True
         for _ in range(self.config.iterations):
             if improved:
@@ -131,24 +131,24 @@ class ILQGPlanner:
             self.seconds[part] += time.perf_counter() - started
 
     def _ctrl(self, controls: Array) -> Array:
-        """Controls in half ranges in actuator units."""
+        """Controls that are given in half ranges, in actuator units."""
         limits = self._task.action_low[:-1], self._task.action_high[:-1]
         return np.clip(self._centre + self._half_range * controls, *limits)
 
     def _approximate(self, start: Array) -> Model:
-        """The quadratic model around the nominal; its controls are in half ranges."""
-        seen = self._lineariser.linearise(start, self._ctrl(self._nominal))
-        n = seen.jacobian.shape[-2]
-        seen.jacobian[..., n:] *= self._half_range
-        gradient, hessian = self._cost.derivatives(seen)
+        """The Gauss-Newton model around the nominal; its controls are in half ranges."""
+        linearised = self._lineariser.linearise(start, self._ctrl(self._nominal))
+        n = linearised.jacobian.shape[-2]
+        linearised.jacobian[..., n:] *= self._half_range
+        gradient, hessian = self._cost.derivatives(linearised)
         weight = self.config.control_weight
         gradient[:, n:] += weight * (self._nominal - self._rest)
         diagonal = np.arange(n, n + len(self._rest))
         hessian[:, diagonal, diagonal] += weight
-        return Model(seen.jacobian[:, -1], gradient, hessian)
+        return Model(linearised.jacobian[:, -1], gradient, hessian)
 
     def _improve(self, model: Model, start: Array) -> bool:
-        """Takes the best step of one backward pass; whether it is better than none."""
+        """Takes the best step of one backward pass, and returns whether it is an improvement."""
         limit = np.ones(len(self._rest))
         try:
             with self._timed("backward pass"):
@@ -160,7 +160,7 @@ class ILQGPlanner:
             self._damping.decrease()  # or it would be the reason
             return False
         with self._timed("line search"):
-            candidates, cost = self._search(law, start)
+            candidates, cost = self._line_search(law, start)
         best = int(np.argmin(cost))
         self._nominal = candidates[best]
         if self._step_sizes[best] >= _TRUSTED_STEP:
@@ -169,8 +169,8 @@ class ILQGPlanner:
             self._damping.increase()
         return best > 0
 
-    def _search(self, law: FeedbackLaw, start: Array) -> tuple[Array, Array]:
-        """Carries the law out with every step size, 0 first, which is the nominal itself.
+    def _line_search(self, law: FeedbackLaw, start: Array) -> tuple[Array, Array]:
+        """Rolls the law out with every step size, of which the first is 0: the nominal itself.
 
         Returns:
             Controls (N, K, A) in half ranges and their cost (N,).
@@ -185,19 +185,19 @@ class ILQGPlanner:
             change = sizes * law.offset[k] + deviation @ law.gain[k].T
             controls[:, k] = np.clip(nominal + change, -1.0, 1.0)
             ctrl = self._ctrl(controls[:, k])
-            states = rollouts.rollout(np.repeat(ctrl[:, None], self._looks, axis=1))
+            states = rollouts.rollout(np.repeat(ctrl[:, None], self._substeps, axis=1))
             cost += self._cost.of_step(k, states.key_qpos, states.fingertip_xpos, states.key_xpos)
         cost += self.config.control_weight / 2 * ((controls - self._rest) ** 2).sum(axis=(1, 2))
         return controls, np.where(rollouts.state.unstable, np.inf, cost)
 
 
-class _Misses(NamedTuple):
-    """How far keys and fingers are from where they are wanted, at R moments."""
+class _Residuals(NamedTuple):
+    """Residuals of keys and fingers at R moments."""
 
     keys: Array
-    """(R, K) state of the keys less that wanted."""
+    """(R, K) state of the keys less their goals."""
     pairs: Pairs
-    """Q of a finger and its key, at such a moment."""
+    """Q pairs of a finger and its key, whose rows are the moments."""
 
 
 class _Cost:
@@ -206,37 +206,37 @@ class _Cost:
     Over K control steps, counted P times in each.
     """
 
-    def __init__(self, task: TaskSpec, goals: Goals, num_steps: int, num_looks: int) -> None:
+    def __init__(self, task: TaskSpec, goals: Goals, num_steps: int, num_substeps: int) -> None:
         self._task, self._goals = task, goals
-        self._num_steps, self._num_looks = num_steps, num_looks
+        self._num_steps, self._num_substeps = num_steps, num_substeps
 
-    def look_ahead(self, now: int) -> None:
-        """The next control steps begin with step `now` of the song."""
-        self._wanted, self._fingers = self._goals.at(np.arange(now, now + self._num_steps))
+    def set_horizon(self, now: int) -> None:
+        """Makes step `now` of the song the first of the horizon."""
+        self._keys, self._fingers = self._goals.at(np.arange(now, now + self._num_steps))
 
     def of_step(self, step: int, key_qpos: Array, tips: Array, centres: Array) -> Array:
         """(N,) cost of control step `step`; arrays (N, P, ...) as in `State`."""
         num = len(key_qpos)
-        steps = np.full(num * self._num_looks, step)
-        misses = self._misses(steps, _flat(key_qpos), _flat(tips), _flat(centres))
-        cost = _norm(misses.keys, _KEY_RADIUS) - _KEY_RADIUS
-        fingers = _norm(misses.pairs.offset, _FINGER_RADIUS) - _FINGER_RADIUS
-        fingers *= misses.pairs.share
-        cost += np.bincount(misses.pairs.row, fingers, minlength=len(cost))
+        steps = np.full(num * self._num_substeps, step)
+        residuals = self._residuals(steps, flattened(key_qpos), flattened(tips), flattened(centres))
+        cost = _norm(residuals.keys, _KEY_RADIUS) - _KEY_RADIUS
+        fingers = _norm(residuals.pairs.offset, _FINGER_RADIUS) - _FINGER_RADIUS
+        fingers *= residuals.pairs.share
+        cost += np.bincount(residuals.pairs.row, fingers, minlength=len(cost))
         return cost.reshape(num, -1).sum(axis=1)
 
-    def derivatives(self, seen: Linearisation) -> tuple[Array, Array]:
+    def derivatives(self, linearised: Linearisation) -> tuple[Array, Array]:
         """Gradient (K, 2 V + A) and Gauss-Newton Hessian (K, 2 V + A, 2 V + A) of each step."""
-        jacobian = _flat(seen.jacobian)
-        steps = np.repeat(np.arange(self._num_steps), self._num_looks)
-        tips, centres = _flat(seen.fingertip_xpos), _flat(seen.key_xpos)
-        misses = self._misses(steps, _flat(seen.key_qpos), tips, centres)
-        by_keys, by_offset = self._jacobians(seen, misses, jacobian)
+        jacobian = flattened(linearised.jacobian)
+        steps = np.repeat(np.arange(self._num_steps), self._num_substeps)
+        tips, centres = flattened(linearised.fingertip_xpos), flattened(linearised.key_xpos)
+        residuals = self._residuals(steps, flattened(linearised.key_qpos), tips, centres)
+        by_keys, by_offset = self._jacobians(linearised, residuals, jacobian)
         gradients, hessians = [], []
         for step in range(self._num_steps):
-            mine, pairs = steps == step, steps[misses.pairs.row] == step
-            offset, share = misses.pairs.offset[pairs], misses.pairs.share[pairs]
-            of_keys = _weighted(misses.keys[mine], by_keys[mine], _KEY_RADIUS)
+            mine, pairs = steps == step, steps[residuals.pairs.row] == step
+            offset, share = residuals.pairs.offset[pairs], residuals.pairs.share[pairs]
+            of_keys = _weighted(residuals.keys[mine], by_keys[mine], _KEY_RADIUS)
             of_fingers = _weighted(offset, by_offset[pairs], _FINGER_RADIUS, share)
             residual, rows = map(np.concatenate, zip(of_keys, of_fingers, strict=True))
             gradients.append(rows.T @ residual)
@@ -244,26 +244,26 @@ class _Cost:
         return np.array(gradients), np.array(hessians)
 
     def _jacobians(
-        self, seen: Linearisation, misses: _Misses, jacobian: Array
+        self, linearised: Linearisation, residuals: _Residuals, jacobian: Array
     ) -> tuple[Array, Array]:
-        """Derivatives of the misses, (R, K, 2 V + A) and (Q, 3, 2 V + A).
+        """Derivatives of the residuals, (R, K, 2 V + A) and (Q, 3, 2 V + A).
 
         A key's state is taken to go on beyond its stops, or one at rest would seem immovable.
         """
-        moment, finger, key = misses.pairs[:3]
+        moment, finger, key = residuals.pairs[:3]
         keys = self._task.scene.key_qpos
         of_keys = jacobian[:, keys]
-        of_tips = _flat(seen.fingertip_jacobian)[moment, finger]
-        of_centres = _flat(seen.key_jacobian)[moment, key]
+        of_tips = flattened(linearised.fingertip_jacobian)[moment, finger]
+        of_centres = flattened(linearised.key_jacobian)[moment, key]
         by_offset = of_tips @ jacobian[moment, : of_tips.shape[-1]]
         by_offset -= of_centres[:, :, None] * of_keys[moment, key][:, None]
         return of_keys / self._task.scene.keyboard.travel[:, None], by_offset
 
-    def _misses(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Misses:
-        wanted = self._wanted[steps]
-        pairs = pairs_of(self._task, tips, centres, wanted, self._fingers[steps])
+    def _residuals(self, steps: Ids, key_qpos: Array, tips: Array, centres: Array) -> _Residuals:
+        keys = self._keys[steps]
+        pairs = pairs_of(self._task, tips, centres, keys, self._fingers[steps])
         travel = self._task.scene.keyboard.travel
-        return _Misses(reward.key_state(key_qpos, travel) - wanted, pairs)
+        return _Residuals(reward.key_state(key_qpos, travel) - keys, pairs)
 
 
 def _norm(residual: Array, radius: float) -> Array:
@@ -276,12 +276,7 @@ def _weighted(
 ) -> tuple[Array, Array]:
     """Rows (R r, ...) of a least squares problem: residuals (R, r), derivatives (R, r, z)."""
     weight = (share / _norm(residual, radius)) ** 0.5
-    return (residual * weight[:, None]).ravel(), _flat(jacobian * weight[:, None, None])
-
-
-def _flat(values: Array) -> Array:
-    """(N, K, ...) as (N * K, ...)."""
-    return values.reshape(-1, *values.shape[2:])
+    return (residual * weight[:, None]).ravel(), flattened(jacobian * weight[:, None, None])
 
 
 class _Damping:

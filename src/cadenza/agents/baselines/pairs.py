@@ -1,4 +1,4 @@
-"""Which finger is to press which key, one pair after the other."""
+"""Which finger should press which key, and the distances between them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Pairs(NamedTuple):
     """P fingers, each with a key to press."""
 
     row: Ids
-    """(P,) of 0..N-1, that the pair belongs to."""
+    """(P,) of 0..N-1, to which the pair belongs."""
     finger: Ids
     """(P,)"""
     key: Ids
     """(P,)"""
     offset: Array
-    """(P, 3) from where on its key the finger is wanted to where it is [m]."""
+    """(P, 3) from where the finger should press its key to the fingertip [m]."""
     share: Array
     """(P,) 1 over the number of pairs in its row, which makes a sum the mean over the fingers."""
 
@@ -37,22 +37,27 @@ def pairs_of(
     keys: NDArray[np.bool_],
     fingers: NDArray[np.int8],
 ) -> Pairs:
-    """By the score or, as the task is configured, by the least way.
+    """The pairs that the score gives or, as the task is configured, optimal transport.
 
     Args:
         task: with hands.
         fingertips: (N, F, 3) [m].
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         keys: (N, K) to press.
-        fingers: (N, K) that the score gives them, -1 for none.
+        fingers: (N, K) by the score, -1 for none.
     """
     press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers_there
     if task.config.fingering == "transport":
-        of_fingers = keys_by_transport_on_host(fingertips, key_xpos, press, keys, there)
-        row, finger = (of_fingers >= 0).nonzero()
-        key = of_fingers[row, finger]
+        key_of_finger = keys_by_transport_on_host(fingertips, key_xpos, press, keys, there)
+        row, finger = (key_of_finger >= 0).nonzero()
+        key = key_of_finger[row, finger]
     else:
         row, key = (fingers >= 0).nonzero()
         finger = fingers[row, key].astype(np.intp)
     offset = fingertips[row, finger] - key_xpos[row, key] - press[key]
     return Pairs(row, finger, key, offset, 1.0 / np.bincount(row)[row])
+
+
+def flattened(values: Array) -> Array:
+    """(N, K, ...) as (N * K, ...)."""
+    return values.reshape(-1, *values.shape[2:])

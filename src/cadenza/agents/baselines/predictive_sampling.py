@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cadenza.agents.agent import Array, PlannerPerEnv
-from cadenza.agents.baselines.pairs import pairs_of
+from cadenza.agents.baselines.pairs import flattened, pairs_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, PredictiveSamplingConfig
 from cadenza.configs import check_ranges
 from cadenza.errors import CadenzaError
@@ -83,7 +83,7 @@ class SamplingPlanner:
         return np.append(self._clip(best(0.0)), pedal)
 
     def _iterations(self) -> Iterator[None]:
-        """Goes on while something is to be tried in this control step: once or more."""
+        """Yields for each iteration of this control step: one or more, as the budget allows."""
         if self.config.budget is None:
             yield from [None] * self.config.iterations
             return
@@ -106,7 +106,7 @@ class SamplingPlanner:
         return np.clip(ctrl, self._low, self._high)
 
     def _roll_out(self, candidates: Array, view: View) -> Array:
-        """(num_candidates,) cost of carrying the candidates out from where `view` is."""
+        """(num_candidates,) costs of rollouts of the candidates from the state of `view`."""
         config, hold = self.config, self._task.config.control_timestep
         steps = round(config.horizon / config.planning_timestep)
         times = np.arange(steps) * config.planning_timestep
@@ -129,19 +129,14 @@ class SamplingPlanner:
         """
         goals, fingers = self._goals.at(rows)
         shape = states.key_qpos.shape[:2]
-        wanted = np.tile(goals, (shape[0], 1))
-        depth = reward.key_state(_flat(states.key_qpos), self._task.scene.keyboard.travel)
-        keys = np.linalg.norm(depth - wanted, axis=1)
-        tips, centres = _flat(states.fingertip_xpos), _flat(states.key_xpos)
+        keys = np.tile(goals, (shape[0], 1))
+        depth = reward.key_state(flattened(states.key_qpos), self._task.scene.keyboard.travel)
+        cost = np.linalg.norm(depth - keys, axis=1)
+        tips, centres = flattened(states.fingertip_xpos), flattened(states.key_xpos)
         by_score = np.tile(fingers, (shape[0], 1))
-        pairs = pairs_of(self._task, tips, centres, wanted, by_score)
+        pairs = pairs_of(self._task, tips, centres, keys, by_score)
         distance = pairs.share * np.linalg.norm(pairs.offset, axis=1)
-        return (keys + np.bincount(pairs.row, distance, len(keys))).reshape(shape)
-
-
-def _flat(values: Array) -> Array:
-    """(N, K, ...) as (N * K, ...)."""
-    return values.reshape(-1, *values.shape[2:])
+        return (cost + np.bincount(pairs.row, distance, len(cost))).reshape(shape)
 
 
 def _check(config: PredictiveSamplingConfig) -> None:

@@ -31,29 +31,29 @@ from cadenza.sim.protocol import State
 from cadenza.tasks import reward
 
 Array = NDArray[np.float64]
-Law = Callable[[int, State], Array]  # of a step and of states (N, ...), controls (N, A)
+Policy = Callable[[int, State], Array]  # controls (N, A) for a step and states (N, ...)
 
-_LEAD = 0.15  # [s] before a press in which its window begins
-_BEYOND = 0.25  # [s] of the next window that a window looks at
-_SHORTEST = 0.15  # [s] of a window
+_LEAD = 0.15  # [s] from the beginning of a window to its press
+_LOOK_AHEAD = 0.25  # [s] after a window whose cost counts
+_MIN_WINDOW = 0.15  # [s]
 
-# What counts as one: deviations of slides [m] and of hinges [rad], their speeds [/s].
+# Units of deviations of slides [m] and hinges [rad], and of their speeds, in these per second.
 _SLIDE, _HINGE, _PER_SECOND = 0.01, 0.1, 10.0
-_DIFFERENCE = 0.2  # of that, for derivatives
+_DIFFERENCE = 0.2  # of these units: finite differences
 
 # Weights of half the squares in the cost of a step.
-_MISTAKE = 3.0  # not squared, and known to the line search only
-_ALMOST = 6.0  # of a key's travel that lacks, or that goes beyond what does no harm
-_PLAYING, _IDLE = 6000.0, 400.0  # [1 / m^2] of fingertips from where they should be
-_ALONG_KEY = 0.55  # distances along the key count less
-_CONTROL = 0.05  # of controls from the nominal ones
+_MISTAKE = 3.0  # of a wrong key: not squared, and known to the line search only
+_DEPTH = 6.0  # of a key's distance from its harmless range, in units of its travel
+_PLAYING, _IDLE = 6000.0, 400.0  # [1 / m^2] of fingertip errors
+_ALONG_KEY = 0.55  # errors along the key count less
+_CONTROL = 0.05  # of deviations of the controls from the nominal ones
 _STEP_SIZES = np.append(0.0, np.geomspace(1.0, 0.05, 7))
-_DAMPING = 0.1
-_MORE_DAMPING = 10.0
+_REGULARISATION = 0.1
+_MORE_REGULARISATION = 10.0  # times as much after a line search without success
 
-# The same for tracking.
-_TRACK_TIP = 1e4
-_TRACK_STATE = 0.1
+# Weights of half the squares in the cost of tracking.
+_TRACK_TIP = 1e4  # [1 / m^2] of fingertips
+_TRACK_STATE = 0.1  # of joints
 _TRACK_CONTROL = 1.0
 
 
@@ -69,7 +69,7 @@ class Trajectory(NamedTuple):
 
 
 class _Window(NamedTuple):
-    """Controls of the steps from `first` on."""
+    """A rollout of the K steps from `first` on."""
 
     first: int
     ctrl: Array
@@ -103,8 +103,8 @@ class PressOptimisation:
         num_threads: that share the simulations.
         """
         self._part, self._tracking, self._config = part, tracking, config
-        self._starts = _starts(onsets, steps_in(_LEAD, dt), steps_in(_SHORTEST, dt))
-        self._beyond = steps_in(_BEYOND, dt)
+        self._starts = _starts(onsets, steps_in(_LEAD, dt), steps_in(_MIN_WINDOW, dt))
+        self._look_ahead = steps_in(_LOOK_AHEAD, dt)
         self._servos, self._travel = servos_of(scene), scene.keyboard.travel
         self._sounds_from = scene.keyboard.sounds_from
         self._to_posture = np.linalg.pinv(self._servos.joints)
@@ -119,13 +119,16 @@ class PressOptimisation:
         self._lineariser = HandLineariser(scene, difference, dt, num_threads)
 
     def optimise(self, hand_qpos: Array, progress: Progress = silent) -> Trajectory:
-        """From joints at rest at `hand_qpos` (J,) on; `progress` is told of "presses", in steps."""
+        """The trajectory from joints at rest at `hand_qpos` (J,).
+
+        `progress` is told of "presses", in steps.
+        """
         steps = len(self._tracking.ctrl)
         self._now.reset(hand_qpos=hand_qpos[None])
         ctrl, states = [], []
         for first, following in pairwise([*self._starts, steps]):
             progress("presses", first, steps)
-            last = min(following + self._beyond, steps)
+            last = min(following + self._look_ahead, steps)
             window = self._improved(self._window(first, last))
             kept = following - first
             ctrl.append(window.ctrl[:kept])
@@ -133,46 +136,46 @@ class PressOptimisation:
             self._now.rollout(ctrl[-1][None])
         self._now.reset(hand_qpos=hand_qpos[None])
         whole = np.concatenate(ctrl)
-        seen = self._lineariser.linearise(self._now, whole)
-        return Trajectory(whole, np.concatenate(states), self._gains(seen))
+        linearised = self._lineariser.linearise(self._now, whole)
+        return Trajectory(whole, np.concatenate(states), self._gains(linearised))
 
     # One window
 
     def _window(self, first: int, last: int) -> _Window:
-        """As the nominal plan has it, each servo brought back to it by itself."""
+        """A rollout of the nominal plan, with feedback for each servo by itself."""
 
-        def law(step: int, state: State) -> Array:
+        def policy(step: int, state: State) -> Array:
             here = np.stack([state.hand_qpos[0], state.hand_qvel[0]], axis=1)
             change = self._tracking.feedback(step, self._to_posture.T @ here)
             return (self._tracking.ctrl[step] - change)[None]
 
-        return self._roll_out(self._single, first, last, law)[0]
+        return self._roll_out(self._single, first, last, policy)[0]
 
     def _improved(self, window: _Window) -> _Window:
-        damping = _DAMPING
-        known: Model | None = None
+        regularisation = _REGULARISATION
+        model: Model | None = None
         for _ in range(self._config.iterations):
             if not window.mistakes:
                 break
-            if known is None:
-                known = self._approximate(window)
-            better = self._step(window, known, damping)
+            if model is None:
+                model = self._approximate(window)
+            better = self._step(window, model, regularisation)
             if better is None:
-                damping *= _MORE_DAMPING
+                regularisation *= _MORE_REGULARISATION
             else:
-                window, known = better, None
+                window, model = better, None
         return window
 
     def _approximate(self, window: _Window) -> Model:
-        """The quadratic model around a window, in units."""
-        seen = self._lineariser.linearise(self._now, window.ctrl)
-        transition = seen.hands * self._unit / self._state_unit[:, None]
+        """The Gauss-Newton model around a window, in units of deviations."""
+        linearised = self._lineariser.linearise(self._now, window.ctrl)
+        transition = linearised.hands * self._unit / self._state_unit[:, None]
         gradients, hessians = [], []
         for k in range(len(window.ctrl)):
-            residual, slope = self._residual(seen, window.first + k, k)
-            slope = slope * self._unit
-            gradients.append(slope.T @ residual)
-            hessians.append(slope.T @ slope)
+            residual, jacobian = self._residual(linearised, window.first + k, k)
+            jacobian = jacobian * self._unit
+            gradients.append(jacobian.T @ residual)
+            hessians.append(jacobian.T @ jacobian)
         gradient, hessian = np.array(gradients), np.array(hessians)
         steps = slice(window.first, window.first + len(window.ctrl))
         first = len(self._state_unit)  # of the controls
@@ -182,36 +185,36 @@ class PressOptimisation:
         return Model(transition, gradient, hessian)
 
     def _from_nominal(self, ctrl: Array, steps: int | slice) -> Array:
-        """How far controls (..., A) are from those of the nominal plan, in units."""
+        """Deviations of controls (..., A) from those of the nominal plan, in units."""
         return (ctrl - self._tracking.ctrl[steps]) / self._ctrl_unit
 
-    def _step(self, window: _Window, model: Model, damping: float) -> _Window | None:
-        """The best of all step sizes, if it is better than none."""
+    def _step(self, window: _Window, model: Model, regularisation: float) -> _Window | None:
+        """The line search: the cheapest rollout, if it is cheaper than `window`."""
         unit = self._ctrl_unit
         low, high = self._servos.low / unit, self._servos.high / unit
-        policy = backward_pass(model, window.ctrl / unit, low, high, damping)
+        law = backward_pass(model, window.ctrl / unit, low, high, regularisation)
 
-        def law(step: int, state: State) -> Array:
+        def policy(step: int, state: State) -> Array:
             k = step - window.first
             deviation = (_coordinates(state) - window.before[k]) / self._state_unit
-            change = _STEP_SIZES[:, None] * policy.offset[k] + deviation @ policy.gain[k].T
+            change = _STEP_SIZES[:, None] * law.offset[k] + deviation @ law.gain[k].T
             return window.ctrl[k] + change * unit
 
         last = window.first + len(window.ctrl)
-        tried = self._roll_out(self._batch, window.first, last, law)
+        tried = self._roll_out(self._batch, window.first, last, policy)
         best = min(tried, key=lambda candidate: candidate.cost)
         return best if best.cost < window.cost else None
 
     def _roll_out(
-        self, simulation: PlanningSimulation, first: int, last: int, law: Law
+        self, simulation: PlanningSimulation, first: int, last: int, policy: Policy
     ) -> list[_Window]:
-        """What comes of a law from now on in each simulation of a batch."""
+        """Rolls a policy out from now on, in each simulation of a batch."""
         simulation.copy_from(self._now, 0)
         ctrl, before = [], []
         cost, mistakes = np.zeros(simulation.num_envs), np.zeros(simulation.num_envs, np.intp)
         for step in range(first, last):
             before.append(_coordinates(simulation.state))
-            control = self._servos.clip(law(step, simulation.state))
+            control = self._servos.clip(policy(step, simulation.state))
             simulation.step(control)
             ctrl.append(control)
             mistakes += self._mistakes(simulation.state, step)
@@ -232,38 +235,38 @@ class PressOptimisation:
         return ((mine & ~sounding) | (wrong & sounding)).sum(axis=1)
 
     def _cost(self, state: State, step: int) -> Array:
-        keys, tips = self._misses(state, step)
+        keys, tips = self._residuals(state, step)
         return ((keys**2).sum(axis=1) + (tips**2).sum(axis=(1, 2))) / 2
 
-    def _misses(self, state: State, step: int) -> tuple[Array, Array]:
+    def _residuals(self, state: State, step: int) -> tuple[Array, Array]:
         """Weighted residuals (N, K), (N, F, 3) of the states after `step`."""
         part, depth = self._part, reward.key_state(state.key_qpos, self._travel)
-        lacking = np.where(part.mine[step], depth - 1.0, 0.0)
-        harm = np.where(part.wrong[step], np.maximum(depth - HARMLESS_DEPTH, 0.0), 0.0)
-        offset = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
-        return np.sqrt(_ALMOST) * (lacking + harm), self._tip_weight(step) * offset
+        too_high = np.where(part.mine[step], depth - 1.0, 0.0)
+        too_deep = np.where(part.wrong[step], np.maximum(depth - HARMLESS_DEPTH, 0.0), 0.0)
+        error = state.fingertip_xpos[:, part.fingers] - part.fingertips[step + 1]
+        return np.sqrt(_DEPTH) * (too_high + too_deep), self._tip_weight(step) * error
 
     def _tip_weight(self, step: int) -> Array:
-        """(F, 3)"""
+        """(F, 3) square roots of the weights of fingertip errors."""
         weight = np.sqrt(np.where(self._part.playing[step + 1], _PLAYING, _IDLE))
         return weight[:, None] * np.array([_ALONG_KEY, 1.0, 1.0])
 
-    def _residual(self, seen: HandLinearisation, step: int, k: int) -> tuple[Array, Array]:
-        """Residuals (R,) of the state after row `k` and their derivatives (R, 2 J + A)."""
-        state = State._make(values[k : k + 1] for values in seen.states)
-        keys, tips = self._misses(state, step)
+    def _residual(self, linearised: HandLinearisation, step: int, k: int) -> tuple[Array, Array]:
+        """Residuals (R,) of the state after the k-th step, and derivatives (R, 2 J + A) by z."""
+        state = State._make(values[k : k + 1] for values in linearised.states)
+        keys, tips = self._residuals(state, step)
         there = np.flatnonzero(keys[0])
-        by_keys = np.sqrt(_ALMOST) * seen.keys[k, there] / self._travel[there, None]
-        by_tips = self._tip_weight(step)[..., None] * seen.fingertips[k, self._part.fingers]
+        by_keys = np.sqrt(_DEPTH) * linearised.keys[k, there] / self._travel[there, None]
+        by_tips = self._tip_weight(step)[..., None] * linearised.fingertips[k, self._part.fingers]
         residual = np.concatenate([keys[0, there], tips[0].ravel()])
         return residual, np.concatenate([by_keys, by_tips.reshape(-1, by_tips.shape[-1])])
 
     # Tracking
 
-    def _gains(self, seen: HandLinearisation) -> Array:
-        """(T, A, 2 J) of the regulator that keeps fingertips and joints where they are."""
-        transition = seen.hands * self._unit / self._state_unit[:, None]
-        tips = seen.fingertips[:, self._part.fingers] * self._unit
+    def _gains(self, linearised: HandLinearisation) -> Array:
+        """(T, A, 2 J) gains of the regulator that keeps fingertips and joints on the trajectory."""
+        transition = linearised.hands * self._unit / self._state_unit[:, None]
+        tips = linearised.fingertips[:, self._part.fingers] * self._unit
         rows = tips.reshape(len(tips), -1, tips.shape[-1])
         hessian = _TRACK_TIP * rows.transpose(0, 2, 1) @ rows
         hessian += _TRACK_STATE * transition.transpose(0, 2, 1) @ transition
@@ -286,7 +289,7 @@ def regulator(transition: Array, hessian: Array) -> Array:
 
 
 def _starts(onsets: NDArray[np.intp], lead: int, shortest: int) -> list[int]:
-    """First steps of the windows."""
+    """First steps of the windows, which are at least `shortest` steps long."""
     starts = [0]
     for onset in np.unique(onsets):
         if onset - lead >= starts[-1] + shortest:
@@ -295,10 +298,10 @@ def _starts(onsets: NDArray[np.intp], lead: int, shortest: int) -> list[int]:
 
 
 def _units(names: tuple[str, ...]) -> Array:
-    """Of joints or servos: forearms slide, all others turn."""
+    """Units of joints or servos: forearms slide, all others turn."""
     return np.array([_SLIDE if "forearm_t" in name else _HINGE for name in names])
 
 
 def _coordinates(state: State) -> Array:
-    """(N, 2 J)"""
+    """(N, 2 J) positions and speeds of the joints."""
     return np.concatenate([state.hand_qpos, state.hand_qvel], axis=1)

@@ -22,9 +22,9 @@ from cadenza.tasks.view import View
 
 
 class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
-    """Plans everything when an episode begins; then only feedback is left.
+    """Plans everything when an episode begins, and then plays it with feedback.
 
-    What is fed back are positions and speeds of a hand's own joints, not the keys'. Nothing is
+    The feedback is of positions and speeds of a hand's own joints, not of the keys. Nothing is
     random. Its progress is that of "fingers", "postures" and, a hand at a time, "presses".
     """
 
@@ -48,8 +48,8 @@ class TrackingPlanner:
     """Plays one song.
 
     Attributes:
-        plan: before it is optimised.
-        trajectories: what each hand is to do.
+        plan: the nominal plan.
+        trajectories: optimised, of each hand.
     """
 
     def __init__(

@@ -7,7 +7,7 @@ import numpy as np
 from cadenza.agents.agent import Array
 from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.planner.plan.tracking import Follower
-from cadenza.agents.planner.search.networks.inputs import FAR, About, Corrections, HandInputs
+from cadenza.agents.planner.search.networks.inputs import FAR, Corrections, HandInputs, InputLayout
 from cadenza.agents.planner.search.networks.weights import Floats, Weights
 from cadenza.scene.scene import hand_alone
 from cadenza.sim.protocol import State
@@ -33,7 +33,7 @@ class CorrectedHands:
         self._alone = hand_alone(scene, self._sides[0]).scene
         self.servos = scene.servos_on(*self._sides)
         self.corrections = Corrections.of(self._sides, self._alone)
-        self.about = About.of(self._alone)
+        self.about = InputLayout.of(self._alone)
         self.answer = np.zeros_like(self.corrections.sign)
         self.follow(plan, 0)
 

@@ -1,1 +1,1 @@
-"""Songs put together from motions that are planned once, and played open loop."""
+"""Plays songs open loop, from motions that are planned once and stitched together."""

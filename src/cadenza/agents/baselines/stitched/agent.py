@@ -1,4 +1,4 @@
-"""Plays a song with motions that are planned once and stitched together, open loop."""
+"""The agent that stitches motions together, and plays them open loop."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from cadenza.scene.servos import servos_of
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.view import View
 
-# Of the acceleration with which the planner's hands jump, and of how far they reach without a
-# jump: it can mend landings that fail.
-_UNHURRIED, _NEAR = 0.125, 0.7
-# Times what a white key takes. A fingertip would slip off a black one.
-_FIRMLY = 1.5
+# Shares of the acceleration with which the planner's hands jump, and of how far they reach without
+# a jump: the planner can correct landings that fail.
+_ACCELERATION, _REACH = 0.125, 0.7
+# Times the force that a white key takes. A fingertip would slip off a black one.
+_WHITE_KEY_FORCE = 1.5
 
 
 class Stitched(PlannerPerEnv["StitchedSong"]):
-    """Plans everything when an episode begins, and then does not look.
+    """Plans everything when an episode begins, and plays it without feedback.
 
     Nothing is random. Its progress is that of "fingers" and "motions".
     """
@@ -46,7 +46,7 @@ class StitchedSong:
     """Plays one song.
 
     Attributes:
-        plan: of all of it.
+        plan: of the whole song.
     """
 
     def __init__(self, view: View, progress: Progress) -> None:
@@ -59,7 +59,7 @@ class StitchedSong:
         """
         (track,) = view.tracks
         with threadpool_limits(1):  # small matrices, and the same bits everywhere
-            self.plan = _planned(track, view.state.hand_qpos[0], progress)
+            self.plan = _plan(track, view.state.hand_qpos[0], progress)
         self._pedal = self.plan.goals.sustain.astype(np.float64)
 
     def act(self, view: View) -> Array:
@@ -67,8 +67,8 @@ class StitchedSong:
         return np.append(self.plan.nominal.tracking.ctrl[step], self._pedal[step])
 
 
-def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
-    """How hands whose joints begin at `start` (J,) [m, rad] play all of a song."""
+def _plan(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
+    """The plan of a song for hands whose joints begin at `start` (J,) [m, rad]."""
     if not track.scene.sides:
         raise CadenzaError("cannot plan: this scene has no hands")
     track = track.with_found_fingers().fingered(partial(progress, "fingers"))
@@ -91,12 +91,12 @@ def _planned(track: GoalTrack, start: Array, progress: Progress) -> SongPlan:
     targets = targets_of(scene, presses, states, dt)
     for press in presses:
         if not scene.keyboard.is_black[press.key]:
-            targets.force[press.first : press.last, press.finger] *= _FIRMLY
+            targets.force[press.first : press.last, press.finger] *= _WHITE_KEY_FORCE
     found = PostureTrajectory(postures, postures, targets)
     return SongPlan(scene, track, goals, planner.track(before, presses, found))
 
 
 def _unhurried(times: JumpTimes) -> JumpTimes:
-    slower = times.hurried(_UNHURRIED)
+    slower = times.hurried(_ACCELERATION)
     # Onto black keys no sooner: that has cost more than it gained.
-    return replace(slower, within_reach=_NEAR * slower.within_reach, climb=RISE)
+    return replace(slower, within_reach=_REACH * slower.within_reach, climb=RISE)

@@ -20,28 +20,28 @@ from cadenza.scene.servos import servos_of
 Array = NDArray[np.float64]
 
 Held = tuple[tuple[int, int], ...]
-"""Fingers that are down, by their numbers, and their keys."""
+"""(finger, key) of each finger that is down."""
 
 _BEFORE = 0.2  # [s] of a motion before the keys change, in which fingers get over the next ones
 _AFTER = 0.15  # [s] after it, in which the others get off theirs
 _GAP = 0.3  # [s] from letting go to striking, at most
-_AT_LEISURE = 10.0  # [s] between postures that are far from each other in time
+_AT_REST = 10.0  # [s] between two postures, so that the speed of the motion costs nothing
 _OCTAVE = 12
 
 
 class Change(NamedTuple):
-    """What a hand holds changes: it lets go of keys, and strikes others then or soon after."""
+    """A hand releases keys, and strikes others at the same time or soon after."""
 
     left: Held
     still: Held
-    """What of it is still held when others are let go."""
+    """What is still held when others have been released."""
     struck: Held
     """What is held when others have been struck, too."""
     gap: int
-    """States from letting go to striking."""
+    """States from releasing to striking."""
 
     def lowered(self, keys: int) -> Change:
-        """The same on keys so much lower."""
+        """The same change on keys that are `keys` lower."""
         left, still, struck = (
             tuple((finger, key - keys) for finger, key in held) for held in self[:3]
         )
@@ -56,7 +56,7 @@ class Motions:
     does not depend on what else was asked for.
 
     Attributes:
-        before: states of a motion before the one in which keys have been let go.
+        before: states of a motion before the one in which keys have been released.
         after: states of a motion after the one in which others have been struck.
         longest_gap: states between both, at most.
     """
@@ -83,7 +83,7 @@ class Motions:
         return len(self._known)
 
     def of(self, change: Change) -> Array:
-        """(N, A) from the keys that are held, in row 0, to others; they leave in row `before`."""
+        """(N, A) postures of a change: row 0 holds its first keys, which row `before` releases."""
         up = self._octaves([key for _, key in change.left + change.struck])
         lowered = change.lowered(up)
         if lowered not in self._known:
@@ -95,9 +95,9 @@ class Motions:
         return motion
 
     def _octaves(self, keys: list[int]) -> int:
-        """How far, in keys of whole octaves, they are above where their motion is planned.
+        """How many keys, in whole octaves, `keys` are above where their motion is planned.
 
-        That is about the middle of the keyboard.
+        Motions are planned about the middle of the keyboard.
         """
         lowest = min(keys)
         room = self._keyboard.num_keys - (max(keys) - lowest)
@@ -126,16 +126,16 @@ class Motions:
         return self._postures(targets, guess, self._dt)
 
     def _holding(self, held: Held, guess: Array) -> Array:
-        """(A,) at rest with keys down."""
+        """(A,) posture at rest with keys down."""
         presses = [Press(self._side, finger, key, 1, 2) for finger, key in held]
         targets = targets_of(self._scene, presses, 2, self._dt)
-        return self._postures(targets, np.stack([guess, guess]), _AT_LEISURE)[1]
+        return self._postures(targets, np.stack([guess, guess]), _AT_REST)[1]
 
     def _postures(self, targets: Targets, guess: Array, dt: float) -> Array:
-        """(S, A) those of a hand that was still before; `dt` [s] between them."""
+        """(S, A) postures, `dt` [s] apart, of a hand that was at rest before."""
         scene, kinematics, servos = self._scene, self._kinematics, self._servos
         return solve_postures(scene, kinematics, servos, targets, guess, guess[0], dt)
 
     def _place(self, held: Held) -> float:
-        """Where the forearm is when fingers press their keys at ease [m]."""
+        """Mean position of the forearm at which fingers press their keys in their rest pose [m]."""
         return float(np.mean([self._places[key, finger] for finger, key in held]))

@@ -1,4 +1,4 @@
-"""Stitches motions together to what one hand does in a song."""
+"""Stitches motions of one hand together."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cadenza.agents.planner.plan.presses import Press
 
 Array = NDArray[np.float64]
 _Down = set[tuple[int, int]]
-"""Fingers that are down, and their keys."""
+"""(finger, key) of each finger that is down."""
 
 
 def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_states: int) -> Array:
-    """(S, A) postures of a hand that begins at `start` (A,), and presses what it has to.
+    """(S, A) postures of a hand that begins at `start` (A,), with these presses.
 
     Between two changes, the end of one motion is blended with the beginning of the next.
     """
@@ -38,16 +38,16 @@ def stitched(presses: Sequence[Press], motions: Motions, start: Array, num_state
 
 
 def _row(motion: Array, states: NDArray[np.intp]) -> Array:
-    """That of a motion in some states; it stays where it ends."""
+    """Postures of a motion in `states`; after its end, the last one."""
     return motion[np.minimum(states, len(motion) - 1)]
 
 
 def changes_of(
     presses: Sequence[Press], num_states: int, longest_gap: int
 ) -> Iterator[tuple[int, Change]]:
-    """The changes of what one hand holds down, and the states in which they begin, by time.
+    """The changes of what one hand holds, and the states in which they begin, by time.
 
-    Letting go, and striking at most `longest_gap` states later, are one change.
+    Releasing, and striking at most `longest_gap` states later, are one change.
     """
     held = list(_held(presses, num_states))
     left: Held = ()
@@ -62,7 +62,7 @@ def changes_of(
 
 
 def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
-    """What one hand holds down, and from which state on, by time."""
+    """What one hand holds, and from which state on, by time."""
     struck, left = defaultdict[int, _Down](set), defaultdict[int, _Down](set)
     for press in presses:
         if press.first < press.last:

@@ -1,1 +1,1 @@
-"""What has been learnt about plans: networks that correct them, and what they are told."""
+"""Networks that correct a hand's plan, with their inputs."""

@@ -1,7 +1,21 @@
-"""What networks are told of a hand: its plan for half a second, and how far off it is.
+"""Inputs and outputs of the networks that correct a hand's plan.
 
-All of it is relative to the hand and its plan, and a left hand is shown as its mirror image, so
-that what is learnt serves both hands and every place on the keyboard.
+The inputs of a hand with A servos and F fingers are D numbers, in this order. All are relative to
+the hand and its plan, and a left hand is mirrored, so that what is learnt serves both hands
+everywhere on the keyboard.
+
+- (4, A) planned postures 1, 2, 3 and 5 steps ahead, and (A,) the nominal controls, from the planned
+  posture now
+- (A,) the planned posture now, without the position along the keyboard
+- (A,) planned velocities of the servos
+- (F, 15) the current or next press of each finger, see `HandInputs._presses_ahead`
+- (A,) errors of position, and (A,) of velocity, of the servos from the plan
+- (A,) the output of the step before
+- (F, 6) depths of each finger's key and of two keys on either side, and whether its key is a goal
+- (F, 3) errors of fingertips from the plan now, and (F, 3) from the plan after the step
+- (F, 53) products of these errors with the cases that they are to be corrected in, see `_cases`
+
+The outputs (A,) are corrections of the controls, see `Corrections`.
 """
 
 from __future__ import annotations
@@ -22,59 +36,64 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 FAR = 8
-"""Control steps ahead; what is further off looks the same."""
-_POSTURES = (1, 2, 3, 5)  # steps ahead at which the planned posture is shown
-_HELD = 6  # steps ahead for which is shown whether a finger holds a key
-_OF_A_PRESS = 9 + _HELD  # numbers that are told of a finger's press
-_OF_A_CASE = 53  # and of how it goes, see `_cases`
-_NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys beside that of a finger
-_MOST = 1.5  # corrections, of what a servo's `correction` is
+"""Control steps ahead that inputs depend on."""
+_POSTURE_STEPS = (1, 2, 3, 5)  # steps ahead of the planned postures
+_HELD_STEPS = 6  # steps ahead for which an input says whether a finger holds a key
+_PRESS_INPUTS = 9 + _HELD_STEPS  # per finger, of its press
+_CASE_INPUTS = 53  # per finger, see `_cases`
+_NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys, from that of a finger
+_MAX_OUTPUT = 1.5  # in units of `Servos.correction`
+_MAX_ERROR = 4.0  # scaled errors are clipped here
+_MAX_KEY_OFFSET = 2.0  # and scaled ways to keys here
 
-# What counts as one.
-_POSTURE = 0.1  # [m, rad] of planned postures
-_SPEED = 2.0  # [m/s, rad/s] of planned speeds
-_OFF, _TOO_FAST = 0.05, 1.0  # [m, rad], [m/s, rad/s] by which a servo is off its plan
-_TIP_OFF = 0.01  # [m] by which a fingertip is
-_ASTRAY = 1.2  # of that, beside where it should be
-_KEY_OFF = 0.03  # [m] from a planned fingertip to the middle of its key
+# Scales by which inputs are divided.
+_POSTURE_SCALE = 0.1  # [m, rad] of planned postures
+_VELOCITY_SCALE = 2.0  # [m/s, rad/s] of planned velocities
+_POSITION_ERROR_SCALE, _VELOCITY_ERROR_SCALE = 0.05, 1.0  # [m, rad], [m/s, rad/s] of servos
+_TIP_ERROR_SCALE = 0.01  # [m] of fingertips
+_KEY_OFFSET_SCALE = 0.03  # [m] from a planned fingertip to the middle of its key
+
+# Limits of the cases of `_cases`: fingertip errors are in units of _TIP_ERROR_SCALE, depths of the
+# key's travel.
+_ASTRAY, _OVER_ITS_KEY, _HALF_DOWN, _LOW = 1.2, 0.5, 0.5, 0.3
 
 
 class Mirror(NamedTuple):
-    """Makes right hands of H hands, whose forearms do not roll."""
+    """Signs, 1 or -1, that make right hands of H hands, whose forearms do not roll."""
 
     y: Array
-    """(H,) what turns positions along the keyboard, 1 or -1."""
+    """(H,) for positions along the keyboard."""
     servos: Array
-    """(H, A) what turns the coordinates of servos."""
+    """(H, A) for coordinates of servos."""
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Mirror:
-        """For the hands on these sides; each is as the one that is `alone` in a scene."""
+        """The signs for hands on these sides, which are as the one that is `alone` in a scene."""
         y, servos = np.array([1.0 if side == "right" else -1.0 for side in sides]), servos_of(alone)
-        turned = np.ones((len(sides), len(servos.names)))
-        turned[:, servos.along_keyboard] = y[:, None]
-        return cls(y, turned)
+        sign = np.ones((len(sides), len(servos.names)))
+        sign[:, servos.along_keyboard] = y[:, None]
+        return cls(y, sign)
 
 
-class About(NamedTuple):
-    """What each of the D numbers that are told of a hand is about."""
+class InputLayout(NamedTuple):
+    """Which finger each of the D inputs of a hand belongs to, and which networks use it."""
 
     finger: NDArray[np.intp]
-    """(D,) a finger, 0 for the thumb, or -1 for the whole hand."""
+    """(D,) 0 for the thumb, or -1 for the whole hand."""
     private: NDArray[np.bool_]
-    """(D,) whether it says nothing to the fingers beside that one."""
+    """(D,) whether the other fingers do not need it."""
     previous: NDArray[np.bool_]
-    """(D,) whether it is the correction of the step before."""
+    """(D,) whether it is an output of the step before."""
 
     @classmethod
-    def of(cls, alone: Scene) -> About:
-        """For the hand which is `alone` in a scene."""
+    def of(cls, alone: Scene) -> InputLayout:
+        """The layout for the hand that is `alone` in a scene."""
         servos, fingers = servos_of(alone).finger, np.arange(alone.fingers.per_hand)
-        parts = [(servos, 1, True)] * (len(_POSTURES) + 3) + [(fingers, _OF_A_PRESS, False)]
+        parts = [(servos, 1, True)] * (len(_POSTURE_STEPS) + 3) + [(fingers, _PRESS_INPUTS, False)]
         parts += [(servos, 1, True)] * 3
         correction = len(parts) - 1
         parts += [(fingers, count, False) for count in (len(_NEIGHBOURS) + 1, 3, 3)]
-        parts += [(fingers, _OF_A_CASE, True)]
+        parts += [(fingers, _CASE_INPUTS, True)]
         finger = [np.repeat(of, count) for of, count, _ in parts]
         private = [np.full(len(of) * count, own) for of, count, own in parts]
         previous = [np.full(len(of), i == correction) for i, of in enumerate(finger)]
@@ -82,167 +101,178 @@ class About(NamedTuple):
 
 
 def sizes_of(scene: Scene) -> tuple[int, int]:
-    """Of what is told of each hand of a scene, and of the answer."""
+    """D and A: how many inputs and outputs each hand of a scene has."""
     alone = hand_alone(scene, scene.sides[0]).scene
-    return len(About.of(alone).finger), len(servos_of(alone).low)
+    return len(InputLayout.of(alone).finger), len(servos_of(alone).low)
 
 
 class HandInputs:
-    """What is told of H hands, before each of the steps that a plan has from some on."""
+    """The inputs of H hands at each step of a plan, from `first` on."""
 
     def __init__(self, plan: SongPlan, sides: Sequence[Side], alone: Scene, first: int) -> None:
         """Args:
         plan: as far as it goes.
         sides: of the hands, those of the scene or one of them.
         alone: a scene with one of them only.
-        first: the step before which something is told for the first time.
+        first: the first step that inputs are wanted for.
         """
         self._mirror, self._first, scene = Mirror.of(sides, alone), first, plan.scene
         self._hands, self._keyboard = len(sides), alone.keyboard
         tracking = plan.nominal.tracking.of(scene.servos_on(*sides))
         self._tracking = tracking.by_hand(self._hands)
         self._tips = plan.nominal.fingertips[:, scene.fingertips_on(*sides)]
-        self._place = np.ones(self._tips.shape[1:])  # what turns positions of fingertips
-        self._place[:, 1] = np.repeat(self._mirror.y, scene.fingers.per_hand)
-        self._wanted = plan.goals.keys
+        self._sign = np.ones(self._tips.shape[1:])  # for positions of fingertips
+        self._sign[:, 1] = np.repeat(self._mirror.y, scene.fingers.per_hand)
+        self._goal_keys = plan.goals.keys
         steps = np.arange(first, plan.nominal.num_steps)
         thumb = scene.fingers.of_hand(SIDES.index(sides[0])).start
         mine = [press for press in plan.nominal.presses if press.side in sides]
-        self._key, self._presses = self._coming(mine, thumb, steps)  # (S, H F), (S, H F, 15)
+        self._key, self._presses = self._presses_ahead(mine, thumb, steps)  # (S, H F), (S, H F, 15)
         presses = self._presses.reshape(len(steps), self._hands, -1)
         planned = [self._postures(alone, steps), presses]
-        self._planned = np.concatenate(planned, axis=2, dtype=np.float32)  # as they are told
+        self._planned = np.concatenate(planned, axis=2, dtype=np.float32)
 
     def _postures(self, alone: Scene, steps: NDArray[np.intp]) -> Array:
-        """(S, H, 7 A) what the plan does with the servos."""
+        """(S, H, 7 A) inputs about the planned posture of the hand."""
         ctrl, _, expected = self._tracking
-        turned, here = self._mirror.servos, expected[steps, :, :, 0]
+        sign, here = self._mirror.servos, expected[steps, :, :, 0]
         last = len(ctrl)
-        ahead = [expected[np.minimum(steps + far, last), :, :, 0] for far in _POSTURES]
-        relative = [(there - here) * turned / _POSTURE for there in (*ahead, ctrl[steps])]
-        still = here.copy()
-        still[..., servos_of(alone).along_keyboard] = 0.0  # wherever on the keyboard
-        speeds = expected[steps, :, :, 1] * turned / _SPEED
-        return np.concatenate([*relative, still, speeds], axis=2)
+        ahead = [expected[np.minimum(steps + far, last), :, :, 0] for far in _POSTURE_STEPS]
+        relative = [(there - here) * sign / _POSTURE_SCALE for there in (*ahead, ctrl[steps])]
+        in_place = here.copy()
+        in_place[..., servos_of(alone).along_keyboard] = 0.0  # the same everywhere
+        velocities = expected[steps, :, :, 1] * sign / _VELOCITY_SCALE
+        return np.concatenate([*relative, in_place, velocities], axis=2)
 
-    def _coming(
+    def _presses_ahead(
         self, presses: list[Press], thumb: int, steps: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Array]:
-        """(S, H F) the keys that fingers press or will press next, and (S, H F, 15) what is told.
+        """(S, H F) the keys that fingers press, or will press next, -1 for none.
 
-        Keys are -1 for none. `thumb` is the number of the first of these fingers.
+        And (S, H F, 15) the inputs about these presses: steps until it begins, and until it ends;
+        whether its key is black, and whether the hand jumps; whether the finger holds a key 1, 2,
+        ... 6 steps ahead; whether there is no press; the way from the planned fingertip to the
+        middle of its key, in x, y and z, and how near the press is in time. `thumb` is the number
+        of the first of these fingers.
         """
-        fingers = np.arange(len(self._place))
-        never = max([len(self._wanted) + _HELD, *(p.last for p in presses)]) + 1
+        fingers = np.arange(len(self._sign))
+        never = max([len(self._goal_keys) + _HELD_STEPS, *(p.last for p in presses)]) + 1
         rows = [
             (p.finger - thumb, p.first, p.last, p.key, p.flies_to or p.flies_off) for p in presses
         ]
-        rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # their ends
-        of, first, last, keys, jumps = np.array(sorted(rows)).T
+        rows += [(finger, never, never, 0, False) for finger in range(len(fingers))]  # sentinels
+        finger, first, last, keys, jumps = np.array(sorted(rows)).T
         # On one time line, a finger's presses come long after those of the finger before it.
-        apart = never + 1 - min(0, first.min(), last.min())  # in sight, some are of the past
-        begins, ends = of * apart + first, of * apart + last
+        apart = never + 1 - min(0, first.min(), last.min())  # some began before the plan
+        begins, ends = finger * apart + first, finger * apart + last
         now = fingers * apart + steps[:, None]
-        soon = now[..., None] + np.arange(1, _HELD + 1)
+        soon = now[..., None] + np.arange(1, _HELD_STEPS + 1)
         which, at = ends.searchsorted(now, "right"), begins.searchsorted(soon, "right") - 1
-        shown = np.zeros((*which.shape, _OF_A_PRESS))
-        shown[..., 4 : 4 + _HELD] = (at >= 0) & (soon < ends[at])
+        inputs = np.zeros((*which.shape, _PRESS_INPUTS))
+        inputs[..., 4 : 4 + _HELD_STEPS] = (at >= 0) & (soon < ends[at])
         key, over = keys[which], first[which] == never
         to_begin = first[which] - steps[:, None]
-        shown[..., 0] = within(to_begin, -FAR, FAR) / FAR
-        shown[..., 1] = within(last[which] - steps[:, None], 0, FAR) / FAR
-        shown[..., 2], shown[..., 3] = self._keyboard.is_black[key], jumps[which]
+        inputs[..., 0] = within(to_begin, -FAR, FAR) / FAR
+        inputs[..., 1] = within(last[which] - steps[:, None], 0, FAR) / FAR
+        inputs[..., 2], inputs[..., 3] = self._keyboard.is_black[key], jumps[which]
         near = within(1 - to_begin / FAR, 0, 1)
-        way = (self._keyboard.centre[key] - self._tips[steps]) * self._place / _KEY_OFF
-        shown[..., 5 + _HELD : 8 + _HELD] = within(way, -2, 2) * (near > 0)[..., None]
-        shown[..., 8 + _HELD] = near
-        shown[over] = 0.0
-        shown[over, :2], shown[over, 4 + _HELD] = 1.0, 1.0
-        return np.where(over, -1, key), shown
+        offset = (self._keyboard.centre[key] - self._tips[steps]) * self._sign / _KEY_OFFSET_SCALE
+        inputs[..., 5 + _HELD_STEPS : 8 + _HELD_STEPS] = (
+            within(offset, -_MAX_KEY_OFFSET, _MAX_KEY_OFFSET) * (near > 0)[..., None]
+        )
+        inputs[..., 8 + _HELD_STEPS] = near
+        inputs[over] = 0.0
+        inputs[over, :2], inputs[over, 4 + _HELD_STEPS] = 1.0, 1.0
+        return np.where(over, -1, key), inputs
 
     def at(
-        self, step: int, posture: Array, correction: Array, tips: Array, key_qpos: Array
+        self, step: int, posture: Array, previous: Array, tips: Array, key_qpos: Array
     ) -> Floats:
-        """(H, D) what is told before a step.
+        """(H, D) the inputs at a step.
 
         Args:
             step: of the song.
-            posture: (H, A, 2) position and speed of the servos.
-            correction: (H, A) what was answered before the step before.
-            tips: (H F, 3) where fingertips are [m].
+            posture: (H, A, 2) position and velocity of the servos.
+            previous: (H, A) the outputs of the step before.
+            tips: (H F, 3) fingertips [m].
             key_qpos: (K,) [rad]
         """
-        row, place = step - self._first, self._place
-        off = (posture - self._tracking.expected[step]) * self._mirror.servos[..., None]
-        following = self._tips[min(step + 1, len(self._tips) - 1)]
+        row, sign = step - self._first, self._sign
+        error = (posture - self._tracking.expected[step]) * self._mirror.servos[..., None]
+        next_tips = self._tips[min(step + 1, len(self._tips) - 1)]
         depths = self._depths(row, step, key_qpos)
-        from_now = within((tips - self._tips[step]) * place / _TIP_OFF, -4, 4)
-        from_next = within((tips - following) * place / _TIP_OFF, -4, 4)
-        cases = _cases(self._presses[row], depths, from_now, from_next)
-        of_fingers = depths, from_now, from_next, cases
+        error_now = _scaled((tips - self._tips[step]) * sign, _TIP_ERROR_SCALE)
+        error_next = _scaled((tips - next_tips) * sign, _TIP_ERROR_SCALE)
+        cases = _cases(self._presses[row], depths, error_now, error_next)
+        by_finger = depths, error_now, error_next, cases
         parts = (
             self._planned[row],
-            within(off[..., 0] / _OFF, -4, 4),
-            within(off[..., 1] / _TOO_FAST, -4, 4),
-            correction,
-            *(values.reshape(self._hands, -1) for values in of_fingers),
+            _scaled(error[..., 0], _POSITION_ERROR_SCALE),
+            _scaled(error[..., 1], _VELOCITY_ERROR_SCALE),
+            previous,
+            *(values.reshape(self._hands, -1) for values in by_finger),
         )
         return np.concatenate(parts, axis=1, dtype=np.float32)
 
     def _depths(self, row: int, step: int, key_qpos: Array) -> Array:
-        """(H F, 6) how far down a finger's key and those beside it are, and if it should be."""
+        """(H F, 6) depths of a finger's key and of those beside it, and whether it is a goal."""
         key = self._key[row][:, None]
-        beside = key + (_NEIGHBOURS * self._place[:, 1:2]).astype(np.intp)
+        beside = key + (_NEIGHBOURS * self._sign[:, 1:2]).astype(np.intp)
         there = (key >= 0) & (beside >= 0) & (beside < len(key_qpos))
         depths = np.where(there, (key_qpos / self._keyboard.travel)[beside * there], 0.0)
-        wanted = self._wanted[step, np.maximum(key, 0)] & (key >= 0)
-        return np.concatenate([depths, wanted], axis=1)
+        goal = self._goal_keys[step, np.maximum(key, 0)] & (key >= 0)
+        return np.concatenate([depths, goal], axis=1)
 
 
-def _cases(presses: Array, depths: Array, from_now: Array, from_next: Array) -> Array:
-    """(F, 53) what is amiss with each finger, apart for cases that are not put right alike.
+def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -> Array:
+    """(F, 53) products of errors and of the cases in which they are to be corrected.
 
-    It follows from what else is told, but only from several numbers at once: that a key is not
-    quite down matters if it should be; that a fingertip is astray, in front of a black key.
+    They follow from the other inputs, but from several at once: that a key is not quite down
+    matters if it is a goal; that a fingertip is astray matters most in front of a black key.
 
     Args:
-        presses: (F, 15) what is told of its press.
-        depths: (F, 6) of its key and those beside it.
-        from_now: (F, 3) how far its tip is from where it should be.
-        from_next: (F, 3) and from where it should be after the step.
+        presses: (F, 15) inputs about the presses.
+        depths: (F, 6) inputs about the keys.
+        error_now: (F, 3) scaled errors of fingertips from the plan.
+        error_next: (F, 3) from the plan after the step.
     """
-    black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD]
-    wanted, lacks = depths[:, -1], within(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
-    off, off_next = (np.hypot(some[:, 0], some[:, 1]) for some in (from_now, from_next))
-    low, astray = within(-from_now[:, 2], 0, 4), off > _ASTRAY
-    missing = wanted * lacks
-    shallow = (1.0, off < 0.5, black, lacks < 0.5)
-    lacking = [missing * case for case in shallow] + [soon * (1 - wanted) * lacks]
+    black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD_STEPS]
+    goal, lacking = depths[:, -1], within(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
+    beside, beside_next = (np.hypot(some[:, 0], some[:, 1]) for some in (error_now, error_next))
+    low, astray = within(-error_now[:, 2], 0, _MAX_ERROR), beside > _ASTRAY
+    too_high = goal * lacking
+    cases_too_high = (1.0, beside < _OVER_ITS_KEY, black, lacking < _HALF_DOWN)
+    depth = [too_high * case for case in cases_too_high] + [soon * (1 - goal) * lacking]
     of_black = near * black
-    pressing = (near, of_black, near * astray, of_black * astray, wanted, wanted * black)
-    cases = np.stack([*pressing, 1 - near, astray * (low > 0.3)], axis=1)
-    amiss = np.column_stack([np.ones(len(off)), from_next, low, off_next])
-    apart = cases[:, :, None] * amiss[:, None]
-    return np.concatenate([np.stack(lacking, axis=1), apart.reshape(len(off), -1)], axis=1)
+    pressing = (near, of_black, near * astray, of_black * astray, goal, goal * black)
+    cases = np.stack([*pressing, 1 - near, astray * (low > _LOW)], axis=1)
+    errors = np.column_stack([np.ones(len(low)), error_next, low, beside_next])
+    products = (cases[:, :, None] * errors[:, None]).reshape(len(low), -1)
+    return np.concatenate([np.stack(depth, axis=1), products], axis=1)
+
+
+def _scaled(error: Array, scale: float) -> Array:
+    """Errors in units of `scale`, clipped."""
+    return within(error / scale, -_MAX_ERROR, _MAX_ERROR)
 
 
 class Corrections(NamedTuple):
-    """Answers as controls of H hands."""
+    """Turns the outputs of networks into corrections of the controls of H hands, and back."""
 
     sign: Array
-    """(H, A)"""
+    """(H, A) 1, or -1 where a left hand is mirrored."""
     scale: Array
-    """(A,) what counts as one [m, rad]."""
+    """(A,) corrections with an output of 1 [m, rad]."""
 
     @classmethod
     def of(cls, sides: Sequence[Side], alone: Scene) -> Corrections:
-        """For the hands on these sides; each is as the one that is `alone` in a scene."""
+        """Corrections of hands on these sides, which are as the one that is `alone` in a scene."""
         return cls(Mirror.of(sides, alone).servos, servos_of(alone).correction)
 
-    def ctrl(self, answer: Floats) -> Array:
-        """(H, A) what is added to the controls, by the answer (H, A)."""
-        return within(answer, -_MOST, _MOST) * self.sign * self.scale
+    def ctrl(self, output: Floats) -> Array:
+        """(H, A) what is added to the controls with outputs (H, A) [m, rad]."""
+        return within(output, -_MAX_OUTPUT, _MAX_OUTPUT) * self.sign * self.scale
 
     def output(self, ctrl: Array) -> Array:
-        """The inverse of `ctrl`, of what was added."""
-        return within(ctrl * self.sign / self.scale, -_MOST, _MOST)
+        """(H, A) the outputs that add `ctrl` (H, A) to the controls: the inverse of `ctrl`."""
+        return within(ctrl * self.sign / self.scale, -_MAX_OUTPUT, _MAX_OUTPUT)

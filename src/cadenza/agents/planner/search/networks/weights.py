@@ -1,4 +1,4 @@
-"""What has been learnt, and where it is kept."""
+"""The networks that correct a hand's plan, and the files of their weights."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Floats = NDArray[np.float32]
 Ids = NDArray[np.intp]
 
 NETWORKS = ("hand", "thumb", "fingers")
-"""That answer for the servos of the whole hand, of its thumb, and of the other fingers."""
+"""One for the servos of the whole hand, one for its thumb, one for all other fingers."""
 _LAYERS = 3
-FURTHEST = 6.0
-"""Of their usual spread that numbers count as off their middle: further off, nothing is known."""
+INPUT_LIMIT = 6.0
+"""Normalised inputs are clipped here: beyond it, there was no training data."""
 CONSTANTS = np.array([0.0, 1.0], np.float32)
-"""That are there for networks beside the numbers that are told of a hand, after them."""
+"""Inputs that follow those of the hand, for networks of fingers that lack some of these."""
 
 
 def _expected() -> dict[str, ArrayOf]:
-    """The arrays of a file by name; only those of the same network go together."""
+    """The arrays of a file by name, with shapes that fit together within each network."""
     arrays = {"sizes": ArrayOf(INTEGERS, (2,), needed=True)}
     for of in NETWORKS:
         arrays[f"{of}:inputs"] = ArrayOf(INTEGERS, (f"{of}", f"{of} 0"), needed=True)
@@ -42,36 +42,36 @@ def _expected() -> dict[str, ArrayOf]:
 
 
 class Network(NamedTuple):
-    """Answers for one or more parts of a hand that are alike, such as its fingers.
+    """An ensemble of N networks for M parts of a hand that are alike, such as its fingers.
 
-    These are N networks, whose answers are averaged.
+    Their outputs are averaged.
     """
 
     inputs: Ids
-    """(M, I) which of the numbers told of a hand each of M parts sees, `CONSTANTS` included."""
+    """(M, I) which inputs of the hand, with `CONSTANTS`, each part has."""
     servos: Ids
-    """(M, O) for which they answer."""
+    """(M, O) which servos each part has."""
     middle: Floats
-    """(I,) of what was told while they learnt."""
+    """(I,) of the inputs in training."""
     spread: Floats
-    """(I,)"""
+    """(I,) of the inputs in training, by which they are normalised."""
     kernels: tuple[Floats, ...]
     """(N, I, H), ... (N, H, O)"""
     biases: tuple[Floats, ...]
     """(N, 1, H), ... (N, 1, O)"""
 
-    def __call__(self, told: Floats) -> Floats:
-        """(H, M, O) the answers to what is told of H hands (H, D + 2), `CONSTANTS` included."""
-        shown = told[:, self.inputs].reshape(-1, len(self.middle))
-        hidden = within((shown - self.middle) / self.spread, -FURTHEST, FURTHEST)
+    def __call__(self, inputs: Floats) -> Floats:
+        """(H, M, O) the outputs for the inputs of H hands (H, D + 2), with `CONSTANTS`."""
+        rows = inputs[:, self.inputs].reshape(-1, len(self.middle))
+        hidden = within((rows - self.middle) / self.spread, -INPUT_LIMIT, INPUT_LIMIT)
         for kernel, bias in zip(self.kernels[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ kernel + bias, 0.0)
-        answers: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
-        return answers.reshape(len(told), *self.servos.shape)
+        outputs: Floats = (hidden @ self.kernels[-1] + self.biases[-1]).mean(axis=0)
+        return outputs.reshape(len(inputs), *self.servos.shape)
 
 
 class Weights(NamedTuple):
-    """Answers A numbers, one for each servo of a hand, to D that are told of it."""
+    """Networks that map D inputs of a hand to A outputs, one for each servo."""
 
     sizes: tuple[int, int]
     """D and A."""
@@ -83,7 +83,7 @@ class Weights(NamedTuple):
         CadenzaError: the file is not there, or is damaged.
         """
         arrays = read_arrays(path, _expected())
-        told, servos = arrays["sizes"].tolist()
+        num_inputs, servos = arrays["sizes"].tolist()
         networks = tuple(
             Network(
                 arrays[f"{of}:inputs"].astype(np.intp),
@@ -97,24 +97,24 @@ class Weights(NamedTuple):
             )
             for of in NETWORKS
         )
-        seen = np.concatenate([network.inputs.ravel() for network in networks])
-        answered = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
-        inside = (seen >= 0) & (seen < told + len(CONSTANTS))
-        if not (inside.all() and np.array_equal(answered, np.arange(servos))):
+        used = np.concatenate([network.inputs.ravel() for network in networks])
+        moved = np.sort(np.concatenate([network.servos.ravel() for network in networks]))
+        inside = (used >= 0) & (used < num_inputs + len(CONSTANTS))
+        if not (inside.all() and np.array_equal(moved, np.arange(servos))):
             raise CadenzaError(
-                f"{path}: its networks do not fit {told} inputs and {servos} servos; "
+                f"{path}: its networks do not fit {num_inputs} inputs and {servos} servos; "
                 "fit them again with tools/train_generalist.py"
             )
-        return cls((told, servos), networks)
+        return cls((num_inputs, servos), networks)
 
     def save(self, path: Path) -> None:
-        """Writes them to a file, for `load`."""
+        """Writes the networks to a file, for `load`."""
         with write_atomically(path) as file:
             np.savez(file, allow_pickle=False, **self.arrays)
 
     @property
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What a file holds."""
+        """The arrays of a file, by name."""
         arrays: dict[str, NDArray[np.generic]] = {"sizes": np.array(self.sizes)}
         for of, network in zip(NETWORKS, self.networks, strict=True):
             arrays[f"{of}:inputs"] = network.inputs.astype(np.int16)
@@ -125,17 +125,17 @@ class Weights(NamedTuple):
                     arrays[f"{of}:{kind}{i}"] = layer.astype(np.float16)
         return arrays
 
-    def __call__(self, told: Floats) -> Floats:
-        """(A,) the answers to what is told of a hand (D,); of several hands at once, (H, D)."""
-        told, shape = np.atleast_2d(told), (*told.shape[:-1], self.sizes[1])
-        told = np.concatenate([told, np.tile(CONSTANTS, (len(told), 1))], axis=1)
-        answers = np.empty((len(told), self.sizes[1]), np.float32)
+    def __call__(self, inputs: Floats) -> Floats:
+        """(A,) the outputs for the inputs (D,) of a hand, or (H, A) for several hands (H, D)."""
+        inputs, shape = np.atleast_2d(inputs), (*inputs.shape[:-1], self.sizes[1])
+        inputs = np.concatenate([inputs, np.tile(CONSTANTS, (len(inputs), 1))], axis=1)
+        outputs = np.empty((len(inputs), self.sizes[1]), np.float32)
         for network in self.networks:
-            answers[:, network.servos] = network(told)
-        return answers.reshape(shape)
+            outputs[:, network.servos] = network(inputs)
+        return outputs.reshape(shape)
 
 
 @lru_cache
 def shipped(folder: Path = Path(__file__).parent) -> dict[str, Weights]:
-    """Hand's name -> what comes with the package for it; by default, to propose to planners."""
+    """Name of a hand -> the networks in `folder`, by default those that come with the package."""
     return {path.stem: Weights.load(path) for path in folder.glob("*.npz")}
