@@ -11,7 +11,7 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
 from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedPlanner
-from cadenza.agents.planner.search.hands_in_scene import HandInScene
+from cadenza.agents.planner.search.hands_in_scene import HandsInScene
 from cadenza.configs import check_ranges
 from cadenza.sim.threads import Threads
 from cadenza.tasks.view import View
@@ -86,35 +86,22 @@ class SongPlanner:
         Raises:
             CadenzaError: there are no hands in the scene.
         """
-        task, (track,) = view.task, view.tracks
+        (track,) = view.tracks
         if config.fingering == "found":
             track = track.with_found_fingers()
         self._plans = song_plans(track, view.state.hand_qpos[0], progress)
         self.plan = next(self._plans)
-        self._sides = task.scene.sides
         self._pedal = self.plan.goals.sustain.astype(np.float64)
-        self._threads = Threads(num_threads)
-        self._hands = []
-        for side, hand_rng in zip(self._sides, rng.spawn(len(self._sides)), strict=True):
-            hand = HandInScene(self.plan, side, config, hand_rng, self._threads)
-            self._hands.append(hand)
+        self._hands = HandsInScene(self.plan, config, rng, Threads(num_threads))
 
     def act(self, view: View) -> Array:
-        state, step = view.state, int(view.steps[0])
+        step = int(view.steps[0])
         self._plan_ahead(step)
-        action = np.zeros(view.task.action_size)
-        action[-1] = self._pedal[step]
-
-        def act(i: int) -> None:
-            action[self._hands[i].servos] = self._hands[i].act(state)
-
-        self._threads.for_each(range(len(self._hands)), act)
-        return action
+        return np.append(self._hands.act(view.state), self._pedal[step])
 
     def _plan_ahead(self, step: int) -> None:
         """Plans another window if a hand looks beyond the end of the plan from here."""
-        seen = step + max(hand.search.steps_seen for hand in self._hands)
+        seen = step + self._hands.steps_seen
         while not self.plan.complete and self.plan.nominal.num_steps < seen:
             self.plan = next(self._plans)
-            for hand in self._hands:
-                hand.follow(self.plan, step)
+            self._hands.follow_plan(self.plan, step)

@@ -82,7 +82,7 @@ class HandsInScene:
         threads: Threads,
     ) -> None:
         """Args:
-        plan: of the whole song, which they follow first.
+        plan: what they follow first.
         config: how to search.
         rng: what is random.
         threads: that share the rollouts.
@@ -108,6 +108,16 @@ class HandsInScene:
         """Repeats a step, with the controls (A,) that `act` returned for it."""
         for hand in self._hands:
             hand.replay(state, ctrl[hand.servos])
+
+    @property
+    def steps_seen(self) -> int:
+        """How many steps of the plan a step needs."""
+        return max(hand.search.steps_seen for hand in self._hands)
+
+    def follow_plan(self, plan: SongPlan, step: int) -> None:
+        """Changes the plan, from `step` on, to one that goes further."""
+        for hand in self._hands:
+            hand.follow(plan, step)
 
     @property
     def search_states(self) -> list[SearchState]:
