@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class State(NamedTuple):
-    """What the task may know about N simulations after a step.
+    """State of N simulations after a step, as far as the task may know it.
 
     Positions, velocities and contacts belong to the new state; forces to the last physics step that
     led there, as in the published system. K keys, J hand joints, A actuators,

@@ -94,7 +94,7 @@ class Renderer:
         sounding: NDArray[Any],
         goal: NDArray[Any],
     ) -> NDArray[np.uint8]:
-        """One picture (height, width, 3).
+        """Draws a picture (height, width, 3).
 
         Args:
             hand_qpos: (J,) [m, rad].

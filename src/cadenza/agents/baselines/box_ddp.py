@@ -78,7 +78,7 @@ def box_qp(
 def _line_search(
     hessian: Array, gradient: Array, x: Array, step: Array, low: Array, high: Array
 ) -> Array:
-    """Where the longest projected step leads that meets the Armijo condition.
+    """The end (m,) of the longest projected step that meets the Armijo condition.
 
     `gradient` (m,) is that at `x`.
     """

@@ -1,4 +1,4 @@
-"""Which finger should press which key, and the distances between them."""
+"""Pairs of fingers and the keys that they should press."""
 
 from __future__ import annotations
 

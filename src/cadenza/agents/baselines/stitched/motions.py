@@ -34,9 +34,9 @@ class Change(NamedTuple):
 
     left: Held
     still: Held
-    """What is still held when others have been released."""
+    """Keys of `left` that are not released."""
     struck: Held
-    """What is held when others have been struck, too."""
+    """All keys that are held at the end."""
     gap: int
     """States from releasing to striking."""
 
@@ -95,7 +95,7 @@ class Motions:
         return motion
 
     def _octaves(self, keys: list[int]) -> int:
-        """How many keys, in whole octaves, `keys` are above where their motion is planned.
+        """The distance, in keys, of `keys` above those for which their motion is planned.
 
         Motions are planned about the middle of the keyboard.
         """

@@ -62,7 +62,7 @@ def changes_of(
 
 
 def _held(presses: Sequence[Press], num_states: int) -> Iterator[tuple[int, Held]]:
-    """What one hand holds, and from which state on, by time."""
+    """Each state in which one hand begins to hold other keys, by time, and these keys."""
     struck, left = defaultdict[int, _Down](set), defaultdict[int, _Down](set)
     for press in presses:
         if press.first < press.last:

@@ -30,7 +30,7 @@ _SAME_POSTURE = 1e-3  # [m, rad] up to which a hand is where a rollout had it
 
 
 class RehearsalConfig(NamedTuple):
-    """How a hand rehearses; by default, one that searches where that is not enough."""
+    """Parameters of a rehearsal; the defaults are for a hand that searches where it fails."""
 
     window: float = 1.0
     """[s] that are played as they were rehearsed."""

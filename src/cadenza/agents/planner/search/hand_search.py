@@ -120,7 +120,7 @@ class HandSearch:
 
     @property
     def state(self) -> SearchState:
-        """What decides the next actions, beside the state of the model, which `replay` restores."""
+        """The state of the search, without that of the model, which `replay` restores."""
         return SearchState(
             self._warm_start.copy(), np.array(float(self._budget)), rng_state(self._rng)
         )
@@ -133,7 +133,7 @@ class HandSearch:
 
     @property
     def steps_seen(self) -> int:
-        """How many steps of the plan a step needs, with the presses that are about to begin."""
+        """The number of steps of the plan that a step needs, with presses that begin soon after."""
         rehearsed = self._rehearsal.steps_seen if self._rehearses else 0
         return max(self._escape_horizon, rehearsed) + steps_in(ABOUT_TO_PRESS, self._dt)
 
@@ -212,7 +212,7 @@ class HandSearch:
             best = self._search(nominal, best, rollout, steps, caught)
             if caught.any():
                 best = self._escape(best, fingertips)
-        # Fingers on their way back to the plan, and mistakes that cannot be searched, need it all.
+        # The warm start fades unless fingers still return to the plan or there was no budget.
         needed = self._astray(fingertips, self._step).any() or (rollout.mistakes and not affordable)
         self._warm_start[:-1] = (1.0 if needed else self._decay) * (best - nominal)[1:]
         self._warm_start[-1] = 0.0
@@ -398,7 +398,7 @@ class HandSearch:
 
 
 class SearchState(NamedTuple):
-    """What decides the next actions of a `HandSearch`, beside the state of the hand."""
+    """The state of a `HandSearch`, without that of the hand."""
 
     warm_start: Array
     """(H, A) deviation from the nominal controls of the horizon."""

@@ -111,7 +111,7 @@ class HandsInScene:
 
     @property
     def steps_seen(self) -> int:
-        """How many steps of the plan a step needs."""
+        """The number of steps of the plan that a step needs."""
         return max(hand.search.steps_seen for hand in self._hands)
 
     def follow_plan(self, plan: SongPlan, step: int) -> None:
@@ -121,7 +121,7 @@ class HandsInScene:
 
     @property
     def search_states(self) -> list[SearchState]:
-        """What decides the next actions of each hand."""
+        """The state of each hand's search, see `HandSearch.state`."""
         return [hand.search.state for hand in self._hands]
 
     def restore(self, states: Sequence[SearchState]) -> None:

@@ -54,7 +54,7 @@ class HorizonCost:
         self._mine, self._wrong, self._counts = mine, wrong, mine | wrong
         self._finger = goals.asked[steps, keys]
         self._held = mine & goals.planned[steps, keys]
-        self._mistaken = self._held | wrong
+        self._mistakes = self._held | wrong
         self._due, self._unwelcome = goals.due[steps, keys], goals.unwelcome[steps, keys]
         self._centre, self._half_size = keyboard.centre[keys], keyboard.half_size[keys]
         self._sounds_from = keyboard.sounds_from[keys]
@@ -81,15 +81,15 @@ class HorizonCost:
             before: (K,) keys that sounded before the step.
         """
         sounding = key_qpos >= self._sounds_from
-        amiss = (sounding ^ self._mine[k]) & self._counts[k]
-        wrong = int(np.count_nonzero(amiss))
-        amiss_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
-        onsets = int(np.count_nonzero(amiss_onsets))
+        wrong = (sounding ^ self._mine[k]) & self._counts[k]
+        num_wrong = int(np.count_nonzero(wrong))
+        wrong_onsets = np.where(sounding, self._unwelcome[k] & ~before, self._due[k])
+        num_onsets = int(np.count_nonzero(wrong_onsets))
         depth = np.maximum(self._factor[k] * key_qpos + self._offset[k], 0.0)
         error = (fingertips - self._fingertips[k]) * _AXES
         tips = np.minimum((error * error) @ _ONES, MAX_ERROR**2) @ self._cost_weight[k]
-        mistakes = int(np.count_nonzero(amiss & self._mistaken[k])) if wrong else 0
-        cost = _WRONG_KEY * wrong + _WRONG_ONSET * onsets + _DEPTH * (depth @ depth) + tips
+        mistakes = int(np.count_nonzero(wrong & self._mistakes[k])) if num_wrong else 0
+        cost = _WRONG_KEY * num_wrong + _WRONG_ONSET * num_onsets + _DEPTH * (depth @ depth) + tips
         return float(cost), mistakes, sounding
 
     def by_finger(self, key_qpos: Array, fingertips: Array) -> Array:
@@ -112,8 +112,8 @@ class HorizonCost:
         error = (fingertips - self._fingertips[:steps]) * _AXES
         costs = np.minimum((error * error) @ _ONES, MAX_ERROR**2) * self._cost_weight[:steps]
         step, key = np.nonzero(cost)
-        away = fingertips[step] - self._centre[key, None]
-        nearest = np.hypot(away[..., 1], away[..., 2]).argmin(axis=1)
+        offset = fingertips[step] - self._centre[key, None]
+        nearest = np.hypot(offset[..., 1], offset[..., 2]).argmin(axis=1)
         finger = np.where(mine[step, key], self._finger[step, key], nearest)
         np.add.at(costs, (step, finger), cost[step, key])
         return costs

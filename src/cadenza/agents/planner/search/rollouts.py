@@ -29,7 +29,7 @@ class Rollout(NamedTuple):
     cost: float
     """Infinite if it was given up, or diverged."""
     mistakes: int
-    """How often a key was wrong."""
+    """Number of wrong keys, summed over the steps."""
     step_costs: list[float]
     fingertips: list[Array]
     """(F, 3) after each step [m]."""
@@ -48,7 +48,7 @@ def start_rollouts(
     steps: NDArray[np.intp],
     keyboard: Keyboard,
 ) -> HorizonCost:
-    """Has rollouts start where a hand is, over all keys on its way through `steps` (H,).
+    """Has rollouts start where a hand is, on all keys on its path through `steps` (H,).
 
     Args:
         simulator: of the hand.

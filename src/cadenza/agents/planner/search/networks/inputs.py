@@ -44,7 +44,7 @@ _CASE_INPUTS = 53  # per finger, see `_cases`
 _NEIGHBOURS = np.array([-2, -1, 0, 1, 2])  # keys, from that of a finger
 _MAX_OUTPUT = 1.5  # in units of `Servos.correction`
 _MAX_ERROR = 4.0  # scaled errors are clipped here
-_MAX_KEY_OFFSET = 2.0  # and scaled ways to keys here
+_MAX_KEY_OFFSET = 2.0  # scaled offsets to keys are clipped here
 
 # Scales by which inputs are divided.
 _POSTURE_SCALE = 0.1  # [m, rad] of planned postures
@@ -55,7 +55,7 @@ _KEY_OFFSET_SCALE = 0.03  # [m] from a planned fingertip to the middle of its ke
 
 # Limits of the cases of `_cases`: fingertip errors are in units of _TIP_ERROR_SCALE, depths of the
 # key's travel.
-_ASTRAY, _OVER_ITS_KEY, _HALF_DOWN, _LOW = 1.2, 0.5, 0.5, 0.3
+_OFF_TARGET, _OVER_ITS_KEY, _HALF_DOWN, _LOW = 1.2, 0.5, 0.5, 0.3
 
 
 class Mirror(NamedTuple):
@@ -76,7 +76,7 @@ class Mirror(NamedTuple):
 
 
 class InputLayout(NamedTuple):
-    """Which finger each of the D inputs of a hand belongs to, and which networks use it."""
+    """The finger to which each of the D inputs of a hand belongs, and who needs it."""
 
     finger: NDArray[np.intp]
     """(D,) 0 for the thumb, or -1 for the whole hand."""
@@ -151,7 +151,7 @@ class HandInputs:
 
         And (S, H F, 15) the inputs about these presses: steps until it begins, and until it ends;
         whether its key is black, and whether the hand jumps; whether the finger holds a key 1, 2,
-        ... 6 steps ahead; whether there is no press; the way from the planned fingertip to the
+        ... 6 steps ahead; whether there is no press; the offset from the planned fingertip to the
         middle of its key, in x, y and z, and how near the press is in time. `thumb` is the number
         of the first of these fingers.
         """
@@ -228,7 +228,7 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
     """(F, 53) products of errors and of the cases in which they are to be corrected.
 
     They follow from the other inputs, but from several at once: that a key is not quite down
-    matters if it is a goal; that a fingertip is astray matters most in front of a black key.
+    matters if it is a goal; that a fingertip is off matters most in front of a black key.
 
     Args:
         presses: (F, 15) inputs about the presses.
@@ -239,13 +239,13 @@ def _cases(presses: Array, depths: Array, error_now: Array, error_next: Array) -
     black, soon, near = presses[:, 2], presses[:, 4], presses[:, 8 + _HELD_STEPS]
     goal, lacking = depths[:, -1], within(1 - depths[:, len(_NEIGHBOURS) // 2], 0, 1)
     beside, beside_next = (np.hypot(some[:, 0], some[:, 1]) for some in (error_now, error_next))
-    low, astray = within(-error_now[:, 2], 0, _MAX_ERROR), beside > _ASTRAY
+    low, is_off = within(-error_now[:, 2], 0, _MAX_ERROR), beside > _OFF_TARGET
     too_high = goal * lacking
     cases_too_high = (1.0, beside < _OVER_ITS_KEY, black, lacking < _HALF_DOWN)
     depth = [too_high * case for case in cases_too_high] + [soon * (1 - goal) * lacking]
     of_black = near * black
-    pressing = (near, of_black, near * astray, of_black * astray, goal, goal * black)
-    cases = np.stack([*pressing, 1 - near, astray * (low > _LOW)], axis=1)
+    pressing = (near, of_black, near * is_off, of_black * is_off, goal, goal * black)
+    cases = np.stack([*pressing, 1 - near, is_off * (low > _LOW)], axis=1)
     errors = np.column_stack([np.ones(len(low)), error_next, low, beside_next])
     products = (cases[:, :, None] * errors[:, None]).reshape(len(low), -1)
     return np.concatenate([np.stack(depth, axis=1), products], axis=1)

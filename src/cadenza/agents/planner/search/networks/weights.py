@@ -17,7 +17,7 @@ Floats = NDArray[np.float32]
 Ids = NDArray[np.intp]
 
 NETWORKS = ("hand", "thumb", "fingers")
-"""One for the servos of the whole hand, one for its thumb, one for all other fingers."""
+"""The networks: for the servos of the whole hand, for its thumb, and for all other fingers."""
 _LAYERS = 3
 INPUT_LIMIT = 6.0
 """Normalised inputs are clipped here: beyond it, there was no training data."""
