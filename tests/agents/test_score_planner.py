@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 import pytest
 
 import cadenza
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.search import hand_search
-from cadenza.agents.planner.search.horizon_cost import HorizonCost
-from cadenza.agents.planner.search.sampling import UPDATES, Around
 from cadenza.agents.rollout import EpisodeResult, play_episode, play_episodes
 from cadenza.errors import CadenzaError
-from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import load_score
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import build_scene
 from cadenza.tasks.piano_task import PianoTask
-from melodies import BUFFER, COARSER, FINER, melody, whole_plan
+from melodies import BUFFER, COARSER, FINER, melody
 from numbered import finger
 
 
