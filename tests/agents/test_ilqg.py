@@ -237,8 +237,8 @@ class WatchedEpisode(ILQGPlanner):
         self.models.append(super()._approximate(start))
         return self.models[-1]
 
-    def _search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        controls, cost = super()._search(policy, start)
+    def _line_search(self, policy: FeedbackLaw, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        controls, cost = super()._line_search(policy, start)
         self.costs.append(cost)
         return controls, cost
 
@@ -271,7 +271,7 @@ def test_the_gradient_is_that_of_the_cost(right_hand: Scene, score: Score, finge
         for sign in (-1, 1):
             planner._nominal = nominal + sign * change
             still = FeedbackLaw(np.zeros(nominal.shape), np.zeros((1, nominal.shape[1], 2 * 111)))
-            costs.append(planner._search(still, start)[1][0])
+            costs.append(planner._line_search(still, start)[1][0])
         assert_allclose((costs[1] - costs[0]) / 2, gradient @ change[0], rtol=1e-3, atol=1e-9)
 
 
