@@ -29,8 +29,9 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, PedalEvent, Score
-from cadenza.report.page import write_report
-from cadenza.report.training import Curve, write_training
+from cadenza.report.performance_page import performance_page
+from cadenza.report.templates import write_page
+from cadenza.report.training_page import Curve, training_page
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, task_identity
 from cadenza.tasks.piano_task import PianoTask
@@ -123,7 +124,8 @@ def test_episodes(number: int, performance: Any, tmp_path: Path) -> None:
         path.write_bytes(other_npz(rng, whole))
         with mutations.at_most_refused():
             episode = load_episode(path)
-            write_report(tmp_path / "page.html", episode, {}, {}, np.zeros((100, 2), np.float32))
+            page = performance_page(episode, {}, {}, np.zeros((100, 2), np.float32))
+            write_page(tmp_path / "page.html", page)
 
 
 def other_sealed(rng: np.random.Generator, whole: Path, folder: Path) -> None:
@@ -197,7 +199,7 @@ def test_figures(number: int, tmp_path: Path) -> None:
             rows = RunFolder(tmp_path).rows()
             assert len(rows) >= (4 if seed % 3 else 0)
             if not any(abs(v or 0) > 1e15 for row in rows for v in row.values()):
-                write_training(tmp_path / "page.html", "", [Curve("run", rows)], {})
+                write_page(tmp_path / "page.html", training_page("", [Curve("run", rows)], {}))
 
 
 @many(200, 5000)

@@ -23,7 +23,7 @@ from cadenza.cli import _COMMANDS, main
 from cadenza.cli import arguments as cli_arguments
 from cadenza.cli.arguments import about_in_a_line
 from cadenza.episode import load_episode
-from cadenza.evaluation.at_work import failures_told
+from cadenza.evaluation.run_status import failure_recorded
 from cadenza.files import ANY, read_tensors, write_json, write_tensors
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.formats.fingering_file import read_fingering
@@ -343,7 +343,7 @@ def test_a_full_disk_is_told_in_a_line(
 
 
 def test_a_run_for_which_the_disk_is_full_says_so(tmp_path: Path) -> None:
-    with failures_told(tmp_path):
+    with failure_recorded(tmp_path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "episode.npz")
     assert "episode.npz: the disk is full; free some" in (tmp_path / "failed.json").read_text()
 

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 
 from cadenza.cli import main
-from cadenza.evaluation.at_work import progress_of
-from cadenza.evaluation.bench import State
-from cadenza.evaluation.job import Job, JobSpec
+from cadenza.evaluation.bench import BenchState
+from cadenza.evaluation.jobs import Job, JobSpec
 from cadenza.evaluation.results import Results, read_results
+from cadenza.evaluation.run_status import read_progress
 from cadenza.learning.config import preset
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
@@ -82,7 +82,7 @@ def until(what: Callable[[], object]) -> None:
 
 def under_way(folder: Path, stage: str = "playing") -> list[int]:
     """Processes of runs that are that far."""
-    at = [progress_of(run) for run in (folder / "out" / "runs").glob("*")]
+    at = [read_progress(run) for run in (folder / "out" / "runs").glob("*")]
     return [found.pid for found in at if found is not None and found.stage == stage]
 
 
@@ -105,7 +105,7 @@ def test_one_that_crashes_takes_nothing_else_with_it(folder: Path, agent: str, h
     assert "2 of 2: " in said
     found = read_results(folder / "out")
     assert [result.agent for result in found.results] == ["zero"]
-    assert [how in run.why for run in found.unfinished] == [True]
+    assert [how in run.reason for run in found.unfinished] == [True]
 
 
 @pytest.mark.parametrize(
@@ -144,9 +144,9 @@ def test_a_policy_plays_as_it_was_trained_unless_told_otherwise(
 ) -> None:
     planned: dict[str, JobSpec] = {}
 
-    def plan(jobs: list[Job], *_: object) -> State:
+    def plan(jobs: list[Job], *_: object) -> BenchState:
         planned.update({job.spec.agent: job.spec for job in jobs})
-        return State(folder, 0)
+        return BenchState(folder, 0)
 
     monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
     policy = str(pretrained_folder("OdeToJoy"))
@@ -168,9 +168,9 @@ def test_other_weights_in_the_same_file_are_another_run(
 ) -> None:
     weights, planned = tmp_path / "weights.npz", list[JobSpec]()
 
-    def plan(jobs: list[Job], *_: object) -> State:
+    def plan(jobs: list[Job], *_: object) -> BenchState:
         planned.append(jobs[0].spec)
-        return State(folder, 0)
+        return BenchState(folder, 0)
 
     monkeypatch.setattr("cadenza.evaluation.bench.bench", plan)
     for content in b"one", b"other", b"one":
@@ -281,8 +281,8 @@ def test_rows_of_the_table_tell_runs_apart(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     (folder / "songs" / "60.mid").rename(folder / "songs" / f"{'long-' * 20}60.mid")
 
-    def watched(jobs: list[Job], *others: Any) -> State:
-        state = State(folder, 0, running={job.spec.name: job for job in jobs})
+    def watched(jobs: list[Job], *others: Any) -> BenchState:
+        state = BenchState(folder, 0, running={job.spec.name: job for job in jobs})
         others[3](state)
         return state
 

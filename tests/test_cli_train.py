@@ -123,7 +123,9 @@ def test_a_run_goes_on_to_another_end(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pages = []
-    monkeypatch.setattr("cadenza.report.training.write_training", lambda *page: pages.append(page))
+    monkeypatch.setattr(
+        "cadenza.report.training_page.training_page", lambda *page: pages.append(page) or iter(())
+    )
     longer = tmp_path / "longer"
     shutil.copytree(run, longer)
     main(["train", "--resume", str(longer), "--num-steps", "300", "--no-video"])

@@ -51,8 +51,17 @@ LIBRARIES: dict[str, set[str]] = {
         "msgspec",
         "threadpoolctl",
     },
-    "report": {"numpy", "scipy", "av", "threadpoolctl", "tensorboardX", "wandb"},
-    "evaluation": {"numpy", "scipy", "filelock", "ray"},
+    "report": {
+        "numpy",
+        "scipy",
+        "av",
+        "jinja2",
+        "markupsafe",
+        "threadpoolctl",
+        "tensorboardX",
+        "wandb",
+    },
+    "evaluation": {"numpy", "scipy", "ray"},
     "studio": {"numpy", "starlette", "uvicorn"},
 }
 

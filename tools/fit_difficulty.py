@@ -30,8 +30,8 @@ from cadenza.agents.planner.config import PlannerConfig, SamplingMethod
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError, errors_in_a_line
-from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
+from cadenza.evaluation.summary import summarize
 from cadenza.files import parsed_json
 from cadenza.fingering.difficulty import EASIEST, ODDS, Features, Model, features_of
 from cadenza.fingering.search import find_fingering
@@ -154,10 +154,10 @@ def fitted_model(features: Array, errors: Array) -> Model:
 
 def compare(bench: Path) -> None:
     """With the mean over the seeds of each song that has a grade."""
-    about = overview(read_results(bench), bench.name)
+    about = summarize(read_results(bench), bench.name)
     grades = np.array([piece.difficulty for piece in about.pieces])
     libraries = np.array([piece.library for piece in about.pieces])
-    for agent, f1 in zip(about.agents, about.of_pieces["f1"].value, strict=True):
+    for agent, f1 in zip(about.agents, about.by_piece["f1"].value, strict=True):
         for library in dict.fromkeys(libraries):
             of_it = (libraries == library) & ~np.isnan(grades) & ~np.isnan(f1)
             if of_it.sum() > 2:

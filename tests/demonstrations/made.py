@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cadenza.agents.planner.config import PlannerConfig
-from cadenza.evaluation.collecting.episode import Demonstrator, EpisodeJob, episodes, record
+from cadenza.evaluation.collecting.collect import Demonstrator, EpisodeJob, episodes, record
 from cadenza.evaluation.collecting.variation import Variation, varied
 from cadenza.evaluation.results import RUNS
 from cadenza.music.arrangement import Arrangement

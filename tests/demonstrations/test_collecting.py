@@ -14,8 +14,7 @@ from cadenza.agents.rollout import play_episode
 from cadenza.demonstrations.dataset import kept
 from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest, played_actions
 from cadenza.demonstrations.replay import differences
-from cadenza.evaluation.at_work import locked
-from cadenza.evaluation.collecting.episode import (
+from cadenza.evaluation.collecting.collect import (
     _drawn,
     _playable,
     episodes,
@@ -25,6 +24,7 @@ from cadenza.evaluation.collecting.episode import (
 )
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.evaluation.results import FAILED, RUNS
+from cadenza.files import locked
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Note, Score

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cadenza.evaluation.job import key_of
+from cadenza.evaluation.jobs import key_of
 
 AGENTS = ("planner", "predictive-sampling", "ilqg", "train:fast", "tracked-presses")
 TITLES = ("Für Elise", "Nocturne", "Invention", "Sonata in C, first movement", "Étude", "Minuet")

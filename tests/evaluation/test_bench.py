@@ -10,12 +10,11 @@ from typing import Any
 
 import pytest
 
-from cadenza.evaluation.at_work import write_failure
-from cadenza.evaluation.bench import Ended, State, bench
-from cadenza.evaluation.job import Job
-from cadenza.evaluation.matrix import Contender, matrix
+from cadenza.evaluation.bench import BenchState, Ended, bench
+from cadenza.evaluation.jobs import Contender, Job, bench_jobs
 from cadenza.evaluation.results import RESULT, read_results
 from cadenza.evaluation.run import carry_out
+from cadenza.evaluation.run_status import write_failure
 from cadenza.files import locked
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.midi import write_midi
@@ -61,14 +60,14 @@ def jobs(tmp_path: Path) -> Callable[..., list[Job]]:
 
     def make(*agents: str, **task: Any) -> list[Job]:
         who = [Contender(agent, TaskConfig(**task), SceneConfig()) for agent in agents]
-        return matrix(library, lambda _: who, [0], Arrangement(), "none")
+        return bench_jobs(library, lambda _: who, [0], Arrangement(), "none")
 
     return make
 
 
 def carried_out(
     jobs: list[Job], folder: Path, instead: Sequence[Ended | None] = (), retry: bool = False
-) -> tuple[State, list[str]]:
+) -> tuple[BenchState, list[str]]:
     """How it was at the end, and which agents began."""
     executor, told = OneByOne(instead), list[str]()
     state = bench(
@@ -113,10 +112,12 @@ def test_what_failed_is_told_and_carried_out_again_on_demand(
         assert why.startswith("agent Raises: act(): ValueError: not today (")
     assert carried_out(both, tmp_path, retry=True)[1] == ["bench_agents:Raises"]
     (unfinished,) = read_results(tmp_path).unfinished
-    assert unfinished.why == why
+    assert unfinished.reason == why
 
 
-def after_a_result_that_was_not_good_enough(job: Job, folder: Path, executor: OneByOne) -> State:
+def after_a_result_that_was_not_good_enough(
+    job: Job, folder: Path, executor: OneByOne
+) -> BenchState:
     """What becomes of a run that is carried out again."""
     run = folder / "runs" / job.spec.name
     run.mkdir(parents=True)
@@ -190,7 +191,7 @@ def test_a_run_of_others_is_waited_for_and_taken_up_if_they_give_up(
     with locked(tmp_path / "runs" / job.spec.name) as ours:
         assert ours
 
-        def goes_on(_: State) -> bool:
+        def goes_on(_: BenchState) -> bool:
             nonlocal looks
             looks += 1
             return looks < 4

@@ -12,8 +12,8 @@ from threading import Thread
 import pytest
 
 from cadenza.cli import main
-from cadenza.evaluation.at_work import At, progress_of
 from cadenza.evaluation.results import read_results
+from cadenza.evaluation.run_status import RunProgress, read_progress
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 
@@ -40,14 +40,14 @@ def bench(agents: str, *others: str) -> None:
     main(["bench", *chosen, "--executor", "ray", *others])
 
 
-def meanwhile(folder: Path, act: Callable[[At], None]) -> Thread:
+def meanwhile(folder: Path, act: Callable[[RunProgress], None]) -> Thread:
     """Does something about the first run that plays."""
 
     def wait() -> None:
         end = time.monotonic() + _PATIENCE
         while time.monotonic() < end:
             for run in (folder / "out" / "runs").glob("*"):
-                if (at := progress_of(run)) is not None and at.stage == "playing":
+                if (at := read_progress(run)) is not None and at.stage == "playing":
                     act(at)
                     return
             time.sleep(0.02)
@@ -62,7 +62,7 @@ def test_a_worker_that_dies_loses_only_its_own_run_which_is_taken_up_again(
 ) -> None:
     killed = list[int]()
 
-    def kill(at: At) -> None:
+    def kill(at: RunProgress) -> None:
         os.kill(at.pid, signal.SIGKILL)
         killed.append(at.pid)
 

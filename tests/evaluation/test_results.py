@@ -9,11 +9,9 @@ from typing import Any
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.job import Job, JobSpec
-from cadenza.evaluation.matrix import Contender, matrix, write_plan
-from cadenza.evaluation.results import read_results
+from cadenza.evaluation.jobs import Contender, Job, JobSpec, bench_jobs, songs_of
+from cadenza.evaluation.results import read_results, write_plan
 from cadenza.evaluation.run import carry_out, is_complete
-from cadenza.evaluation.songs import digest_of, facts_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.library import find_song
 from cadenza.music.libraries.songs import Library
@@ -24,9 +22,9 @@ SCALE = Library("debug", (find_song("CMajorScaleOneHand"),))
 
 
 def job(agent: str = "zero", seed: int = 0, page: bool = False, seconds: float = 0.4) -> Job:
-    (song,), beginning = SCALE.songs, Arrangement(first_seconds=seconds)
-    spec = JobSpec(song.name, digest_of(song), agent, seed, TaskConfig(), SceneConfig(), beginning)
-    return Job(spec, facts_of(song, SCALE), page)
+    ((song, digest),), beginning = songs_of(SCALE), Arrangement(first_seconds=seconds)
+    spec = JobSpec(song.name, digest, agent, seed, TaskConfig(), SceneConfig(), beginning)
+    return Job(spec, song, page)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +67,7 @@ def test_what_is_corrupt_is_told_and_left_out(tmp_path: Path, finished: str, tex
     found = read_results(tmp_path)
     assert [result.folder.name for result in found.results] == [names[1]]
     assert [without.name for without in found.broken] == [names[0], names[2]]
-    assert all("\n" not in without.why for without in found.broken)
+    assert all("\n" not in run.reason for run in found.broken)
 
 
 def test_a_run_that_was_copied_does_not_count_twice(tmp_path: Path, finished: str) -> None:
@@ -79,7 +77,7 @@ def test_a_run_that_was_copied_does_not_count_twice(tmp_path: Path, finished: st
     found = read_results(tmp_path)
     assert [result.folder.name for result in found.results] == [job().spec.name]
     (broken,) = found.broken
-    assert "does not belong to its folder" in broken.why
+    assert "does not belong to its folder" in broken.reason
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": 1}'])
@@ -118,7 +116,7 @@ def test_what_is_missing_is_told(tmp_path: Path, finished: str) -> None:
     (tmp_path / "runs" / ".DS_Store").touch()  # as file managers leave it
     found = read_results(tmp_path)
     assert len(found.results) == 1
-    assert {(run.name, run.why) for run in found.unfinished} == {
+    assert {(run.name, run.reason) for run in found.unfinished} == {
         (second.name, "out of luck"),
         (third.name, "not finished"),
     }
@@ -134,11 +132,11 @@ def test_a_run_is_named_by_all_that_its_result_depends_on() -> None:
     assert len({spec.key for spec in [one, *others]}) == 4
 
 
-def test_a_matrix_names_every_run_once_and_the_first_seed_first() -> None:
+def test_a_bench_names_every_run_once_and_the_first_seed_first() -> None:
     def who(_: str) -> list[Contender]:
         return [Contender(name, TaskConfig(), SceneConfig()) for name in ("zero", "random", "zero")]
 
-    jobs = matrix(SCALE, who, [4, 2, 4], Arrangement())
+    jobs = bench_jobs(SCALE, who, [4, 2, 4], Arrangement())
     runs = [(job.spec.agent, job.spec.seed, job.page) for job in jobs]
     assert runs == [
         ("zero", 4, True),

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from made_up_episode import DT, make_episode
 
-from cadenza.report.asset import asset
-from cadenza.report.page import write_report
+from cadenza.report.performance_page import performance_page
+from cadenza.report.templates import asset, write_page
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.scene.scene import build_scene
@@ -34,7 +34,8 @@ def test_the_page_reads_what_was_recorded(browser, tmp_path):
         hand_qpos=rng.normal(0, 1, (episode.num_steps, 2)),
         reward_key_press=key_press,
     )
-    write_report(tmp_path / "page.html", episode, {}, {}, np.zeros((0, 2), np.int16))
+    page = performance_page(episode, {}, {}, np.zeros((0, 2), np.int16))
+    write_page(tmp_path / "page.html", page)
     browser.open(tmp_path / "page.html")
     browser.evaluate(f"(() => {{ {asset('recording.js')}; window.read = readRecording; }})()")
     read = json.loads(

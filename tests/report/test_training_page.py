@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cadenza.report.training import Curve, write_training
+from cadenza.report.templates import write_page
+from cadenza.report.training_page import Curve, training_page
 from headless import Browser, needs_chromium
 
 STEPS, TIME = "F1 by control steps", "F1 by wall time"
@@ -67,7 +68,7 @@ def lines(page: str, title: str) -> dict[str, list[tuple[float, float]]]:
 def written(tmp_path: Path) -> Callable[..., str]:
     def write(*runs: Curve, title: str = "A song", **more) -> str:
         path = tmp_path / "training.html"
-        write_training(path, title, runs, more.pop("settings", {}), **more)
+        write_page(path, training_page(title, runs, more.pop("settings", {}), **more))
         return path.read_text()
 
     return write
@@ -145,12 +146,12 @@ def test_a_run_that_goes_on_says_how_long_and_loads_itself_anew(written) -> None
     slow_start = [learning(1000), *(learning(s) for s in (2000, 3000, 4000))]
     slow_start[0]["seconds"] = -900.0
     running = Curve("begun", slow_start, num_steps=64_000)
-    page = written(running, going_on=True)
+    page = written(running, running=True)
     assert "Control steps 4,000 60 k to go of 64 k" in words(page)
     assert "about 1 h 40 min left" in words(page)  # at ten steps a second
-    assert '<html lang="en" data-renewed>' in page
+    assert '<html lang="en" data-running>' in page
     finished = written(Curve("done", slow_start, num_steps=4000))
-    assert "data-renewed>" not in finished
+    assert "data-running>" not in finished
     assert "left" not in words(finished)
 
 
@@ -239,7 +240,7 @@ def test_words_of_others_are_escaped(written) -> None:
     )
     assert bad not in page
     assert '<i>"' not in page
-    assert page.count("&lt;i&gt;&quot;&amp;") > 10
+    assert page.count("&lt;i&gt;&#34;&amp;") > 10
     assert {line["name"] for line in charts(page)[STEPS]["lines"]} > {bad}
     assert f"Reward: {bad}" in charts(page)
 

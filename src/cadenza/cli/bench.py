@@ -25,9 +25,8 @@ from cadenza.learning.config import preset
 from cadenza.learning.learner import Preset
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import State
-    from cadenza.evaluation.job import Job
-    from cadenza.evaluation.matrix import Contender
+    from cadenza.evaluation.bench import BenchState
+    from cadenza.evaluation.jobs import Contender, Job
 
 _MOST_SEEDS = 10_000
 _MOST_RUNS = 20_000  # which take a minute to be told apart, and then days
@@ -71,7 +70,8 @@ class Bench(Options):
 
 def run(command: Bench, again: Again[Bench]) -> None:
     from cadenza.evaluation.bench import bench
-    from cadenza.evaluation.matrix import matrix, write_plan
+    from cadenza.evaluation.jobs import bench_jobs
+    from cadenza.evaluation.results import write_plan
     from cadenza.evaluation.run import carry_out
     from cadenza.music.libraries.library import open_library
 
@@ -87,7 +87,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
             f"{what}: {runs} runs, but a bench holds up to {_MOST_RUNS}; choose fewer, such as a "
             "split or a smaller folder of songs"
         )
-    jobs = matrix(library, who, seeds, command.arrangement, command.pages)
+    jobs = bench_jobs(library, who, seeds, command.arrangement, command.pages)
     if not jobs:
         raise CadenzaError("there is nothing to run: choose other songs or agents")
     check_writable(command.output)
@@ -101,7 +101,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     ):
         stop()  # from now on
 
-        def goes_on(state: State) -> bool:
+        def goes_on(state: BenchState) -> bool:
             table.show(state)
             return not stop()
 
@@ -158,8 +158,7 @@ def _contenders(
 
 def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
     from cadenza.agents.registry import make_agent
-    from cadenza.evaluation.job import digest_of_files
-    from cadenza.evaluation.matrix import Contender
+    from cadenza.evaluation.jobs import Contender, digest_of_files
     from cadenza.performing.setup import is_policy_folder
 
     if agent.startswith(TRAIN):
@@ -186,7 +185,7 @@ def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | N
 
 
 def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) -> Contender:
-    from cadenza.evaluation.matrix import Contender
+    from cadenza.evaluation.jobs import Contender
     from cadenza.files import sha256_of
     from cadenza.learning.policy_folder import load_policy
     from cadenza.learning.sealed_folder import MANIFEST
@@ -198,7 +197,7 @@ def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) 
 
 
 def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
-    from cadenza.evaluation.matrix import Contender
+    from cadenza.evaluation.jobs import Contender
     from cadenza.learning.config import check
 
     presets = {

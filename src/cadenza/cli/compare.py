@@ -30,7 +30,7 @@ from cadenza.files import write_json
 if TYPE_CHECKING:
     from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection
-    from cadenza.report.comparison import Run
+    from cadenza.report.comparison_page import Run
 
 
 @dataclass(frozen=True)
@@ -80,39 +80,40 @@ def compare(command: Compare, again: Again[Compare]) -> None:
 
 def _tell(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
     """Writes the files, and prints the table."""
-    from cadenza.report.comparison import means, write_comparison
+    from cadenza.report.comparison_page import comparison_page, means
+    from cadenza.report.templates import write_page
 
     content = {
         "means": means(runs),
-        "runs": [{"agent": run.agent, "seed": run.seed, **run.figures} for run in runs],
+        "runs": [{"agent": run.agent, "seed": run.seed, **run.metrics} for run in runs],
         "settings": asdict(command),
         "remarks": remarks,
     }
     write_json(folder / "compare.json", content)
-    write_comparison(folder / "compare.html", runs, remarks)
+    write_page(folder / "compare.html", comparison_page(runs, remarks))
     print("\n".join([in_text(runs), *remarks]))
     print(f"\nOpen {folder / 'compare.html'}")
 
 
 def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
     from cadenza.performing.performance import perform
-    from cadenza.report.comparison import Run
+    from cadenza.report.comparison_page import Run
 
     with (
         setting_up(selection, command, seed) as setup,
         stages(f"{name}, seed {seed}") as progress,
     ):
         performance = perform(setup, progress)
-    return Run(name, seed, _figures(performance), performance.episode)
+    return Run(name, seed, _metrics(performance), performance.episode)
 
 
 def in_text(runs: Sequence[Run]) -> str:
     """The table of means, for a terminal."""
-    from cadenza.report.comparison import COLUMNS, means, shown
+    from cadenza.report.comparison_page import COLUMNS, means, metric_text
 
     rows = [["", *(title for title, _ in COLUMNS.values())]]
-    for agent, figures in means(runs).items():
-        rows.append([agent, *(shown(name, figures[name]) for name in COLUMNS)])
+    for agent, metrics in means(runs).items():
+        rows.append([agent, *(metric_text(name, metrics[name]) for name in COLUMNS)])
     return in_columns(rows)
 
 
@@ -125,8 +126,8 @@ def _differing(own: Compare, command: Compare) -> str:
     return ", ".join(f"{name} {v} instead of {others[name]}" for name, v in changed.items())
 
 
-def _figures(performance: Performance) -> dict[str, float]:
-    """What is compared."""
+def _metrics(performance: Performance) -> dict[str, float]:
+    """Returns the metrics that are compared."""
     metrics, energy = performance.metrics, performance.energy
     figures = {name: metrics[name] for name in ("f1", "precision", "recall", "note_onset_f1")}
     error = metrics["timing_error"]

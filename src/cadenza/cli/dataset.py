@@ -25,9 +25,9 @@ from cadenza.evaluation.collecting.variation import Variation, varied
 from cadenza.tasks.config import TaskConfig
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import State
-    from cadenza.evaluation.collecting.episode import Demonstrator
-    from cadenza.evaluation.job import Job
+    from cadenza.evaluation.bench import BenchState
+    from cadenza.evaluation.collecting.collect import Demonstrator
+    from cadenza.evaluation.jobs import Job
 
 _MOST_EPISODES = 1_000_000
 
@@ -70,8 +70,8 @@ class Collect(Options):
 
 def collect(command: Collect, _again: Again[Collect]) -> None:
     from cadenza.evaluation.bench import bench
-    from cadenza.evaluation.collecting.episode import episodes, is_complete, record
-    from cadenza.evaluation.matrix import write_plan
+    from cadenza.evaluation.collecting.collect import episodes, is_complete, record
+    from cadenza.evaluation.results import write_plan
     from cadenza.music.libraries.library import open_library
 
     _check(command)
@@ -88,7 +88,7 @@ def collect(command: Collect, _again: Again[Collect]) -> None:
     ):
         stop()  # from now on
 
-        def goes_on(state: State) -> bool:
+        def goes_on(state: BenchState) -> bool:
             table.show(state)
             return not stop()
 
@@ -123,7 +123,7 @@ def _check(command: Collect) -> None:
 
 def _who(command: Collect) -> Demonstrator:
     from cadenza.agents.registry import make_agent
-    from cadenza.evaluation.collecting.episode import Demonstrator
+    from cadenza.evaluation.collecting.collect import Demonstrator
     from cadenza.performing.setup import is_policy_folder
 
     agent = current_name(command.agent)

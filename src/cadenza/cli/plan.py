@@ -67,7 +67,7 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:
     """The options with which "cadenza play" replays what `command` has planned."""
-    from cadenza.report.page import flat
+    from cadenza.configs import flat
 
     flags = ["--agent", PLAYBACK, "--plan", str(path)]
     for options, default in (

@@ -1,4 +1,4 @@
-"""`cadenza results`: pages and tables of what the runs of a bench say."""
+"""`cadenza results`: pages and tables of the results of a bench."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cadenza.cli.arguments import Quiet
 from cadenza.cli.output import check_name, check_writable, in_columns
 
 if TYPE_CHECKING:
-    from cadenza.report.overview import Overview
+    from cadenza.report.bench_summary import BenchSummary
 
 
 @dataclass(frozen=True)
@@ -32,40 +32,46 @@ class Results:
 
 
 def results(command: Results) -> None:
-    from cadenza.evaluation.overview import overview
-    from cadenza.evaluation.remarks import usable
+    from cadenza.evaluation.caveats import usable
     from cadenza.evaluation.results import read_results
+    from cadenza.evaluation.summary import summarize
     from cadenza.evaluation.tables import write_tables
-    from cadenza.report.results_figure import write_figure
-    from cadenza.report.results_page import write_results_pages
+    from cadenza.report.results_pages import write_figure, write_results_pages
 
     folder = command.output or command.bench / "results"
     if command.figure:
         check_name(command.figure, ".svg", "the figure is an .svg picture")
     found = read_results(command.bench)
-    told = overview(found, command.bench.resolve().name)
+    summary = summarize(found, command.bench.resolve().name)
     check_writable(folder)
-    tables = write_tables(folder, told, usable(found))
-    index, *_ = write_results_pages(folder, told, tables)
+    tables = write_tables(folder, summary, usable(found))
+    index, *_ = write_results_pages(folder, summary, tables)
     if command.figure:
-        write_figure(command.figure, told)
-    print(_in_text(told))
-    for line, _ in told.remarks:
-        print(line)
+        write_figure(command.figure, summary)
+    print(_in_text(summary))
+    for caveat, _ in summary.caveats:
+        print(caveat)
     print(f"\nOpen {index}")
 
 
-def _in_text(told: Overview) -> str:
-    """The table of agents, for a terminal: interquartile means."""
-    from cadenza.report.overview import FIGURES, HEADLINES, SAME, in_interval, same_in_words, shown
+def _in_text(summary: BenchSummary) -> str:
+    """Returns the table of agents for a terminal: interquartile means."""
+    from cadenza.report.bench_summary import (
+        HEADLINES,
+        IDENTICAL,
+        METRICS,
+        identical_text,
+        interval_text,
+        metric_text,
+    )
 
-    titles = [FIGURES[name].title for name in HEADLINES]
-    rows = [["", "pieces", "runs", SAME.lower(), titles[0], "95 % interval", *titles[1:]]]
-    for group in told.groups:
+    titles = [METRICS[name].title for name in HEADLINES]
+    rows = [["", "pieces", "runs", IDENTICAL.lower(), titles[0], "95 % interval", *titles[1:]]]
+    for group in summary.groups:
         rows.append([group.name, *[""] * (len(rows[0]) - 1)])
-        for agent, of in group.standings.items():
-            f1, *others = (shown(name, of.iqm[name].value) for name in HEADLINES)
-            interval = in_interval(HEADLINES[0], of.iqm[HEADLINES[0]])
-            counts = [str(of.pieces), str(of.runs), same_in_words(of)]
+        for agent, own in group.agents.items():
+            f1, *others = (metric_text(name, own.iqm[name].value) for name in HEADLINES)
+            interval = interval_text(HEADLINES[0], own.iqm[HEADLINES[0]])
+            counts = [str(own.pieces), str(own.runs), identical_text(own)]
             rows.append([f"  {agent}", *counts, f1, interval, *others])
     return f"Interquartile means\n{in_columns(rows)}"

@@ -27,7 +27,7 @@ def with_options_of_setup(kind: type, words: Sequence[str]) -> list[str]:
     known = {*option_names(kind)}
     if not names or "--setup" not in known:
         return [*words]
-    from cadenza.report.page import flat
+    from cadenza.configs import flat
 
     setup = setup_named(names[-1])
     given: dict[str, Any] = {**setup.options}

@@ -34,7 +34,7 @@ from cadenza.tasks.setups import setup_named
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training
-    from cadenza.report.training import Curve
+    from cadenza.report.training_page import Curve
 
 _PLAYS_WELL = {False: 50_000, True: 30_000}
 """Whether it corrects a plan -> steps to an F1 of 0.9, as in docs/curves: Twinkle's, Au Clair's."""
@@ -249,17 +249,20 @@ def _sparingly(do: Callable[[], None]) -> Callable[[], None]:
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
     """The page of a run."""
-    from cadenza.report.training import write_training
+    from cadenza.report.templates import write_page
+    from cadenza.report.training_page import training_page
 
     pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
     links = {label: page for label, page in pages.items() if (folder / page).exists()}
     settings = plain(asdict(config))
     curve = replace(_curve(folder), num_steps=config.num_steps)
-    write_training(folder / "report.html", song, [curve], settings, links, going_on)
+    page = training_page(song, [curve], settings, links, going_on)
+    write_page(folder / "report.html", page)
 
 
 def curves(command: Curves) -> None:
-    from cadenza.report.training import write_training
+    from cadenza.report.templates import write_page
+    from cadenza.report.training_page import training_page
 
     if not command.runs:
         raise CadenzaError("no curves to draw: name at least one folder of a run")
@@ -271,7 +274,7 @@ def curves(command: Curves) -> None:
     tasks = [", ".join(part for part in parts if part not in shared) for parts in told]
     apart = [replace(curve, task=task) for curve, task in zip(drawn, tasks, strict=True)]
     songs = dict.fromkeys(song for song, *_ in told)
-    write_training(command.output, " · ".join(songs), apart, {})
+    write_page(command.output, training_page(" · ".join(songs), apart, {}))
     print(f"Open {command.output}")
 
 
@@ -281,8 +284,8 @@ def _what_and_how(run: Path) -> list[str]:
     Of a folder that has the figures only, its name without the number at the end is taken for the
     song.
     """
+    from cadenza.configs import flat
     from cadenza.learning.run_folder import RunFolder
-    from cadenza.report.page import flat
 
     if not (run / "run.json").exists():
         return [re.sub(r"[ _-]*\d+$", "", run.name) or run.name]
@@ -305,7 +308,7 @@ def _what_and_how(run: Path) -> list[str]:
 
 def _curve(run: Path) -> Curve:
     from cadenza.learning.run_folder import read_rows
-    from cadenza.report.training import Curve
+    from cadenza.report.training_page import Curve
 
     rows = read_rows(run)
     if not rows:

@@ -17,8 +17,8 @@ from cadenza.errors import CadenzaError
 from cadenza.sim.threads import MOST_THREADS
 
 if TYPE_CHECKING:
-    from cadenza.evaluation.bench import CarryOut, Executor, State
-    from cadenza.evaluation.job import Job
+    from cadenza.evaluation.bench import BenchState, CarryOut, Executor
+    from cadenza.evaluation.jobs import Job
 
 
 class _Command(Protocol):
@@ -46,12 +46,12 @@ def check_executor(command: _Command) -> None:
 def executor_of(command: _Command, carry_out: CarryOut) -> Executor:
     """Where the runs of a command are carried out."""
     if command.executor == "ray":
-        from cadenza.evaluation.executors.ray import Ray
+        from cadenza.evaluation.executors.ray import RayExecutor
 
-        return Ray(command.num_threads, command.jobs, command.address, carry_out)
-    from cadenza.evaluation.executors.local import Local
+        return RayExecutor(command.num_threads, command.jobs, command.address, carry_out)
+    from cadenza.evaluation.executors.local import LocalExecutor
 
-    return Local(command.num_threads, command.jobs, carry_out)
+    return LocalExecutor(command.num_threads, command.jobs, carry_out)
 
 
 HowItWent = Callable[[Path, "Job"], str]
@@ -59,10 +59,10 @@ HowItWent = Callable[[Path, "Job"], str]
 
 
 class _Shown(Protocol):
-    def show(self, state: State) -> None:
+    def show(self, state: BenchState) -> None:
         """How far it is now."""
 
-    def ended(self, state: State, job: Job) -> None:
+    def ended(self, state: BenchState, job: Job) -> None:
         """A run has finished or failed, or its process has died."""
 
 
@@ -83,10 +83,10 @@ class _Lines:
     def __init__(self, how_it_went: HowItWent) -> None:
         self._how_it_went = how_it_went
 
-    def show(self, state: State) -> None:
+    def show(self, state: BenchState) -> None:
         pass
 
-    def ended(self, state: State, job: Job) -> None:
+    def ended(self, state: BenchState, job: Job) -> None:
         if not QUIET.get():
             done = state.finished + len(state.failed)
             print(
@@ -103,7 +103,7 @@ class _Table:
         self._lines = 0
         self._began: dict[str, float] = {}
 
-    def show(self, state: State) -> None:
+    def show(self, state: BenchState) -> None:
         columns, rows = shutil.get_terminal_size()
         lines = [*self._rows(state, columns)][: rows - 2]
         self.clear()
@@ -112,7 +112,7 @@ class _Table:
         )
         self._lines = len(lines) + 1
 
-    def ended(self, state: State, job: Job) -> None:
+    def ended(self, state: BenchState, job: Job) -> None:
         self.clear()
         self._began.pop(job.spec.name, None)
         print(_what_became_of(state, job, self._how_it_went), file=sys.stderr)
@@ -122,13 +122,13 @@ class _Table:
             print(f"\x1b[{self._lines}F\x1b[J", end="", file=sys.stderr, flush=True)
         self._lines = 0
 
-    def _rows(self, state: State, columns: int) -> Iterator[str]:
-        from cadenza.evaluation.at_work import progress_of
+    def _rows(self, state: BenchState, columns: int) -> Iterator[str]:
+        from cadenza.evaluation.run_status import read_progress
 
         now = time.monotonic()
         for name, job in state.running.items():
             seconds = now - self._began.setdefault(name, now)
-            at = progress_of(state.folder / name)
+            at = read_progress(state.folder / name)
             how_far = "beginning" if at is None else at.stage
             if at is not None and at.total:
                 how_far += f" {100 * at.done // at.total} %"
@@ -145,7 +145,7 @@ def _named(job: Job) -> str:
     return f"{job.spec.song}  {job.spec.agent}  seed {job.spec.seed}"
 
 
-def _what_became_of(state: State, job: Job, how_it_went: HowItWent) -> str:
+def _what_became_of(state: BenchState, job: Job, how_it_went: HowItWent) -> str:
     if job.spec.name in state.failed:
         how = f"failed: {state.failed[job.spec.name]}"
     elif job in state.todo:
@@ -158,7 +158,7 @@ def _what_became_of(state: State, job: Job, how_it_went: HowItWent) -> str:
     return f"{_named(job)}: {how}"
 
 
-def _in_all(state: State) -> str:
+def _in_all(state: BenchState) -> str:
     parts = [f"{state.finished} of {state.total} runs finished"]
     parts += [f"{len(state.failed)} failed"] * bool(state.failed)
     parts += [f"{len(state.running)} under way"] * bool(state.running)
@@ -166,7 +166,7 @@ def _in_all(state: State) -> str:
     return ", ".join(parts)
 
 
-def tell_what_is_left(state: State, folder: Path, to_sum_up: Sequence[str]) -> None:
+def tell_what_is_left(state: BenchState, folder: Path, to_sum_up: Sequence[str]) -> None:
     """And the command that sums them up.
 
     Raises: KeyboardInterrupt or CadenzaError: not all runs are finished.

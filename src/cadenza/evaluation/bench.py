@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.at_work import write_failure
-from cadenza.evaluation.job import Job
+from cadenza.evaluation.jobs import Job
 from cadenza.evaluation.results import FAILED, RESULT, RUNS, failure
 from cadenza.evaluation.run import is_complete
+from cadenza.evaluation.run_status import write_failure
 from cadenza.files import locked
 
-_BETWEEN_LOOKS = 0.5  # [s]
-_ATTEMPTS = 3  # at a run whose process dies
+_POLL_INTERVAL = 0.5  # [s]
+_MAX_ATTEMPTS = 3  # at a run whose process dies
 
 
 CarryOut = Callable[[Any, Path, int, Callable[[], bool]], None]
@@ -29,51 +29,51 @@ class Ended(NamedTuple):
 
     job: Job
     crash: str = ""
-    """What became of a process that died, in a line; others leave a result or why there is none."""
+    """How the process died, in a line; one that did not leaves a result or why there is none."""
 
 
 class Executor(Protocol):
-    """Where runs are carried out, each by a process of its own."""
+    """Carries out runs, each in a process of its own."""
 
     @property
     def capacity(self) -> int:
-        """How many runs at once."""
+        """Number of runs at once."""
 
     def start(self, job: Job, folder: Path) -> None:
-        """Begins what the executor was made for, such as `cadenza.evaluation.run.carry_out`."""
+        """Begins to carry out a job, as with `cadenza.evaluation.run.carry_out`."""
 
     def ended(self, seconds: float) -> list[Ended]:
-        """Waits at most so long [s] for some to end."""
+        """Waits at most so long [s] for runs to end, and returns those."""
 
     def stop(self) -> None:
-        """Ends all runs under way, so that they can be taken up again."""
+        """Ends all runs under way so that they can be resumed."""
 
     def close(self) -> None:
-        """Lets go of all that it needed."""
+        """Frees all that it uses."""
 
 
 @dataclass
-class State:
+class BenchState:
     """How far a bench is. Runs are named as their folders."""
 
     folder: Path
-    """Of all runs."""
+    """The folder of all runs."""
     total: int
     is_complete: Callable[[Any, Path], bool] = is_complete
-    """Whether nothing is left to do for a run in its folder."""
+    """Tells whether nothing is left to do for a run in its folder."""
     todo: deque[Job] = field(default_factory=deque)
     running: dict[str, Job] = field(default_factory=dict)
     elsewhere: list[Job] = field(default_factory=list)
-    """Which another process has been found at work on."""
+    """Runs that another process works on."""
     finished: int = 0
     failed: dict[str, str] = field(default_factory=dict)
-    """With why."""
+    """Reasons of the runs that failed."""
     died: dict[str, list[str]] = field(default_factory=dict)
-    """What became of each process that died."""
+    """How each process of a run died."""
 
     @property
     def left(self) -> int:
-        """Neither finished nor failed."""
+        """Number of runs that are neither finished nor failed."""
         return self.total - self.finished - len(self.failed)
 
 
@@ -81,31 +81,31 @@ def bench(
     jobs: Sequence[Job],
     folder: Path,
     executor: Executor,
-    ended: Callable[[State, Job], None],
-    goes_on: Callable[[State], bool],
+    ended: Callable[[BenchState, Job], None],
+    should_continue: Callable[[BenchState], bool],
     retry: bool = False,
     is_complete: Callable[[Any, Path], bool] = is_complete,
-) -> State:
+) -> BenchState:
     """Carries out what is not complete yet.
 
     Args:
         jobs: all runs that there are to be.
         folder: of the bench.
         executor: where they are carried out.
-        ended: is told of a run that has finished or failed, or whose process has died and which is
-            to be taken up again.
-        goes_on: is asked now and then; where it is false, all ends that is under way.
+        ended: is called with a run that has finished or failed, or whose process has died and that
+            is tried again.
+        should_continue: is asked now and then; where it is false, all runs are ended.
         retry: runs that have failed before are carried out again.
         is_complete: whether nothing is left to do for a run in its folder.
     """
-    state = State(folder / RUNS, len(jobs), is_complete)
+    state = BenchState(folder / RUNS, len(jobs), is_complete)
     for job in jobs:
         if is_complete(job, state.folder / job.spec.name):
             state.finished += 1
         elif retry or not _has_failed(state, job):
             state.todo.append(job)
     while state.todo or state.running or state.elsewhere:
-        if not goes_on(state):
+        if not should_continue(state):
             executor.stop()
             for job in state.running.values():
                 _is_finished(state, job, "stopped")  # before it was
@@ -113,24 +113,24 @@ def bench(
         while state.todo and len(state.running) < executor.capacity:
             _start(state, state.todo.popleft(), executor)
         if not state.running:
-            time.sleep(_BETWEEN_LOOKS)
-        for job, crash in executor.ended(_BETWEEN_LOOKS) if state.running else ():
+            time.sleep(_POLL_INTERVAL)
+        for job, crash in executor.ended(_POLL_INTERVAL) if state.running else ():
             del state.running[job.spec.name]
-            if _is_ours(state, job, crash):
+            if _process_ended(state, job, crash):
                 ended(state, job)
             else:
                 state.elsewhere.append(job)
-        _look_elsewhere(state, ended)
+        _poll_elsewhere(state, ended)
     return state
 
 
-def _start(state: State, job: Job, executor: Executor) -> None:
+def _start(state: BenchState, job: Job, executor: Executor) -> None:
     state.running[job.spec.name] = job
     executor.start(job, state.folder / job.spec.name)
 
 
-def _is_finished(state: State, job: Job, crash: str = "") -> bool:
-    """Whether a run has ended well; what an earlier attempt has left may not be good enough."""
+def _is_finished(state: BenchState, job: Job, crash: str = "") -> bool:
+    """Returns whether a run has ended well; a result of an earlier attempt may lack its page."""
     folder = state.folder / job.spec.name
     pageless = job.page and not crash and (folder / RESULT).exists()  # as none can be made of it
     ended = state.is_complete(job, folder) or pageless
@@ -139,7 +139,7 @@ def _is_finished(state: State, job: Job, crash: str = "") -> bool:
     return finished
 
 
-def _has_failed(state: State, job: Job) -> bool:
+def _has_failed(state: BenchState, job: Job) -> bool:
     try:
         why = failure(state.folder / job.spec.name)
     except CadenzaError as error:  # what it says is corrupt
@@ -149,8 +149,8 @@ def _has_failed(state: State, job: Job) -> bool:
     return why is not None
 
 
-def _is_ours(state: State, job: Job, crash: str) -> bool:
-    """Whether a run whose process has ended is ours to tell of; else another is at work on it."""
+def _process_ended(state: BenchState, job: Job, crash: str) -> bool:
+    """Records how a run ended; returns False where another process works on it."""
     name, folder = job.spec.name, state.folder / job.spec.name
     if _is_finished(state, job, crash):
         return True
@@ -161,16 +161,16 @@ def _is_ours(state: State, job: Job, crash: str) -> bool:
             why = crash or "its process ended without a result; see log.txt"
             died = state.died.setdefault(name, [])
             died.append(why)
-            if len(died) < _ATTEMPTS:
+            if len(died) < _MAX_ATTEMPTS:
                 state.todo.append(job)  # after all others: there may be more memory then
                 return True
-            write_failure(folder, f"{why}; so it went {_ATTEMPTS} times")
+            write_failure(folder, f"{why}; so it went {_MAX_ATTEMPTS} times")
     _has_failed(state, job)
     return True
 
 
-def _look_elsewhere(state: State, ended: Callable[[State, Job], None]) -> None:
-    """Takes up runs that others have given up."""
+def _poll_elsewhere(state: BenchState, ended: Callable[[BenchState, Job], None]) -> None:
+    """Takes over runs that other processes have given up."""
     waiting, state.elsewhere = state.elsewhere, []
     for job in waiting:
         with locked(state.folder / job.spec.name) as ours:

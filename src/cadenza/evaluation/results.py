@@ -6,18 +6,21 @@ FOLDER/runs/NAME/         a run, see `cadenza.evaluation.run`
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.job import SongFacts, key_of
-from cadenza.files import checked, read_json
+from cadenza.evaluation.jobs import Job, SongFacts, key_of
+from cadenza.files import checked, read_json, write_json
 
 FORMAT: Literal[1] = 1
 RESULT, FAILED, PAGE = "result.json", "failed.json", "report.html"
 PLANS, RUNS = "plans", "runs"
+_HASH = 12  # hexadecimal digits
 
 
 @dataclass(frozen=True)
@@ -25,26 +28,26 @@ class Timing:
     """How long a run took."""
 
     wall_seconds: float
-    """From its beginning to its end, but for the page; of training, all the time it took."""
+    """From its beginning to its end, but for the page; all of the training included."""
     music_seconds: float
-    """How much music was played."""
+    """Length of the music that was played."""
     threads: int
     cpu_seconds: float | None = None
-    """The same as `wall_seconds`, of all threads, without waiting; not known of training."""
+    """CPU time of all threads in the same period; not known of training."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What came before a policy played."""
+    """The training before a policy played."""
 
     steps: int
-    """Control steps, of all environments together."""
+    """Number of control steps of all environments together."""
     seconds: float
 
 
 @dataclass(frozen=True)
 class ResultFile:
-    """What result.json holds."""
+    """Content of result.json."""
 
     format: Literal[1]
     job: dict[str, Any]
@@ -75,13 +78,13 @@ class Result(ResultFile):
 
 
 @dataclass(frozen=True)
-class Without:
+class MissingRun:
     """A run that has no result."""
 
     name: str
-    """Of its folder."""
-    why: str
-    """In a line."""
+    """Name of its folder."""
+    reason: str
+    """Why there is no result, in a line."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +92,10 @@ class Results:
     """All runs of a folder, in the order of their names."""
 
     results: tuple[Result, ...]
-    broken: tuple[Without, ...]
-    """Whose results cannot be read."""
-    unfinished: tuple[Without, ...]
-    """That have failed, are under way, or have only been asked for."""
+    broken: tuple[MissingRun, ...]
+    """Runs whose results cannot be read."""
+    unfinished: tuple[MissingRun, ...]
+    """Runs that have failed, are under way, or have only been planned."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,16 @@ class _Plan:
     runs: tuple[str, ...]
 
 
+def write_plan(folder: Path, command: str, jobs: Iterable[Job]) -> None:
+    """Keeps which runs were asked for, so that what is missing can be told."""
+    names = [job.spec.name for job in jobs]
+    key = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:_HASH]
+    plan = {"format": FORMAT, "command": command, "runs": names}
+    write_json(folder / PLANS / f"{key}.json", plan)
+
+
 def read_results(folder: str | Path) -> Results:
-    """All runs in the folder of a bench. What is corrupt is reported and left out.
+    """Reads all runs in the folder of a bench. What is corrupt is reported and left out.
 
     Raises:
         CadenzaError: it is not the folder of a bench.
@@ -118,36 +129,37 @@ def read_results(folder: str | Path) -> Results:
     if not (folder / RUNS).is_dir():
         raise CadenzaError(f"{folder}: holds no runs; give the folder of a bench")
     results, broken, unfinished = [], [], []
-    asked_for, unreadable = _asked_for(sorted((folder / PLANS).glob("*.json")))
+    planned, unreadable = _planned_runs(sorted((folder / PLANS).glob("*.json")))
     there = {path.name for path in (folder / RUNS).iterdir() if path.is_dir()}
-    for name in sorted(there | asked_for):
+    for name in sorted(there | planned):
         run = folder / RUNS / name
         try:
             if (run / RESULT).exists():
                 results.append(read_result(run))
             else:
-                unfinished.append(Without(name, failure(run) or "not finished"))
+                unfinished.append(MissingRun(name, failure(run) or "not finished"))
         except (CadenzaError, OSError) as error:
-            broken.append(Without(name, str(error)))
+            broken.append(MissingRun(name, str(error)))
     return Results(tuple(results), (*broken, *unreadable), tuple(unfinished))
 
 
-def _asked_for(plans: Iterable[Path]) -> tuple[set[str], list[Without]]:
-    """Names of runs, and plans that cannot be read."""
-    names, unreadable = set[str](), list[Without]()
+def _planned_runs(plans: Iterable[Path]) -> tuple[set[str], list[MissingRun]]:
+    """Returns names of runs, and plans that cannot be read."""
+    names, unreadable = set[str](), list[MissingRun]()
     for path in plans:
         try:
             names |= set(read_json(path, _Plan).runs)
         except (CadenzaError, OSError) as error:
-            unreadable.append(Without(path.name, str(error)))
+            unreadable.append(MissingRun(path.name, str(error)))
     return names, unreadable
 
 
 def read_result(run: Path) -> Result:
-    """Of a run that is finished.
+    """Returns the result of a run that is finished.
 
     Raises:
-        CadenzaError, OSError: it is not, its result cannot be read, or is that of another run.
+        CadenzaError, OSError: it is not finished, or its result cannot be read, or belongs to
+            another run.
     """
     path = run / RESULT
     file = read_json(path, ResultFile)
@@ -161,7 +173,7 @@ def read_result(run: Path) -> Result:
 
 
 def is_finished(run: Path) -> bool:
-    """Whether there is a result that can be read; what is damaged is to be carried out again."""
+    """Returns whether there is a result that can be read; a damaged one is to be made again."""
     if not (run / RESULT).exists():
         return False
     try:
@@ -179,10 +191,10 @@ class _Named:
 
 
 def failure(run: Path) -> str | None:
-    """Why a run has failed, in a line; None if it has not.
+    """Returns why a run has failed, in a line; None if it has not.
 
     Raises:
-        CadenzaError, OSError: that cannot be read.
+        CadenzaError, OSError: the reason cannot be read.
     """
     path = run / FAILED
     return read_json(path, _Failure).error if path.exists() else None

@@ -4,7 +4,7 @@ NAME/job.json         what the run is
 NAME/training/        the run of training, of a policy that is trained first
 NAME/episode.npz      and the other files of `cadenza play`, report.html where a page is wanted
 NAME/result.json      how well it went; written last, so that a run with it is finished
-NAME/failed.json      or why there is none; and what `cadenza.evaluation.at_work` leaves
+NAME/failed.json      or why there is none; and what `cadenza.evaluation.run_status` leaves
 
 A run that is killed leaves no result. Carried out again, a performance begins anew, and training
 goes on from its last checkpoint. If a page is wanted of a run that was finished without one, it is
@@ -22,8 +22,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
-from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
-from cadenza.evaluation.job import Job, JobSpec
+from cadenza.evaluation.jobs import Job, JobSpec
 from cadenza.evaluation.results import (
     FORMAT,
     PAGE,
@@ -32,6 +31,13 @@ from cadenza.evaluation.results import (
     Timing,
     Trained,
     is_finished,
+)
+from cadenza.evaluation.run_status import (
+    check_song,
+    claimed_run,
+    failure_recorded,
+    progress_writer,
+    versions,
 )
 from cadenza.files import read_json, write_json
 from cadenza.learning.config import TrainingConfig
@@ -44,7 +50,7 @@ from cadenza.performing.setup import select, set_up
 def carry_out(
     job: Job, folder: Path, num_threads: int, stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leaves a result, or why there is none, in `folder`; nothing where another process is at it.
+    """Leaves a result, or why there is none, in `folder`, unless another process works on it.
 
     Of a run that is finished, leaves the page if one is wanted.
 
@@ -54,7 +60,7 @@ def carry_out(
         num_threads: that a planner or training may use.
         stop: is asked now and then whether training is to end, with a checkpoint to go on from.
     """
-    with taken_up(folder, lambda: is_complete(job, folder)) as ours:
+    with claimed_run(folder, lambda: is_complete(job, folder)) as ours:
         if not ours:
             return
         if is_finished(folder):
@@ -64,13 +70,13 @@ def carry_out(
 
 
 def is_complete(job: Job, folder: Path) -> bool:
-    """Whether the run is finished, and has the page that is wanted."""
+    """Returns whether the run is finished, and has the page that is wanted."""
     return is_finished(folder) and (not job.page or (folder / PAGE).exists())
 
 
 def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]) -> None:
     write_json(folder / "job.json", job.spec.as_json())
-    with failures_told(folder):
+    with failure_recorded(folder):
         result = _result(job, folder, num_threads, stop)
         if result is not None:
             write_json(folder / RESULT, asdict(result))
@@ -94,21 +100,21 @@ def _add_page(spec: JobSpec, folder: Path) -> None:
 def _result(
     job: Job, folder: Path, num_threads: int, stop: Callable[[], bool]
 ) -> ResultFile | None:
-    """Of a run that comes to its end; None where it is stopped before."""
-    spec, tell = job.spec, telling(folder)
-    tell("beginning", 0, 0)
+    """Plays, and trains before it where that is asked for; returns None where it is stopped."""
+    spec, progress = job.spec, progress_writer(folder)
+    progress("beginning", 0, 0)
     check_song(spec)
     began, cpu_before, trained = time.perf_counter(), time.process_time(), None
     if spec.training is not None:
-        trained = _train(spec, spec.training, folder / "training", num_threads, tell, stop)
+        trained = _train(spec, spec.training, folder / "training", num_threads, progress, stop)
         if trained is None:
             return None
-    performance = _play(spec, folder, num_threads, tell)
+    performance = _play(spec, folder, num_threads, progress)
     if trained is None:
         seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - cpu_before
     else:
         seconds, cpu_seconds = trained.seconds, None
-    performance.save(folder, progress=tell, page=job.page)
+    performance.save(folder, progress=progress, page=job.page)
     return ResultFile(
         format=FORMAT,
         job=spec.as_json(),
@@ -121,12 +127,12 @@ def _result(
     )
 
 
-def _play(spec: JobSpec, folder: Path, num_threads: int, tell: Progress) -> Performance:
+def _play(spec: JobSpec, folder: Path, num_threads: int, progress: Progress) -> Performance:
     agent = spec.agent if spec.training is None else str(folder / "training" / "best")
     configs = {} if spec.training is not None else {spec.agent: spec.config}
     selection = select(spec.song, agent, arrangement=spec.arrangement, configs=configs)
-    with set_up(selection, spec.task, spec.scene, spec.seed, tell, num_threads) as setup:
-        return perform(setup, tell)
+    with set_up(selection, spec.task, spec.scene, spec.seed, progress, num_threads) as setup:
+        return perform(setup, progress)
 
 
 def _train(
@@ -134,10 +140,10 @@ def _train(
     config: TrainingConfig,
     folder: Path,
     num_threads: int,
-    tell: Progress,
+    progress: Progress,
     stop: Callable[[], bool],
 ) -> Trained | None:
-    """Trains a policy, or goes on with that; None where it is stopped before the end."""
+    """Trains a policy or resumes its training; returns None where it is stopped before the end."""
     from cadenza.learning.training import Training  # heavy
 
     run = RunFolder(folder)
@@ -147,18 +153,18 @@ def _train(
         config, score = run.settings()
         with closing(Training(config, score, run)) as training:
 
-            def goes_on() -> bool:
+            def should_continue() -> bool:
                 training.rows.clear()  # they are in the folder
-                tell("learning", training.step, config.num_steps)
+                progress("learning", training.step, config.num_steps)
                 return not stop()
 
-            training.run(goes_on)
+            training.run(should_continue)
             if training.step < config.num_steps:
                 return None
         return Trained(config.num_steps, run.rows()[-1]["seconds"])
 
 
 def _drop_checkpoints(training: Path) -> None:
-    """Of a run that is finished, which needs them no more: they are most of what it wrote."""
+    """Deletes the checkpoints of a finished run: they are most of what it wrote."""
     for name in ("checkpoints", "replay"):
         shutil.rmtree(training / name, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""What the runs of a bench say, as CSV and as JSON: the same figures as on the pages."""
+"""The results of a bench as CSV and as JSON: the same numbers as on the pages."""
 
 from __future__ import annotations
 
@@ -12,75 +12,74 @@ from typing import Any
 
 from cadenza.evaluation.results import Result
 from cadenza.files import write_atomically, write_json
-from cadenza.report.overview import FIGURES, THRESHOLDS, Estimate, Overview
+from cadenza.report.bench_summary import METRICS, THRESHOLDS, BenchSummary, Estimate
 
 FORMAT = 1
-_OF_FINGERS = ("return", "reward/fingering")
+_FINGER_REWARDS = ("return", "reward/fingering")
 Row = Mapping[str, Any]
 
 
-def write_tables(folder: Path, overview: Overview, results: Sequence[Result]) -> list[str]:
-    """Writes agents.csv, pieces.csv, runs.csv and results.json; gives their names."""
+def write_tables(folder: Path, summary: BenchSummary, results: Sequence[Result]) -> list[str]:
+    """Writes agents.csv, pieces.csv, runs.csv and results.json; returns their names."""
     tables = {
-        "agents": list(_agents(overview)),
-        "pieces": list(_pieces(overview)),
-        "runs": list(_runs(overview, results, folder)),
+        "agents": list(_agents(summary)),
+        "pieces": list(_pieces(summary)),
+        "runs": list(_runs(summary, results, folder)),
     }
     for name, rows in tables.items():
         _write_csv(folder / f"{name}.csv", rows)
     content = {
         "format": FORMAT,
-        "title": overview.title,
-        "figures": {name: figure.title for name, figure in FIGURES.items()},
+        "title": summary.title,
+        "figures": {name: metric.title for name, metric in METRICS.items()},
         **tables,
-        "profiles": list(_profiles(overview)),
-        "remarks": [{"what": what, "cases": list(cases)} for what, cases in overview.remarks],
+        "profiles": list(_profiles(summary)),
+        "remarks": [{"what": what, "cases": list(cases)} for what, cases in summary.caveats],
     }
     write_json(folder / "results.json", content)
     return [*(f"{name}.csv" for name in tables), "results.json"]
 
 
-def _agents(overview: Overview) -> Iterator[Row]:
-    """Of every group and agent: each figure's mean and interquartile mean."""
-    for group in overview.groups:
-        for agent, standing in group.standings.items():
+def _agents(summary: BenchSummary) -> Iterator[Row]:
+    """Yields mean and interquartile mean of each metric for every group and agent."""
+    for group in summary.groups:
+        for agent, agent_summary in group.agents.items():
             row: dict[str, Any] = {"group": group.name, "agent": agent}
-            row |= {
-                name: getattr(standing, name) for name in ("pieces", "runs", "repeated", "same")
-            }
-            for name in FIGURES:
-                row |= _ends(f"{name}_mean", standing.mean[name])
-                row |= _ends(f"{name}_iqm", standing.iqm[name])
+            row |= {"pieces": agent_summary.pieces, "runs": agent_summary.runs}
+            row |= {"repeated": agent_summary.repeated, "same": agent_summary.identical}
+            for name in METRICS:
+                row |= _ends(f"{name}_mean", agent_summary.mean[name])
+                row |= _ends(f"{name}_iqm", agent_summary.iqm[name])
             yield row
 
 
-def _pieces(overview: Overview) -> Iterator[Row]:
-    """Of every piece and agent: each figure's mean over seeds."""
+def _pieces(summary: BenchSummary) -> Iterator[Row]:
+    """Yields the mean of each metric over the seeds for every piece and agent."""
     runs: dict[tuple[int, str], int] = {}
-    for run in overview.runs:
+    for run in summary.runs:
         runs[run.piece, run.agent] = runs.get((run.piece, run.agent), 0) + 1
-    for i, piece in enumerate(overview.pieces):
+    for i, piece in enumerate(summary.pieces):
         about = {**vars(piece), "piece": piece.name}
-        for j, agent in enumerate(overview.agents):
+        for j, agent in enumerate(summary.agents):
             if (i, agent) in runs:
                 row = {name: about[name] for name in ("piece", "title", "composer", "library")}
                 row |= {name: about[name] for name in ("difficulty", "seconds", "notes")}
                 row |= {"agent": agent, "runs": runs[i, agent]}
-                for name in FIGURES:
-                    row |= _ends(name, Estimate(*(p[j, i] for p in overview.of_pieces[name])))
+                for name in METRICS:
+                    row |= _ends(name, Estimate(*(p[j, i] for p in summary.by_piece[name])))
                 yield row
 
 
-def _runs(overview: Overview, results: Sequence[Result], folder: Path) -> Iterator[Row]:
-    """Of every run its figures, and all else that was measured."""
+def _runs(summary: BenchSummary, results: Sequence[Result], folder: Path) -> Iterator[Row]:
+    """Yields the metrics of every run, and all else that was measured."""
     measured = list(dict.fromkeys(name for result in results for name in result.metrics))
-    for run, result in zip(overview.runs, results, strict=True):
-        row = {"piece": overview.pieces[run.piece].name, "agent": run.agent, "seed": run.seed}
-        row |= {name: run.figures[name] for name in FIGURES}
+    for run, result in zip(summary.runs, results, strict=True):
+        row = {"piece": summary.pieces[run.piece].name, "agent": run.agent, "seed": run.seed}
+        row |= {name: run.metrics[name] for name in METRICS}
         row |= {
             _column(name, result): result.metrics.get(name)
             for name in measured
-            if name not in FIGURES
+            if name not in METRICS
         }
         row |= vars(result.timing)
         row |= {f"{name}_version": version for name, version in result.versions.items()}
@@ -88,15 +87,15 @@ def _runs(overview: Overview, results: Sequence[Result], folder: Path) -> Iterat
 
 
 def _column(name: str, result: Result) -> str:
-    """Where a metric stands: the reward for other fingers is another figure."""
+    """Returns the column of a metric: the reward for other fingers is another metric."""
     fingers = result.metrics.get("rewarded_fingers")
-    return f"{name}, fingers: {fingers}" if name in _OF_FINGERS and fingers else name
+    return f"{name}, fingers: {fingers}" if name in _FINGER_REWARDS and fingers else name
 
 
-def _profiles(overview: Overview) -> Iterator[Row]:
-    for group in overview.groups:
-        for agent, standing in group.standings.items():
-            for name, profile in standing.profile.items():
+def _profiles(summary: BenchSummary) -> Iterator[Row]:
+    for group in summary.groups:
+        for agent, agent_summary in group.agents.items():
+            for name, profile in agent_summary.profile.items():
                 about = {"group": group.name, "agent": agent, "figure": name}
                 shares = {end: v.tolist() for end, v in profile._asdict().items()}
                 yield about | {"above": THRESHOLDS.tolist(), **shares}

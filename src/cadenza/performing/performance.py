@@ -28,8 +28,9 @@ from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
-from cadenza.report.page import framed, write_report
+from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
+from cadenza.report.templates import iframe, write_page
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
@@ -89,7 +90,7 @@ class Performance:
         with TemporaryDirectory() as folder:
             self.save(folder)
             page = (Path(folder) / "report.html").read_text(encoding="utf-8")
-        return framed(page)
+        return iframe(page)
 
     @property
     def played(self) -> Score:
@@ -249,8 +250,7 @@ def _write_page(
     )
     midi = content_of(folder / "played.mid")
     path = folder / "report.html"
-    write_report(
-        path,
+    page = performance_page(
         episode,
         metrics,
         settings,
@@ -260,6 +260,7 @@ def _write_page(
         midi=midi,
         video=video,
     )
+    write_page(path, page)
 
 
 def play(

@@ -9,7 +9,8 @@ from typing import Any
 
 from cadenza.episode import load_episode
 from cadenza.files import read_json
-from cadenza.report.comparison import COLUMNS, Run, write_comparison
+from cadenza.report.comparison_page import COLUMNS, Run, comparison_page
+from cadenza.report.templates import write_page
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.request import AGENTS
 from cadenza.studio.shelf import Kept
@@ -23,10 +24,10 @@ def run_of(folder: Path, number: int) -> Run:
     episode = load_episode(folder / "episode.npz")
     planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
     known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
-    figures = {name: math.nan if value is None else value for name, value in known.items()}
+    defined = {name: math.nan if value is None else value for name, value in known.items()}
     agent, _ = AGENTS.get(wanted, (wanted, ""))  # as the page calls it
     name = f"{number}. {agent}, {settings['scene']['hand']}"
-    return Run(name, settings["seed"], figures, episode)
+    return Run(name, settings["seed"], defined, episode)
 
 
 def main() -> None:
@@ -34,7 +35,8 @@ def main() -> None:
     limit(PLAYING)
     *folders, page = map(Path, sys.argv[1:])
     page.parent.mkdir(exist_ok=True)
-    write_comparison(page, [run_of(folder, i) for i, folder in enumerate(folders, start=1)])
+    runs = [run_of(folder, i) for i, folder in enumerate(folders, start=1)]
+    write_page(page, comparison_page(runs))
 
 
 if __name__ == "__main__":

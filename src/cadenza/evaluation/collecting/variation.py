@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from cadenza.configs import added
 from cadenza.tasks.config import TaskConfig
 
 
@@ -20,13 +19,13 @@ class Variation:
     """Mirror half of the episodes about D4: each hand plays what the other would."""
     excerpt: float | None = None
     """Play so many seconds [s] from somewhere in the song, instead of all of it."""
-    student: str | None = field(default=None, metadata=added(before=None))
+    student: str | None = None
     """Another agent, which plays half of the time, in stretches of about a second. What is recorded
     is what the first agent would have played in its place."""
 
 
 def varied() -> TaskConfig:
-    """What is collected unless something else is chosen."""
+    """Returns the task of collecting, unless something else is chosen."""
     return TaskConfig(
         initial_buffer_time=0.5,
         random_stretch=0.2,

@@ -1,4 +1,4 @@
-"""Runs as processes of this machine, one each: one that crashes takes nothing else with it."""
+"""Carries out runs in processes of this machine: one that crashes takes no other with it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pathlib import Path
 from threading import Thread
 
 from cadenza.evaluation.bench import CarryOut, Ended
-from cadenza.evaluation.job import Job
+from cadenza.evaluation.jobs import Job
 from cadenza.evaluation.run import carry_out
 from cadenza.sim.threads import available_cores
 
 _SPAWN = get_context("spawn")  # MuJoCo and JAX do not survive a fork
 
 
-class Local:
-    """At most `capacity` processes at once, each with `num_threads` threads for its planner."""
+class LocalExecutor:
+    """Runs `capacity` processes at once, each with `num_threads` threads for its planner."""
 
     def __init__(
         self,
@@ -28,7 +28,7 @@ class Local:
         num_jobs: int | None = None,
         carry_out: CarryOut = carry_out,
     ) -> None:
-        """As many processes as there are cores for their threads, unless a number is given."""
+        """Starts as many processes as cores allow, unless a number is given."""
         # Read when numpy is first imported, which is before a process knows what it is to do.
         os.environ.setdefault("OMP_NUM_THREADS", str(num_threads))
         self.capacity = num_jobs or max(available_cores() // num_threads, 1)
@@ -67,7 +67,7 @@ class Local:
         self._running.clear()
 
     def close(self) -> None:
-        """Ends at once what is still under way."""
+        """Kills the runs that are still under way."""
         for _, process in self._running:
             process.kill()
 
@@ -87,21 +87,21 @@ def _ended(job: Job, process: BaseProcess) -> Ended:
 
 def _work(carry_out: CarryOut, job: Job, folder: Path, num_threads: int) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
-    stop = _asked_to_stop() if job.spec.training is not None else lambda: False
+    stop = _stop_requested() if job.spec.training is not None else lambda: False
     carry_out(job, folder, num_threads, stop)
     sys.stdout.flush()
 
 
 def _end_with_parent() -> None:
-    """Whoever kills a bench wants no runs that go on without it."""
+    """Ends this process when its bench is killed."""
     parent = parent_process()
     assert parent is not None
     parent.join()
     os._exit(1)
 
 
-def _asked_to_stop() -> Callable[[], bool]:
-    """Says whether the process has been told to end, which training does with a checkpoint."""
+def _stop_requested() -> Callable[[], bool]:
+    """Returns what says whether the process has been told to end; training then saves first."""
     asked = list[int]()
     signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
     return lambda: bool(asked)

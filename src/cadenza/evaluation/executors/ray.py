@@ -1,4 +1,4 @@
-"""Runs spread over a Ray cluster. Their folder has to be one that all machines share."""
+"""Carries out runs on a Ray cluster, whose machines have to share the folder."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 from cadenza.errors import by_others, extra_packages
 from cadenza.evaluation.bench import CarryOut, Ended
-from cadenza.evaluation.job import Job
+from cadenza.evaluation.jobs import Job
 from cadenza.evaluation.run import carry_out
 
 
-class Ray:
-    """As many runs at once as the cluster has cores for, also when it grows or shrinks."""
+class RayExecutor:
+    """Carries out as many runs at once as the cluster has cores for, also when it grows."""
 
     def __init__(
         self,

@@ -3,7 +3,7 @@
 const $ = (id) => document.getElementById(id);
 const read = (element) => JSON.parse(element.textContent);
 const frame = $("frame"), choice = $("choice"), strips = document.querySelector(".strips");
-const shared = { uplot: $("uplot").textContent, ...read($("shared")) }, runs = document.querySelectorAll(".run");
+const shared = { "uplot.min.js": $("uplot").textContent, ...read($("shared")) }, runs = document.querySelectorAll(".run");
 const comparison = window.comparison = { ready: false };
 let turns = 0;
 

@@ -6,6 +6,6 @@ if (settings) {
   settings.open = history.state === "open";
   settings.addEventListener("toggle", () => history.replaceState(settings.open ? "open" : null, ""));
 }
-if ("renewed" in document.documentElement.dataset) {
+if ("running" in document.documentElement.dataset) {
   setInterval(() => { if (!document.querySelector(".u-legend:not([hidden])")) location.reload(); }, 20_000);
 }

@@ -14,13 +14,13 @@ import pytest
 from made_up_episode import make_episode
 
 from cadenza.cli.compare import in_text
-from cadenza.report.asset import asset
-from cadenza.report.comparison import COLUMNS, Run, means, write_comparison
+from cadenza.report.comparison_page import COLUMNS, Run, comparison_page, means
+from cadenza.report.templates import asset, write_page
 from headless import Browser, needs_chromium
 
 
-def run(agent: str, seed: int, f1: float, **figures: float) -> Run:
-    return Run(agent, seed, dict.fromkeys(COLUMNS, f1) | figures, make_episode())
+def run(agent: str, seed: int, f1: float, **metrics: float) -> Run:
+    return Run(agent, seed, dict.fromkeys(COLUMNS, f1) | metrics, make_episode())
 
 
 RUNS = (
@@ -42,7 +42,7 @@ class Elements(HTMLParser):
 
 @pytest.fixture
 def page(tmp_path: Path) -> str:
-    write_comparison(tmp_path / "compare.html", RUNS)
+    write_page(tmp_path / "compare.html", comparison_page(RUNS))
     return (tmp_path / "compare.html").read_text()
 
 
@@ -121,7 +121,7 @@ def test_each_run_is_seen_and_heard(browser: Browser, tmp_path: Path) -> None:
     late = make_episode()
     late.arrays["key_activation"][:, :] = False
     runs = [*RUNS, replace(RUNS[0], agent=evil, episode=late)]
-    write_comparison(tmp_path / "compare.html", runs)
+    write_page(tmp_path / "compare.html", comparison_page(runs))
     opened(browser, tmp_path / "compare.html")
     inside = "document.getElementById('frame').contentWindow"
     facts = f"{inside}.document.querySelector('.facts').textContent"
@@ -153,7 +153,7 @@ def test_each_run_is_seen_and_heard(browser: Browser, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_labels_do_not_overlap_on_any_screen(browser: Browser, tmp_path: Path) -> None:
     long = run("a/folder/with_a_rather_long_name_of_a_run/best", 12, 0.5)
-    write_comparison(tmp_path / "compare.html", [*RUNS, long])
+    write_page(tmp_path / "compare.html", comparison_page([*RUNS, long]))
     for width in (320, 390, 900, 1280):
         screen = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
         browser.call("Emulation.setDeviceMetricsOverride", **screen)
@@ -179,7 +179,7 @@ def test_labels_do_not_overlap_on_any_screen(browser: Browser, tmp_path: Path) -
 def test_strips_share_a_time_axis_and_tell_their_counts(browser: Browser, tmp_path: Path) -> None:
     """Also that of an episode which ended after a quarter of the time."""
     short = replace(RUNS[2], episode=make_episode(steps=10))
-    write_comparison(tmp_path / "compare.html", [short, RUNS[0]])
+    write_page(tmp_path / "compare.html", comparison_page([short, RUNS[0]]))
     screen = {"width": 1000, "height": 1200, "deviceScaleFactor": 1, "mobile": False}
     browser.call("Emulation.setDeviceMetricsOverride", **screen)
     opened(browser, tmp_path / "compare.html")

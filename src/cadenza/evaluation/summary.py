@@ -1,4 +1,4 @@
-"""What the runs of a bench say of agents and pieces."""
+"""Sums up the runs of a bench by agents and pieces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.remarks import remarks, usable
+from cadenza.evaluation.caveats import caveats, usable
 from cadenza.evaluation.results import PAGE, Result, Results
 from cadenza.evaluation.statistics import (
     Scores,
@@ -21,28 +21,28 @@ from cadenza.evaluation.statistics import (
     mean_interval,
     performance_profile,
 )
-from cadenza.report.overview import (
-    FIGURES,
+from cadenza.report.bench_summary import (
+    METRICS,
     SHARES,
     THRESHOLDS,
+    AgentSummary,
+    BenchSummary,
     Estimate,
     Group,
-    Overview,
     Piece,
     Run,
-    Standing,
 )
 
 _SEED = 0  # of the bootstrap: the same runs have the same intervals
 
 
-def overview(found: Results, title: str) -> Overview:
-    """Of the runs that were found.
+def summarize(found: Results, title: str) -> BenchSummary:
+    """Returns the summary of the runs that were found.
 
     Raises:
         CadenzaError: there is none that can be summed up.
     """
-    results = usable(found)  # in the order of `Overview.runs`
+    results = usable(found)  # in the order of `BenchSummary.runs`
     if not results:
         raise CadenzaError(f"{title}: no run is finished; run cadenza bench first")
     pieces = {result.song.name: _piece(result) for result in results}
@@ -52,15 +52,15 @@ def overview(found: Results, title: str) -> Overview:
     scores = _Scores(runs, len(pieces))
     agents = sorted(dict.fromkeys(run.agent for run in runs), key=scores.rank)
     groups = _groups(list(pieces.values()), agents, scores)
-    return Overview(
+    return BenchSummary(
         title=title,
         pieces=list(pieces.values()),
         agents=agents,
         runs=runs,
-        of_pieces={name: _of_pieces(scores, name, agents) for name in FIGURES},
+        by_piece={name: _by_piece(scores, name, agents) for name in METRICS},
         groups=groups,
-        fair=_fair(groups[0], agents, scores),
-        remarks=list(remarks(found)),
+        common=_common(groups[0], agents, scores),
+        caveats=list(caveats(found)),
     )
 
 
@@ -79,7 +79,7 @@ def _piece(result: Result) -> Piece:
 
 
 def _agent_names(agents: Iterable[str]) -> dict[str, str]:
-    """What agents are called: of a policy's folder that is given from / on, the end of its path."""
+    """Returns the name of each agent: of a policy's folder given from / on, the end of its path."""
     names = {agent: agent for agent in agents}
     short = {agent: Path(agent).parts[-2:] for agent in names if Path(agent).is_absolute()}
     if len(set(short.values())) == len(short):
@@ -93,16 +93,16 @@ def _run(result: Result, names: Mapping[str, str], piece: int) -> Run:
         piece=piece,
         agent=names[result.agent],
         seed=result.seed,
-        figures=run_figures(result),
+        metrics=run_metrics(result),
         page=page if page.exists() else None,
     )
 
 
-def run_figures(result: Result) -> dict[str, float]:
-    """Those of `FIGURES`, NaN where one is not known."""
+def run_metrics(result: Result) -> dict[str, float]:
+    """Returns all of `METRICS`, NaN where one is not known."""
     music = result.timing.music_seconds or math.nan
-    figures = {name: _number(result.metrics.get(name)) for name in SHARES}
-    return figures | {
+    shares = {name: _number(result.metrics.get(name)) for name in SHARES}
+    return shares | {
         "wall_per_music": result.timing.wall_seconds / music,
         "cpu_per_music": _number(result.timing.cpu_seconds) / music,
         "power": _number(result.metrics.get("energy")) / music,
@@ -113,36 +113,36 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-# Figures
+# Statistics
 
 
 class _Scores:
-    """Figures of all runs as arrays (runs, pieces), NaN where a piece has fewer runs."""
+    """Metrics of all runs as arrays (runs, pieces), NaN where a piece has fewer runs."""
 
     def __init__(self, runs: Sequence[Run], pieces: int) -> None:
         self.pieces = range(pieces)
         self._values: dict[tuple[str, str, int], list[float]] = {}
         for run in runs:
-            for figure, value in run.figures.items():
+            for metric, value in run.metrics.items():
                 if not math.isnan(value):
-                    self._values.setdefault((figure, run.agent, run.piece), []).append(value)
+                    self._values.setdefault((metric, run.agent, run.piece), []).append(value)
 
-    def of(self, figure: str, agent: str, pieces: Sequence[int]) -> Scores:
-        of_each = [self._values.get((figure, agent, piece), []) for piece in pieces]
+    def of(self, metric: str, agent: str, pieces: Sequence[int]) -> Scores:
+        of_each = [self._values.get((metric, agent, piece), []) for piece in pieces]
         return np.array(list(zip_longest(*of_each, fillvalue=math.nan)), float).reshape(
             -1, len(pieces)
         )
 
     def played(self, agent: str) -> set[int]:
-        """Indices of pieces."""
+        """Returns the indices of the pieces that it played."""
         return {piece for piece in self.pieces if ("f1", agent, piece) in self._values}
 
     def repeated(self, agent: str) -> set[int]:
-        """Indices of pieces with several runs."""
+        """Returns the indices of the pieces with several runs."""
         return {p for p in self.played(agent) if len(self._values["f1", agent, p]) > 1}
 
-    def same(self, agent: str) -> set[int]:
-        """Those of them of which every share is the same in all runs."""
+    def identical(self, agent: str) -> set[int]:
+        """Returns those of the repeated pieces of which every share is the same in all runs."""
         return {
             piece
             for piece in self.repeated(agent)
@@ -150,20 +150,20 @@ class _Scores:
         }
 
     def rank(self, agent: str) -> tuple[int, float]:
-        """The lowest is first: who played the most pieces, and of these who played best."""
+        """Returns a sort key: first is who played the most pieces, and of these who played best."""
         played = sorted(self.played(agent))
         return -len(played), -float(mean(self.of("f1", agent, played)))
 
 
-def _of_pieces(scores: _Scores, figure: str, agents: Sequence[str]) -> Estimate:
-    """Means over seeds, and their intervals: arrays (agents, pieces)."""
-    of_agents = [mean_interval(scores.of(figure, agent, scores.pieces)) for agent in agents]
+def _by_piece(scores: _Scores, metric: str, agents: Sequence[str]) -> Estimate:
+    """Returns means over seeds and their intervals, arrays (agents, pieces)."""
+    of_agents = [mean_interval(scores.of(metric, agent, scores.pieces)) for agent in agents]
     value, low, high = np.stack(of_agents, axis=1)
-    return Estimate(value, low.clip(0), high.clip(max=1 if figure in SHARES else None))
+    return Estimate(value, low.clip(0), high.clip(max=1 if metric in SHARES else None))
 
 
 def _groups(pieces: Sequence[Piece], agents: Sequence[str], scores: _Scores) -> list[Group]:
-    """All pieces, and each library if there are several."""
+    """Returns all pieces, and each library if there are several."""
     libraries = list(dict.fromkeys(piece.library for piece in pieces))
     if len(libraries) == 1:
         return [_group(libraries[0], range(len(pieces)), agents, scores)]
@@ -175,8 +175,8 @@ def _groups(pieces: Sequence[Piece], agents: Sequence[str], scores: _Scores) -> 
     return [_group(name, of, agents, scores) for name, of in (everything | members).items()]
 
 
-def _fair(everything: Group, agents: Sequence[str], scores: _Scores) -> Group:
-    """The pieces that all agents played, or all if there are none."""
+def _common(everything: Group, agents: Sequence[str], scores: _Scores) -> Group:
+    """Returns the pieces that all agents played, or all if there are none."""
     common = sorted(set.intersection(*map(scores.played, agents)))
     if not common or len(common) == len(everything.pieces):
         return everything
@@ -184,28 +184,31 @@ def _fair(everything: Group, agents: Sequence[str], scores: _Scores) -> Group:
 
 
 def _group(name: str, pieces: Sequence[int], agents: Sequence[str], scores: _Scores) -> Group:
-    standings = {}
+    summaries = {}
     for agent in agents:
         if played := sorted(scores.played(agent).intersection(pieces)):
-            standings[agent] = _standing(agent, played, scores)
-    return Group(name, list(pieces), standings)
+            summaries[agent] = _agent_summary(agent, played, scores)
+    return Group(name, list(pieces), summaries)
 
 
-def _standing(agent: str, pieces: Sequence[int], scores: _Scores) -> Standing:
-    estimates = {name: _estimates(scores.of(name, agent, pieces), name) for name in FIGURES}
-    return Standing(
+def _agent_summary(agent: str, pieces: Sequence[int], scores: _Scores) -> AgentSummary:
+    estimates = {name: _estimates(scores.of(name, agent, pieces), name) for name in METRICS}
+    return AgentSummary(
         pieces=len(pieces),
         runs=int(np.sum(~np.isnan(scores.of("f1", agent, pieces)))),
         repeated=len(scores.repeated(agent).intersection(pieces)),
-        same=len(scores.same(agent).intersection(pieces)),
+        identical=len(scores.identical(agent).intersection(pieces)),
         mean={name: Estimate(*(part[0] for part in each)) for name, each in estimates.items()},
         iqm={name: Estimate(*(part[1] for part in each)) for name, each in estimates.items()},
         profile={name: Estimate(*(part[2:] for part in estimates[name])) for name in SHARES},
     )
 
 
-def _estimates(scores: Scores, figure: str) -> Estimate:
-    """Arrays: the mean, the interquartile mean, and of shares the profile, all of one bootstrap."""
+def _estimates(scores: Scores, metric: str) -> Estimate:
+    """Returns arrays of the mean, the interquartile mean and of shares the profile (2 + n,).
+
+    One bootstrap serves all of them.
+    """
     scores = scores[:, ~np.isnan(scores).all(axis=0)] if scores.size else scores
     if not scores.size:
         unknown = np.full(2 + len(THRESHOLDS), math.nan)
@@ -213,7 +216,7 @@ def _estimates(scores: Scores, figure: str) -> Estimate:
 
     def statistic(of: Scores) -> Scores:
         summed = np.stack([mean(of), interquartile_mean(of)], axis=-1)
-        if figure not in SHARES:
+        if metric not in SHARES:
             return summed
         return np.concatenate([summed, performance_profile(of, THRESHOLDS)], axis=-1)
 

@@ -7,8 +7,8 @@ import pytest
 from made_up_episode import make_episode
 
 from cadenza.episode import Episode
-from cadenza.report.asset import asset
-from cadenza.report.page import write_report
+from cadenza.report.performance_page import performance_page
+from cadenza.report.templates import asset, write_page
 
 SILENCE = np.zeros((0, 2), np.int16)
 
@@ -43,7 +43,8 @@ class Page(HTMLParser):
 @pytest.fixture
 def write(tmp_path):
     def written(episode, metrics=None, settings=None):
-        write_report(tmp_path / "a.html", episode, metrics or {}, settings or {}, SILENCE)
+        page = performance_page(episode, metrics or {}, settings or {}, SILENCE)
+        write_page(tmp_path / "a.html", page)
         return Page(tmp_path / "a.html")
 
     return written
@@ -70,7 +71,8 @@ def test_what_was_missed_is_in_the_page(tmp_path, episode):
         {"time": 1.25, "note": "C♯4", "finger": 7, "what": "never sounded", "reason": "<too fast>"},
         {"time": 2.0, "note": "D4", "finger": -1, "what": "100 ms late", "reason": "no finger"},
     ]
-    write_report(tmp_path / "a.html", episode, {}, {}, SILENCE, misses=misses)
+    page = performance_page(episode, {}, {}, SILENCE, misses=misses)
+    write_page(tmp_path / "a.html", page)
     words = [word for word in Page(tmp_path / "a.html").words if word]
     first = words.index("1.25 s")
     assert words[first : first + 5] == [
@@ -171,7 +173,8 @@ def test_folders_of_this_machine_are_not_shown(write, episode, tmp_path):
 
 def test_midi_and_video_can_be_downloaded(tmp_path, episode):
     path = tmp_path / "a.html"
-    write_report(path, episode, {}, {}, SILENCE, midi=b"MThd\0", video="video.mp4")
+    page = performance_page(episode, {}, {}, SILENCE, midi=b"MThd\0", video="video.mp4")
+    write_page(path, page)
     links = {a["download"]: a["href"] for tag, a in Page(path).elements if tag == "a"}
     kind, content = links["played.mid"].split(";base64,")
     assert (kind, base64.b64decode(content)) == ("data:audio/midi", b"MThd\0")

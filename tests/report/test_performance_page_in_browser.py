@@ -6,8 +6,9 @@ from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
 from cadenza.music.performance import performed_score
-from cadenza.report.page import write_report
+from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import encode_mp3, synthesize
+from cadenza.report.templates import write_page
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene
@@ -24,7 +25,8 @@ def write(tmp_path):
         played = episode["key_activation"], episode["sustain_activation"]
         audio = synthesize(performed_score(*played, episode.dt))
         settings = {"agent": "none", "seed": 0}
-        write_report(path, episode, {"f1": float("nan")}, settings, audio, **more)
+        page = performance_page(episode, {"f1": float("nan")}, settings, audio, **more)
+        write_page(path, page)
         return path
 
     return written
@@ -421,7 +423,7 @@ def test_rewards_say_what_their_numbers_are_and_the_cursor_strikes_out_none(brow
 def test_on_a_narrow_screen_settings_break_at_separators(browser, tmp_path, episode):
     path, value = tmp_path / "page.html", "runs/a_rather_long_name/of_a_folder/with_an_episode"
     settings = {"agent.configuration.checkpoint_path": value}
-    write_report(path, episode, {}, settings, np.zeros((0, 2), np.int16))
+    write_page(path, performance_page(episode, {}, settings, np.zeros((0, 2), np.int16)))
     size = {"height": 800, "deviceScaleFactor": 1, "mobile": False}
     browser.call("Emulation.setDeviceMetricsOverride", width=320, **size)
     browser.open(path)

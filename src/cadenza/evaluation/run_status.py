@@ -1,9 +1,9 @@
-"""A process at work on a run: it has the folder to itself, and leaves a log and how far it is.
+"""The status of a run, which the process that carries it out keeps in the run's folder.
 
-FOLDER/log.txt          what was said meanwhile
+FOLDER/log.txt          output of the process
 FOLDER/progress.json    how far it is
 FOLDER/failed.json      why there is no result
-FOLDER/lock             held by the process at work
+FOLDER/lock             held by the process
 """
 
 from __future__ import annotations
@@ -21,20 +21,19 @@ from pathlib import Path
 
 from cadenza.agents.agent import Progress
 from cadenza.errors import CadenzaError, explained, lacks_memory
-from cadenza.evaluation.job import JobSpec
+from cadenza.evaluation.jobs import JobSpec, song_digest
 from cadenza.evaluation.results import FAILED, FORMAT
-from cadenza.evaluation.songs import digest_of
 from cadenza.files import TEMPORARY, locked, read_json, write_json
 from cadenza.music.libraries.library import find_song
 
-_PATIENCE = 2.0  # [s] for which a run waits for one that may just be ending
-_BETWEEN = 1.0  # [s] at least between two writings of how far it is
+_LOCK_TIMEOUT = 2.0  # [s] for which a run waits for one that may just be ending
+_PROGRESS_INTERVAL = 1.0  # [s] at least between two writings of the progress
 _PROGRESS = "progress.json"
 _VERSIONS = ("cadenza", "mujoco", "numpy")
 
 
 @dataclass(frozen=True)
-class At:
+class RunProgress:
     """How far a run is."""
 
     stage: str
@@ -45,52 +44,52 @@ class At:
 
 
 @contextmanager
-def taken_up(folder: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
-    """Whether this process is to carry out the run in the block; what it says goes to the log.
+def claimed_run(folder: Path, is_complete: Callable[[], bool]) -> Iterator[bool]:
+    """Yields whether this process is to carry out the run in the block; its output goes to the log.
 
-    It is not where another process is at it, or where it `is_complete`.
+    It is not to where another process does, or where the run `is_complete`.
     """
-    with locked(folder, _PATIENCE) as ours:
+    with locked(folder, _LOCK_TIMEOUT) as ours:
         if not ours or is_complete():
             yield False
             return
-        _tidy(folder)
-        with _logged(folder / "log.txt"):
+        _remove_leftovers(folder)
+        with _output_to(folder / "log.txt"):
             yield True
         (folder / _PROGRESS).unlink(missing_ok=True)
 
 
 @contextmanager
-def failures_told(folder: Path) -> Iterator[None]:
-    """An error of the block is why the run has no result."""
+def failure_recorded(folder: Path) -> Iterator[None]:
+    """Records an error of the block as the reason why the run has no result."""
     try:
         yield
     except Exception as error:
         traceback.print_exc()
-        write_failure(folder, _what_failed(error))
+        write_failure(folder, _error_line(error))
 
 
 def write_failure(folder: Path, error: str) -> None:
-    """Says why the run has no result."""
+    """Records why the run has no result."""
     write_json(folder / FAILED, {"format": FORMAT, "error": error})
 
 
-def progress_of(folder: Path) -> At | None:
-    """How far the run is; None if that cannot be told now."""
+def read_progress(folder: Path) -> RunProgress | None:
+    """Returns how far the run is; None if that cannot be read now."""
     with suppress(CadenzaError):
-        return read_json(folder / _PROGRESS, At)
+        return read_json(folder / _PROGRESS, RunProgress)
     return None
 
 
-def _tidy(folder: Path) -> None:
-    """Removes what a run before this one has left."""
+def _remove_leftovers(folder: Path) -> None:
+    """Removes what an earlier attempt has left."""
     (folder / FAILED).unlink(missing_ok=True)
     for half_written in folder.glob(f"{TEMPORARY}*"):
         half_written.unlink(missing_ok=True)
 
 
-def _what_failed(error: Exception) -> str:
-    """What went wrong, in a line; where too, if it was not what somebody has given."""
+def _error_line(error: Exception) -> str:
+    """Returns what went wrong, in a line; also where, if it is a fault of the program."""
     if isinstance(error, CadenzaError | OSError) or lacks_memory(error):
         return " ".join(explained(error).split())
     said = " ".join(str(error).split())
@@ -99,8 +98,8 @@ def _what_failed(error: Exception) -> str:
 
 
 @contextmanager
-def _logged(path: Path) -> Iterator[None]:
-    """What this process and its libraries say in the block goes to the end of a file."""
+def _output_to(path: Path) -> Iterator[None]:
+    """Appends the output of this process and its libraries in the block to a file."""
     streams = sys.stdout, sys.stderr
     kept = [os.dup(fd) for fd in (1, 2)]
     try:
@@ -116,24 +115,28 @@ def _logged(path: Path) -> Iterator[None]:
             os.close(before)
 
 
-def telling(folder: Path) -> Progress:
-    """Writes how far the run is, now and then, for whoever watches."""
-    host, last = platform.node(), -_BETWEEN
+def progress_writer(folder: Path) -> Progress:
+    """Returns what writes how far the run is, now and then, for whoever watches."""
+    host, last = platform.node(), -_PROGRESS_INTERVAL
 
-    def tell(stage: str, done: int, total: int) -> None:
+    def write(stage: str, done: int, total: int) -> None:
         nonlocal last
-        if time.monotonic() - last < _BETWEEN:
+        if time.monotonic() - last < _PROGRESS_INTERVAL:
             return
         last = time.monotonic()
-        at = At(stage, int(done), int(total), host, os.getpid())
-        write_json(folder / _PROGRESS, asdict(at))
+        progress = RunProgress(stage, int(done), int(total), host, os.getpid())
+        write_json(folder / _PROGRESS, asdict(progress))
 
-    return tell
+    return write
 
 
 def check_song(spec: JobSpec) -> None:
-    """Raises: CadenzaError: the song has changed since the run was planned."""
-    if digest_of(find_song(spec.song)) != spec.song_digest:
+    """Compares the song with the one that was planned.
+
+    Raises:
+        CadenzaError: it has changed since.
+    """
+    if song_digest(find_song(spec.song)) != spec.song_digest:
         raise CadenzaError(
             f"{spec.song}: has other notes here and now than when the run was planned; "
             "use the same files everywhere, and run the command again"
@@ -141,7 +144,7 @@ def check_song(spec: JobSpec) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Of what a result depends on."""
+    """Returns the versions of the programs that a result depends on."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
     for package in _VERSIONS:
         with suppress(PackageNotFoundError):

@@ -1,4 +1,4 @@
-"""An agent whose hands are pushed: what it plays is not quite what it chose."""
+"""An agent with noise on its actions, so that demonstrations show how to recover."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cadenza.scene.servos import servos_of
 from cadenza.sim.protocol import State
 from cadenza.tasks.view import View
 
-_LASTS = 0.15  # [s] after which noise has fallen to 1 / e
-_STRETCH = 1.0  # [s] on average, after which it is drawn anew who plays
-_STUDENTS = 0.5  # share of the stretches that the student plays
+_NOISE_TIME = 0.15  # [s] after which noise has fallen to 1 / e
+_TURN = 1.0  # [s] mean time after which it is drawn anew who plays
+_STUDENT_SHARE = 0.5  # share of the turns in which the student plays
 
 
 def observed_pedal(view: View) -> float:
-    """How far the pedal is down in the one environment, as float32: actions may arrive late."""
+    """Returns how far the pedal is down, as observed in float32: actions may arrive late."""
     return float(view.observation[0, view.task.observation_layout["pedal"]][0])
 
 
-class Disturbed(Agent):
-    """Plays in one environment what another agent would, with noise, and keeps what that was.
+class PerturbedAgent(Agent):
+    """Plays in one environment what another agent chooses, with noise, and keeps both.
 
     The agent sees where the noise has led, and corrects it. Where there is a student, it plays half
     of the time, and the agent sees where that has led (DAgger: Ross, Gordon & Bagnell, A Reduction
@@ -56,7 +56,7 @@ class Disturbed(Agent):
         self._agent.reset(env_ids, [agent_rng])
         if self._student is not None:
             self._student.reset(env_ids, self._rng.spawn(1))
-            self._students_turn = self._rng.random() < _STUDENTS
+            self._students_turn = self._rng.random() < _STUDENT_SHARE
         self._noise = np.zeros_like(self._sigma)
         self.chosen.clear()
         self.played.clear()
@@ -70,11 +70,11 @@ class Disturbed(Agent):
         self.pedal.append(observed_pedal(view))
         chosen = self._agent.act(view)[0]
         # A first-order autoregressive process, whose standard deviation is sigma.
-        kept = np.exp(-task.config.control_timestep / _LASTS)
+        kept = np.exp(-task.config.control_timestep / _NOISE_TIME)
         fresh = np.sqrt(1 - kept**2) * self._sigma
         self._noise = kept * self._noise + fresh * self._rng.standard_normal(len(fresh))
         played = np.clip(
-            self._of_either(chosen, view) + self._noise, task.action_low, task.action_high
+            self._agent_or_student(chosen, view) + self._noise, task.action_low, task.action_high
         )
         within = np.clip(chosen, task.action_low, task.action_high)
         self.chosen.append(within.astype(np.float32))
@@ -87,11 +87,11 @@ class Disturbed(Agent):
         if self._student is not None:
             self._student.close()
 
-    def _of_either(self, chosen: Array, view: View) -> Array:
-        """(A + 1,) what the agent has chosen, or what the student does where it is its turn."""
+    def _agent_or_student(self, chosen: Array, view: View) -> Array:
+        """Returns the action (A + 1,) of the agent, or of the student where it is its turn."""
         if self._student is None:
             return chosen
-        if self._rng.random() < view.task.config.control_timestep / _STRETCH:
-            self._students_turn = self._rng.random() < _STUDENTS
-        theirs = self._student.act(view)[0]
-        return theirs if self._students_turn else chosen
+        if self._rng.random() < view.task.config.control_timestep / _TURN:
+            self._students_turn = self._rng.random() < _STUDENT_SHARE
+        student = self._student.act(view)[0]
+        return student if self._students_turn else chosen

@@ -11,10 +11,9 @@ from urllib.parse import unquote
 
 import pytest
 
-from cadenza.evaluation.overview import overview
 from cadenza.evaluation.results import read_results
-from cadenza.report.results_figure import write_figure
-from cadenza.report.results_page import write_results_pages
+from cadenza.evaluation.summary import summarize
+from cadenza.report.results_pages import write_figure, write_results_pages
 from evaluation.made_up import AGENTS, result, write_bench, write_result
 from headless import Browser, needs_chromium
 
@@ -25,7 +24,8 @@ SIZES = ((1440, 900), (1280, 720), (390, 844))
 def write_pages(bench: Path, folder: Path | None = None) -> Path:
     """Gives index.html."""
     folder = folder or bench / "results"
-    index, *_ = write_results_pages(folder, overview(read_results(bench), bench.name), ["runs.csv"])
+    summary = summarize(read_results(bench), bench.name)
+    index, *_ = write_results_pages(folder, summary, ["runs.csv"])
     return index
 
 
@@ -110,7 +110,7 @@ def test_words_of_others_are_escaped_and_stay_in_the_folder(tmp_path: Path) -> N
     assert {path.name for path in tmp_path.iterdir()} == {"bench"}
     for page in (index, *pages):
         assert BAD not in page.read_text()
-        assert "<i>&quot;" not in page.read_text()
+        assert "<i>&#34;" not in page.read_text()
     assert "run%200%20%23--" in index.read_text()
 
 
@@ -122,13 +122,20 @@ def test_a_single_run_makes_a_page(tmp_path: Path) -> None:
 
 
 def test_the_figure_has_a_bar_for_every_piece_and_agent(index: Path, tmp_path: Path) -> None:
-    write_figure(tmp_path / "f.svg", overview(read_results(index.parent.parent), "x"))
+    write_figure(tmp_path / "f.svg", summarize(read_results(index.parent.parent), "x"))
     picture = ET.parse(tmp_path / "f.svg").getroot()
     bars = [element for element in picture.iter() if element.get("class") == "bar"]
     assert len(bars) == 48
     heights = [float(bar.get("height", "")) for bar in bars[:24]]
     assert heights == sorted(heights, reverse=True)
     assert {"planner", "ilqg"} <= {text.text for text in picture.iter() if text.text}
+
+
+def test_no_chart_is_without_a_line(tmp_path: Path) -> None:
+    """A chart without one would stop the scripts of the page."""
+    write_result(tmp_path, "only", result("a", "planner", 0, {"f1": 0.5}))  # no other metric
+    page = write_pages(tmp_path).read_text()
+    assert page.count('class="curves"') == page.count('"kind":"run0"') == 1
 
 
 # In a browser

@@ -1,4 +1,4 @@
-"""What is told of a bench, against figures worked out by hand and plain loops."""
+"""The summary of a bench, against figures worked out by hand and plain loops."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from cadenza.errors import CadenzaError
-from cadenza.evaluation.overview import overview
-from cadenza.evaluation.remarks import usable
+from cadenza.evaluation.caveats import usable
 from cadenza.evaluation.results import read_results
+from cadenza.evaluation.summary import summarize
 from cadenza.evaluation.tables import write_tables
-from cadenza.report.overview import FIGURES, SHARES, Overview
+from cadenza.report.bench_summary import METRICS, SHARES, BenchSummary
 from evaluation.made_up import result, write_bench, write_result
 
 
@@ -28,12 +28,12 @@ def write(bench: Path, f1: dict[tuple[str, str, int], float], **song: str) -> No
         write_result(bench, f"{piece}-{Path(agent).name}-{seed}", content)
 
 
-def told(bench: Path) -> Overview:
-    return overview(read_results(bench), "made up")
+def summary_of(bench: Path) -> BenchSummary:
+    return summarize(read_results(bench), "made up")
 
 
-def remarks(bench: Path) -> dict[str, list[str]]:
-    return {line: list(cases) for line, cases in told(bench).remarks}
+def caveats(bench: Path) -> dict[str, list[str]]:
+    return {line: list(cases) for line, cases in summary_of(bench).caveats}
 
 
 TWO_AGENTS = {
@@ -44,38 +44,38 @@ TWO_AGENTS = {
 
 def test_figures_worked_out_by_hand(tmp_path: Path) -> None:
     write(tmp_path, TWO_AGENTS)
-    about = told(tmp_path)
-    assert about.agents == ["good", "bad"]
-    assert [piece.name for piece in about.pieces] == ["a", "b"]
-    (group,) = about.groups
-    good = group.standings["good"]
+    summary = summary_of(tmp_path)
+    assert summary.agents == ["good", "bad"]
+    assert [piece.name for piece in summary.pieces] == ["a", "b"]
+    (group,) = summary.groups
+    good = group.agents["good"]
     assert (group.name, good.pieces, good.runs) == ("made-up", 2, 4)
     assert good.mean["f1"].value == pytest.approx(0.65)
     assert good.iqm["f1"].value == pytest.approx(0.6)  # of 0.5 0.5 0.7 0.9 the middle two
     # Only the runs of a differ: their mean is 0.7, 0.8 or 0.9, the ends a quarter of the time.
     assert good.mean["f1"].low == pytest.approx(0.6)
     assert good.mean["f1"].high == pytest.approx(0.7)
-    value, low, high = (part[0] for part in about.of_pieces["f1"])
+    value, low, high = (part[0] for part in summary.by_piece["f1"])
     assert value == pytest.approx([0.8, 0.5])
     # Student's t of one degree of freedom is 12.7: from below 0 to above 1, where no F1 can be.
     assert (low[0], high[0]) == (0, 1)
     assert np.isnan([low[1], high[1]]).all()  # both seeds gave the same
-    assert np.isnan(about.of_pieces["recall"].value).all()
+    assert np.isnan(summary.by_piece["recall"].value).all()
 
 
 def test_who_plays_the_same_with_every_seed_has_no_interval(tmp_path: Path) -> None:
     write(
         tmp_path, TWO_AGENTS | {("a", "still", s): 0.8 for s in (0, 1)} | {("b", "still", 0): 0.4}
     )
-    found, about = read_results(tmp_path), told(tmp_path)
-    standings = about.groups[0].standings
-    counts = {agent: (of.same, of.repeated) for agent, of in standings.items()}
+    found, summary = read_results(tmp_path), summary_of(tmp_path)
+    agents = summary.groups[0].agents
+    counts = {agent: (own.identical, own.repeated) for agent, own in agents.items()}
     assert counts == {"good": (1, 2), "bad": (0, 2), "still": (1, 1)}
-    for estimate in (standings["still"].mean["f1"], standings["still"].iqm["f1"]):
+    for estimate in (agents["still"].mean["f1"], agents["still"].iqm["f1"]):
         assert math.isnan(estimate.low)
         assert math.isnan(estimate.high)
-    assert not math.isnan(standings["good"].mean["f1"].low)
-    write_tables(tmp_path / "out", about, usable(found))
+    assert not math.isnan(agents["good"].mean["f1"].low)
+    write_tables(tmp_path / "out", summary, usable(found))
     with (tmp_path / "out" / "agents.csv").open() as file:
         rows = {row["agent"]: row for row in csv.DictReader(file)}
     assert (rows["good"]["same"], rows["good"]["repeated"]) == ("1", "2")
@@ -86,10 +86,10 @@ def test_rewards_for_different_fingers_stand_apart(tmp_path: Path) -> None:
     for agent, fingers in (("planner", "score"), ("learnt", "found")):
         metrics = {"f1": 0.9, "return": 5.0, "reward/energy": -1.0, "rewarded_fingers": fingers}
         write_result(tmp_path, agent, result("a", agent, 0, metrics))
-    (line,) = remarks(tmp_path)["Rewards are for different fingers."]
+    (line,) = caveats(tmp_path)["Rewards are for different fingers."]
     assert line == "a: rewarded_fingers: found in 1 run (learnt); score in 1 run (planner)"
     found = read_results(tmp_path)
-    write_tables(tmp_path / "out", told(tmp_path), usable(found))
+    write_tables(tmp_path / "out", summary_of(tmp_path), usable(found))
     with (tmp_path / "out" / "runs.csv").open() as file:
         planner, learnt = sorted(csv.DictReader(file), key=lambda row: row["agent"], reverse=True)
     assert (planner["return, fingers: score"], planner["return, fingers: found"]) == ("5.0", "")
@@ -103,54 +103,54 @@ def test_times_and_energy_are_told_for_a_second_of_music(tmp_path: Path) -> None
     write_result(tmp_path, "a", content)
     content["timing"]["cpu_seconds"] = 10.0
     write_result(tmp_path, "b", content)
-    before, run = told(tmp_path).runs
-    assert math.isnan(before.figures["cpu_per_music"])
-    assert run.figures["cpu_per_music"] == 0.5
-    assert run.figures["wall_per_music"] == 0.75
-    assert run.figures["power"] == 15.0
-    assert math.isnan(run.figures["precision"])
+    before, run = summary_of(tmp_path).runs
+    assert math.isnan(before.metrics["cpu_per_music"])
+    assert run.metrics["cpu_per_music"] == 0.5
+    assert run.metrics["wall_per_music"] == 0.75
+    assert run.metrics["power"] == 15.0
+    assert math.isnan(run.metrics["precision"])
 
 
 def test_who_played_the_most_pieces_comes_first_and_of_these_who_played_best(
     tmp_path: Path,
 ) -> None:
     write(tmp_path, TWO_AGENTS | {("a", "brilliant", 0): 1.0})
-    about = told(tmp_path)
-    assert about.agents == ["good", "bad", "brilliant"]
-    assert list(about.groups[0].standings) == about.agents
+    summary = summary_of(tmp_path)
+    assert summary.agents == ["good", "bad", "brilliant"]
+    assert list(summary.groups[0].agents) == summary.agents
 
 
 def test_agents_are_compared_on_the_pieces_that_all_played(tmp_path: Path) -> None:
     write(tmp_path, TWO_AGENTS | {("b", "third", 0): 0.6})
-    about = told(tmp_path)
-    assert list(about.fair.pieces) == [1]
-    assert about.fair.standings["good"].mean["f1"].value == pytest.approx(0.5)
-    assert "third: 1 run of 1 piece" in remarks(tmp_path)["Some agents have fewer runs."][0]
+    summary = summary_of(tmp_path)
+    assert list(summary.common.pieces) == [1]
+    assert summary.common.agents["good"].mean["f1"].value == pytest.approx(0.5)
+    assert "third: 1 run of 1 piece" in caveats(tmp_path)["Some agents have fewer runs."][0]
 
 
 def test_policies_are_named_by_the_end_of_their_path(tmp_path: Path) -> None:
     write(tmp_path, {("a", f"{tmp_path}/elise/best", 0): 0.9, ("a", "run/good", 0): 0.8})
-    assert told(tmp_path).agents == ["elise/best", "run/good"]
+    assert summary_of(tmp_path).agents == ["elise/best", "run/good"]
 
 
 def test_policies_that_would_be_called_the_same_keep_their_whole_path(tmp_path: Path) -> None:
     agents = ["/home/one/run/best", "/home/two/run/best"]
     for i, agent in enumerate(agents):
         write_result(tmp_path, f"run {i}", result("a", agent, 0, {"f1": 0.9}))
-    assert sorted(told(tmp_path).agents) == agents
+    assert sorted(summary_of(tmp_path).agents) == agents
 
 
 def test_without_a_piece_in_common_all_are_compared(tmp_path: Path) -> None:
     write(tmp_path, {("a", "one", 0): 0.9, ("b", "two", 0): 0.5})
-    about = told(tmp_path)
-    assert about.fair == about.groups[0]
+    summary = summary_of(tmp_path)
+    assert summary.common == summary.groups[0]
 
 
 def test_every_library_and_split_is_summed_up(tmp_path: Path) -> None:
     write(tmp_path, {("a", "planner", 0): 0.9}, library="etudes")
     write(tmp_path, {("b", "planner", 0): 0.5}, library="mine", split="valid")
     write(tmp_path, {("c", "planner", 0): 0.1})
-    groups = {group.name: list(group.pieces) for group in told(tmp_path).groups}
+    groups = {group.name: list(group.pieces) for group in summary_of(tmp_path).groups}
     assert groups == {"All pieces": [0, 1, 2], "etudes": [0], "mine:valid": [1], "made-up": [2]}
 
 
@@ -162,29 +162,29 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_all_figures_are_those_of_plain_loops(bench: Path) -> None:
-    about = told(bench)
-    for group in about.groups:
-        for agent, standing in group.standings.items():
-            runs = [r for r in about.runs if r.agent == agent and r.piece in group.pieces]
-            assert standing.runs == len(runs) == 3 * standing.pieces
-            for name in FIGURES:
-                values = sorted(run.figures[name] for run in runs)
-                assert standing.mean[name].value == pytest.approx(statistics.fmean(values))
+    summary = summary_of(bench)
+    for group in summary.groups:
+        for agent, own in group.agents.items():
+            runs = [r for r in summary.runs if r.agent == agent and r.piece in group.pieces]
+            assert own.runs == len(runs) == 3 * own.pieces
+            for name in METRICS:
+                values = sorted(run.metrics[name] for run in runs)
+                assert own.mean[name].value == pytest.approx(statistics.fmean(values))
                 cut = len(values) // 4
                 middle = values[cut : len(values) - cut]
-                value, low, high = standing.iqm[name]
+                value, low, high = own.iqm[name]
                 assert value == pytest.approx(statistics.fmean(middle))
                 if name in SHARES:  # the others are the same with every seed
                     assert low - 1e-9 <= value <= high + 1e-9
             for name in SHARES:
-                better = sum(run.figures[name] > 0.5 for run in runs) / len(runs)
-                assert standing.profile[name].value[25] == pytest.approx(better)
+                better = sum(run.metrics[name] > 0.5 for run in runs) / len(runs)
+                assert own.profile[name].value[25] == pytest.approx(better)
 
 
 def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
     found = read_results(bench)
-    about = overview(found, "made up")
-    names = write_tables(tmp_path, about, usable(found))
+    summary = summarize(found, "made up")
+    names = write_tables(tmp_path, summary, usable(found))
     assert names == ["agents.csv", "pieces.csv", "runs.csv", "results.json"]
     agents, pieces, runs = (
         list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in names[:3]
@@ -198,7 +198,7 @@ def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
     assert float(row["f1"]) == pytest.approx(statistics.fmean(of_one))
     assert float(row["f1_low"]) < float(row["f1"]) < float(row["f1_high"])
     assert row["runs"] == "3"
-    everything = about.groups[0].standings["planner"]
+    everything = summary.groups[0].agents["planner"]
     assert (agents[0]["group"], agents[0]["agent"]) == ("All pieces", "planner")
     assert float(agents[0]["f1_iqm"]) == pytest.approx(everything.iqm["f1"].value)
     content = json.loads((tmp_path / "results.json").read_text())
@@ -209,18 +209,18 @@ def test_the_tables_have_the_same_figures(bench: Path, tmp_path: Path) -> None:
 def test_what_is_not_known_is_empty_in_csv_and_null_in_json(tmp_path: Path) -> None:
     write(tmp_path, {("a", "planner", 0): 0.5})
     found = read_results(tmp_path)
-    write_tables(tmp_path / "out", overview(found, "made up"), usable(found))
+    write_tables(tmp_path / "out", summarize(found, "made up"), usable(found))
     (row,) = csv.DictReader((tmp_path / "out" / "pieces.csv").read_text().splitlines())
     assert (row["f1"], row["f1_low"], row["recall"]) == ("0.5", "", "")
     (entry,) = json.loads((tmp_path / "out" / "results.json").read_text())["pieces"]
     assert (entry["f1"], entry["f1_low"], entry["recall"]) == (0.5, None, None)
 
 
-# Remarks
+# Caveats
 
 
-def test_runs_alike_need_no_remark(bench: Path) -> None:
-    assert told(bench).remarks == []
+def test_runs_alike_need_no_caveat(bench: Path) -> None:
+    assert summary_of(bench).caveats == []
 
 
 def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
@@ -229,13 +229,13 @@ def test_music_that_was_changed_is_told(tmp_path: Path) -> None:
         content["job"]["arrangement"] = {"tracks": [], "reduce": "off", "first_seconds": 20.0}
         content["job"]["task"] = {"stretch": 2.0, "transpose": 0}
         write_result(tmp_path, f"run {seed}", content)
-    assert remarks(tmp_path) == {
+    assert caveats(tmp_path) == {
         "Pieces were not played whole and as written.": [
             "arrangement.first_seconds 20.0: 2 runs (planner)",
             "task.stretch 2.0: 2 runs (planner)",
         ]
     }
-    (piece,) = told(tmp_path).pieces
+    (piece,) = summary_of(tmp_path).pieces
     assert piece.seconds == 20.0  # that were played
 
 
@@ -244,9 +244,9 @@ def test_a_corrupt_run_is_reported_and_left_out(tmp_path: Path, content: str) ->
     write(tmp_path, TWO_AGENTS)
     (run,) = (tmp_path / "runs").glob("a-good-0--*")
     (run / "result.json").write_text(content)
-    (case,) = remarks(tmp_path)["1 run cannot be read, and is left out."]
+    (case,) = caveats(tmp_path)["1 run cannot be read, and is left out."]
     assert case.startswith(f"{run.name}: ")
-    assert len(told(tmp_path).runs) == len(TWO_AGENTS) - 1
+    assert len(summary_of(tmp_path).runs) == len(TWO_AGENTS) - 1
 
 
 @pytest.mark.parametrize(
@@ -269,21 +269,21 @@ def test_a_run_whose_figures_make_no_sense_is_reported_and_left_out(
     content = result("c", "good", 0, {"f1": 0.5})
     content[part] |= values
     odd = write_result(tmp_path, "odd", content).name
-    assert remarks(tmp_path)["1 run cannot be read, and is left out."] == [f"{odd}: {why}"]
-    assert len(told(tmp_path).pieces) == 2
+    assert caveats(tmp_path)["1 run cannot be read, and is left out."] == [f"{odd}: {why}"]
+    assert len(summary_of(tmp_path).pieces) == 2
 
 
 def test_runs_that_are_not_finished_are_named(tmp_path: Path) -> None:
     write(tmp_path, TWO_AGENTS)
     (tmp_path / "runs" / "begun").mkdir()
-    (case,) = remarks(tmp_path)["1 run is not finished."]
+    (case,) = caveats(tmp_path)["1 run is not finished."]
     assert case.startswith("begun: ")
 
 
 def test_without_a_finished_run_there_is_nothing_to_tell(tmp_path: Path) -> None:
     (tmp_path / "runs" / "begun").mkdir(parents=True)
     with pytest.raises(CadenzaError, match="no run is finished"):
-        told(tmp_path)
+        summary_of(tmp_path)
 
 
 def test_the_seed_of_training_is_to_differ(tmp_path: Path) -> None:
@@ -292,7 +292,7 @@ def test_the_seed_of_training_is_to_differ(tmp_path: Path) -> None:
         trained["job"]["config"] = {"seed": seed, "num_steps": 100}
         trained["training"] = {"steps": 100, "seconds": 1.0}
         write_result(tmp_path, f"s{seed}", trained)
-    assert told(tmp_path).remarks == []
+    assert summary_of(tmp_path).caveats == []
 
 
 def test_versions_and_settings_that_differ_are_named(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_versions_and_settings_that_differ_are_named(tmp_path: Path) -> None:
     again["job"]["song_digest"] = "1" * 12
     again["job"]["config"] = {"samples": 20}
     write_result(tmp_path, "again", again)
-    said = remarks(tmp_path)
+    said = caveats(tmp_path)
     assert said["Versions differ."] == ["mujoco: 3.17 in 9 runs (bad, good); 3.18 in 1 run (good)"]
     assert said["Settings differ."] == [
         "task.control_timestep: 0.05 in 9 runs (bad, good); 0.1 in 1 run (good)"

@@ -1,4 +1,4 @@
-"""Carries out one job of collecting: plays an episode, and keeps it if it is good enough."""
+"""Collects a demonstration: plays an episode, and records it if it is good enough."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
-from cadenza.configs import added
 from cadenza.demonstrations.recorded import (
     FORMAT,
     PLAN,
@@ -31,11 +30,16 @@ from cadenza.demonstrations.recorded import (
     write,
     write_about,
 )
-from cadenza.evaluation.at_work import check_song, failures_told, taken_up, telling, versions
-from cadenza.evaluation.collecting.disturbed import Disturbed, observed_pedal
+from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, observed_pedal
 from cadenza.evaluation.collecting.variation import Variation
-from cadenza.evaluation.job import Job, JobSpec, digest_of_files
-from cadenza.evaluation.songs import digest_of, facts_of
+from cadenza.evaluation.jobs import Job, JobSpec, digest_of_files, songs_of
+from cadenza.evaluation.run_status import (
+    check_song,
+    claimed_run,
+    failure_recorded,
+    progress_writer,
+    versions,
+)
 from cadenza.files import write_json
 from cadenza.keyboards.registry import keyboard_named
 from cadenza.music.arrangement import Arrangement
@@ -56,7 +60,7 @@ class EpisodeSpec(JobSpec):
     """All that an episode depends on; its `seed` is the number of the episode of its song."""
 
     variation: Variation = field(default_factory=Variation)
-    student_config: Any = field(default=None, metadata=added(before=None))
+    student_config: Any = None
     """The options of the student, if there is one and it has any."""
 
 
@@ -67,7 +71,7 @@ class EpisodeJob(Job):
     spec: EpisodeSpec
     page: bool = False
     least_f1: float = 0.0
-    """Of an episode that is kept."""
+    """Least F1 of an episode that is kept."""
 
 
 class Demonstrator(NamedTuple):
@@ -85,12 +89,12 @@ class Demonstrator(NamedTuple):
 def episodes(
     library: Library, who: Demonstrator, numbers: Sequence[int], least_f1: float
 ) -> list[EpisodeJob]:
-    """All episodes that there are to be: the first of every song, then the second and so on.
+    """Returns all episodes to be collected: the first of every song, then the second and so on.
 
     Raises:
         CadenzaError: a song cannot be read.
     """
-    songs = [(facts_of(song, library), digest_of(song)) for song in library.songs]
+    songs = songs_of(library)
     files = digest_of_files(who.config, who.student_config)
     return [
         EpisodeJob(
@@ -116,25 +120,25 @@ def episodes(
 
 
 def is_complete(job: EpisodeJob, folder: Path) -> bool:
-    """Whether it is recorded, or was not good enough."""
+    """Returns whether it is recorded, or was not good enough."""
     if not (folder / RESULT).exists():
         return False
     made = about(folder)
-    return made.kept or not _good(made.metrics, job)
+    return made.kept or not _is_good(made.metrics, job)
 
 
 def record(
     job: EpisodeJob, folder: Path, num_threads: int, _stop: Callable[[], bool] = lambda: False
 ) -> None:
-    """Leaves the episode in `folder`, see `cadenza.evaluation.run.carry_out`; or nothing of it."""
-    with taken_up(folder, lambda: is_complete(job, folder)) as ours:
+    """Leaves the episode in `folder`, as `cadenza.evaluation.run.carry_out` does a run."""
+    with claimed_run(folder, lambda: is_complete(job, folder)) as ours:
         if ours:
             write_json(folder / "job.json", job.spec.as_json())
-            with failures_told(folder):
-                _record(job, folder, num_threads, telling(folder))
+            with failure_recorded(folder):
+                _record(job, folder, num_threads, progress_writer(folder))
 
 
-def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> None:
+def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress) -> None:
     spec, began = job.spec, time.process_time()
     check_song(spec)
     seed, rng = _randomness(spec)
@@ -143,15 +147,15 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     song = selection.score
     if getattr(spec.config, "fingering", "found") == "found":  # so that the task has those, too
         song = song.without_fingers()
-    score, drawn = _drawn(song, spec.variation, _playable(spec), rng)
+    score, drawn = _varied(song, spec.variation, _playable(spec), rng)
     selection = replace(selection, score=score)
     with (
-        set_up(selection, spec.task, spec.scene, seed, tell, num_threads) as setup,
-        closing(_disturbed(setup, drawn["noise"], spec)) as disturbed,
+        set_up(selection, spec.task, spec.scene, seed, progress, num_threads) as setup,
+        closing(_perturbed_agent(setup, drawn["noise"], spec)) as perturbed,
     ):
-        result = play_episode(setup.task, disturbed, seed, tell)
-        kept = _good(result.metrics, job)
-        plan = _plan(setup, disturbed) if kept else None
+        result = play_episode(setup.task, perturbed, seed, progress)
+        kept = _is_good(result.metrics, job)
+        plan = _plan(setup, perturbed) if kept else None
         last = setup.task.view()  # after the last step
     made = About(
         format=FORMAT,
@@ -160,7 +164,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
         kept=kept,
         metrics=result.metrics,
         drawn=drawn,
-        task=_nothing_drawn(spec.task, result),
+        task=_without_randomness(spec.task, result),
         scene=spec.scene,
         start=tuple(result.episode["hand_qpos0"].tolist()),
         cpu_seconds=time.process_time() - began,
@@ -170,38 +174,40 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, tell: Progress) -> 
     if plan is None:
         write_about(folder, made)
     else:
-        write(folder, made, song, _asked_for(setup, plan), _arrays(result, disturbed, last, plan))
+        write(
+            folder, made, song, _fingered_score(setup, plan), _arrays(result, perturbed, last, plan)
+        )
 
 
-def _disturbed(setup: Setup, noise: float, spec: EpisodeSpec) -> Disturbed:
+def _perturbed_agent(setup: Setup, noise: float, spec: EpisodeSpec) -> PerturbedAgent:
     name = spec.variation.student
     student = None if name is None else make_agent(name, spec.student_config)
     if student is not None:
         student.num_threads = setup.agent.num_threads
-    return Disturbed(setup.agent, setup.task.scene, noise, student)
+    return PerturbedAgent(setup.agent, setup.task.scene, noise, student)
 
 
-def _good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
+def _is_good(metrics: dict[str, Any], job: EpisodeJob) -> bool:
     return (metrics["f1"] or 0.0) >= job.least_f1 and not metrics["unstable"]
 
 
 def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
-    """The seed of the episode and what else is drawn: others for each song and number."""
+    """Returns the seed of the episode and a generator, others for each song and number."""
     content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
     seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
     return seed, np.random.default_rng(other)
 
 
 def _playable(spec: EpisodeSpec) -> range:
-    """The pitches of notes for which there are keys, once they are transposed."""
+    """Returns the pitches of notes for which there are keys once they are transposed."""
     pitches, transpose = keyboard_named(spec.scene.keyboard).pitches, spec.task.transpose
     return range(pitches.start - transpose, pitches.stop - transpose)
 
 
-def _drawn(
+def _varied(
     score: Score, variation: Variation, pitches: range, rng: np.random.Generator
 ) -> tuple[Score, dict[str, Any]]:
-    """What of a song is played, and how, by name; mirrored only within `pitches`."""
+    """Draws what of a song is played, and how, by name; mirrored only within `pitches`."""
     begin, mirror, noise = rng.random(3).tolist()
     since = 0.0
     if variation.excerpt is not None:
@@ -215,7 +221,7 @@ def _drawn(
 
 
 def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """So many seconds from a note on, and when that begins; `where` is 0 to 1."""
+    """Returns so many seconds from a note on, and when that begins; `where` is 0 to 1."""
     starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
     possible = [start for start in starts if start <= last] or starts[:1]
     since = possible[int(where * len(possible))]
@@ -223,24 +229,24 @@ def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
     return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since
 
 
-def _plan(setup: Setup, disturbed: Disturbed) -> SongPlan:
-    """That of the agent, or one for the same song and start where it has none."""
+def _plan(setup: Setup, perturbed: PerturbedAgent) -> SongPlan:
+    """Returns the plan of the agent, or one for the same song and start where it has none."""
     plan = getattr(getattr(setup.agent, "planners", {}).get(0), "plan", None)
     if isinstance(plan, SongPlan) and plan.complete:
         return plan
-    assert disturbed.start is not None
+    assert perturbed.start is not None
     (track,) = setup.task.sheets.tracks
-    return plan_song(track, disturbed.start.hand_qpos[0])
+    return plan_song(track, perturbed.start.hand_qpos[0])
 
 
-def _asked_for(setup: Setup, plan: SongPlan) -> Score:
-    """With the fingers that the task showed and rewarded; where it showed none, the plan's."""
+def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
+    """Returns the score with the fingers that the task rewarded; where it has none, the plan's."""
     (track,) = setup.task.sheets.tracks
     return plan.track.score if track.dropped is None else track.score
 
 
-def _nothing_drawn(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
-    """For a score that has been trimmed, stretched and transposed.
+def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
+    """Returns the task for a score that has been trimmed, stretched and transposed already.
 
     What `DomainRandomization` drew follows from the seed that this gives.
     """
@@ -260,10 +266,10 @@ def _nothing_drawn(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
 
 
 def _arrays(
-    result: EpisodeResult, disturbed: Disturbed, last: View, plan: SongPlan
+    result: EpisodeResult, perturbed: PerturbedAgent, last: View, plan: SongPlan
 ) -> dict[str, Array]:
-    """What is recorded of an episode, see `cadenza.demonstrations.recorded`."""
-    episode, start, scene = result.episode, disturbed.start, plan.scene
+    """Returns the arrays of a recorded episode, see `cadenza.demonstrations.recorded`."""
+    episode, start, scene = result.episode, perturbed.start, plan.scene
     assert start is not None
     count = episode.num_steps
     steps = np.zeros(count + 1, steps_type(scene))
@@ -273,10 +279,10 @@ def _arrays(
     steps["key_state"][0] = key_state(start.key_qpos[0], travel)
     steps["key_state"][1:] = key_state(episode["key_qpos"], travel)
     steps["sounding"][1:] = np.packbits(episode["key_activation"], axis=1)
-    steps["played"][1:] = disturbed.played
-    steps["pedal"] = [*disturbed.pedal, observed_pedal(last)]
+    steps["played"][1:] = perturbed.played
+    steps["pedal"] = [*perturbed.pedal, observed_pedal(last)]
     steps["previous_reward"][1:] = episode["reward_total"]
-    steps["action"][:-1] = disturbed.chosen
+    steps["action"][:-1] = perturbed.chosen
     states = State.zeros(scene, 0)._replace(
         hand_qpos=steps["hand_qpos"][:-1], hand_qvel=steps["hand_qvel"][:-1]
     )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from cadenza.configs import flat
 from cadenza.evaluation.results import Result, Results
-from cadenza.report.overview import SHARES
-from cadenza.report.page import flat
+from cadenza.report.bench_summary import SHARES
 
-_UNLIKE = ("song", "song_digest", "seed", "agent")  # of a job, what is to differ
-_OF_AGENT = ("config", "agent_digest")  # and what is an agent's own
+_VARIED = ("song", "song_digest", "seed", "agent")  # what differs among the runs of a bench
+_OWN = ("config", "agent_digest")  # what each agent has of its own
 _AS_WRITTEN: dict[str, Any] = {
     "arrangement.first_seconds": None,
     "arrangement.tracks": [],
@@ -18,45 +18,46 @@ _AS_WRITTEN: dict[str, Any] = {
     "task.stretch": 1.0,
     "task.transpose": 0,
 }
-_MOST = 1e12  # that a time, an energy or the like can be
-_LEAST_MUSIC = 1e-3  # [s] by which others are divided
+_MAX_VALUE = 1e12  # of a time, an energy or the like; what is larger is damage
+_MIN_MUSIC = 1e-3  # [s]; others are divided by it
+_TOLERANCE = 1e-9  # by which rounding may have a share exceed 1
 
 
 def usable(found: Results) -> list[Result]:
-    """The results that can be summed up."""
+    """Returns the results that can be summed up."""
     return [result for result in found.results if not _fault(result)]
 
 
 def _fault(result: Result) -> str:
-    """Why a result cannot be summed up; nothing if it can."""
+    """Returns why a result cannot be summed up; nothing if it can."""
     if result.metrics.get("f1") is None:
         return "its result holds no F1"
     figures: dict[str, Any] = {**result.metrics, **vars(result.timing), **vars(result.song)}
-    most = dict.fromkeys(SHARES, 1 + 1e-9)
+    most = dict.fromkeys(SHARES, 1 + _TOLERANCE)
     sizes = (
         *("wall_seconds", "cpu_seconds", "music_seconds", "energy"),
         *("difficulty", "seconds", "notes"),
     )
-    for name, limit in (most | dict.fromkeys(sizes, _MOST)).items():
+    for name, limit in (most | dict.fromkeys(sizes, _MAX_VALUE)).items():
         value = figures.get(name)
         if isinstance(value, str) or (value is not None and not 0 <= value <= limit):
             return f"its {name} cannot be {str(value)[:20]}"
-    if 0 < result.timing.music_seconds < _LEAST_MUSIC:
+    if 0 < result.timing.music_seconds < _MIN_MUSIC:
         return f"its music_seconds cannot be {result.timing.music_seconds}"
     return ""
 
 
-def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
-    """What to know before comparing runs: in a line, and each case."""
+def caveats(found: Results) -> Iterator[tuple[str, list[str]]]:
+    """Yields what to know before comparing runs: a line, and its cases."""
     results = usable(found)
-    broken = [f"{run.name}: {run.why}" for run in found.broken]
+    broken = [f"{run.name}: {run.reason}" for run in found.broken]
     broken += [
-        f"{result.folder.name}: {why}" for result in found.results if (why := _fault(result))
+        f"{result.folder.name}: {reason}" for result in found.results if (reason := _fault(result))
     ]
     if broken:
         yield f"{_counted(broken, 'run')} cannot be read, and {_are(broken)} left out.", broken
     if found.unfinished:
-        missing = [f"{run.name}: {run.why}" for run in found.unfinished]
+        missing = [f"{run.name}: {run.reason}" for run in found.unfinished]
         yield f"{_counted(missing, 'run')} {_are(missing)} not finished.", missing
     if few := _with_fewer_runs(results):
         yield "Some agents have fewer runs.", few
@@ -79,23 +80,23 @@ def remarks(found: Results) -> Iterator[tuple[str, list[str]]]:
 
 
 def _common_settings(result: Result) -> dict[str, Any]:
-    left_out = (*_UNLIKE, *_OF_AGENT)
+    left_out = (*_VARIED, *_OWN)
     return dict(flat({name: value for name, value in result.job.items() if name not in left_out}))
 
 
 def _own_settings(result: Result) -> dict[str, Any]:
-    own = dict(flat({name: value for name, value in result.job.items() if name in _OF_AGENT}))
+    own = dict(flat({name: value for name, value in result.job.items() if name in _OWN}))
     if result.training is not None:
         own.pop("config.seed", None)  # the run's, so it is to differ
     return own
 
 
-def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
-    """In a line each: what is not the same in all runs, and who has which."""
+def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
+    """Returns a line for each name whose value is not the same in all runs, and who has which."""
     lines = []
-    for name in dict.fromkeys(name for _, values in told for name in values):
+    for name in dict.fromkeys(name for _, values in settings for name in values):
         whose: dict[Any, list[str]] = {}
-        for result, values in told:
+        for result, values in settings:
             value = values.get(name)
             whose.setdefault("not set" if value is None else str(value), []).append(result.agent)
         if len(whose) > 1:
@@ -108,7 +109,7 @@ def _differing(told: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str]:
 
 
 def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
-    """In a line for each piece with several: who was rewarded for whose fingers."""
+    """Returns a line for each piece whose runs were rewarded for different fingers."""
     pieces = dict.fromkeys(result.song.name for result in results)
     return [
         f"{piece}: {line}"
@@ -124,7 +125,7 @@ def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
 
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
-    """In a line for each option that changes the music."""
+    """Returns a line for each option that changes the music."""
     told: dict[str, list[str]] = {}
     for result in results:
         settings = dict(flat(result.job))
@@ -145,7 +146,7 @@ def _differing_songs(results: Sequence[Result]) -> list[str]:
 
 
 def _with_fewer_runs(results: Sequence[Result]) -> list[str]:
-    """In a line for each agent that has fewer."""
+    """Returns a line for each agent that has fewer runs or pieces than others."""
     songs: dict[str, list[str]] = {}
     for result in results:
         songs.setdefault(result.agent, []).append(result.song.name)

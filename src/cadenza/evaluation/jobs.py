@@ -1,0 +1,220 @@
+"""The runs of a bench: songs x agents x seeds.
+
+A run is a pure value, whose hash names the folder of its results.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os.path
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from typing import Any, Literal
+
+from cadenza.configs import files_named, identity
+from cadenza.files import folder_name, plain, sha256_of
+from cadenza.learning.config import TrainingConfig
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.fingering_file import SUFFIX
+from cadenza.music.libraries.songs import Library, Song
+from cadenza.scene.config import SceneConfig
+from cadenza.tasks.config import TaskConfig
+
+_MAX_NAME = 80  # bytes of a song or an agent in the name of a folder
+_HASH = 12  # hexadecimal digits
+
+Pages = Literal["first-seed", "all", "none"]
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """All that the result of a run depends on, but for the versions of programs."""
+
+    song: str
+    """The song as `cadenza play` takes it."""
+    song_digest: str
+    """A hash of what is played, see `song_digest`."""
+    agent: str
+    """As `cadenza play` takes it, or train:PRESET(-residual) for a policy that is trained first."""
+    seed: int
+    task: TaskConfig
+    scene: SceneConfig
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    config: Any = None
+    """The agent's options, a dataclass; a `TrainingConfig` for one that is trained first."""
+    agent_digest: str = ""
+    """A hash of the files of a policy, or of those that options name."""
+
+    @property
+    def training(self) -> TrainingConfig | None:
+        """How a policy is trained before it plays; None for all others."""
+        return self.config if isinstance(self.config, TrainingConfig) else None
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the same as JSON has it."""
+        content: dict[str, Any] = plain(identity(self))
+        return content
+
+    @cached_property
+    def key(self) -> str:
+        """A hash, the same on every machine."""
+        return key_of(self.as_json())
+
+    @property
+    def name(self) -> str:
+        """The name of its folder: SONG--AGENT--sSEED--HASH."""
+        song, agent = (
+            _end_of(folder_name("-".join(path.split("/")[-2:]))) for path in (self.song, self.agent)
+        )
+        return f"{song}--{agent}--s{self.seed}--{self.key}"
+
+
+@dataclass(frozen=True)
+class SongFacts:
+    """What is worth knowing about a song; a result does not depend on it."""
+
+    name: str
+    title: str = ""
+    composer: str = ""
+    library: str = ""
+    split: str = ""
+    difficulty: float | None = None
+    """1 to 10."""
+    seconds: float | None = None
+    """Length of the whole song."""
+    notes: int | None = None
+    """Number of notes to be played."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be carried out."""
+
+    spec: JobSpec
+    song: SongFacts
+    page: bool = True
+    """Whether it leaves a page to watch and hear."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """An agent of a bench, with all options that it plays with."""
+
+    agent: str
+    task: TaskConfig
+    scene: SceneConfig
+    config: Any = None
+    """See `JobSpec.config`; the seed of training is that of the run."""
+    digest: str = ""
+
+    def with_seed(self, seed: int) -> Contender:
+        if not isinstance(self.config, TrainingConfig):
+            return self
+        return replace(self, config=replace(self.config, seed=seed))
+
+
+def bench_jobs(
+    library: Library,
+    contenders: Callable[[str], Iterable[Contender]],
+    seeds: Sequence[int],
+    arrangement: Arrangement,
+    pages: Pages = "first-seed",
+) -> list[Job]:
+    """Returns all runs, each once: those of the first seed come first.
+
+    Args:
+        library: what is played.
+        contenders: song -> who plays it.
+        seeds: of everything random.
+        arrangement: what of each song.
+        pages: which runs leave a page.
+
+    Raises:
+        CadenzaError: a song cannot be read.
+    """
+    songs = songs_of(library)
+    by_song = {song.name: list(contenders(song.name)) for song, _ in songs}
+    jobs = dict[str, Job]()
+    for seed, (song, digest) in product(seeds, songs):
+        for contender in by_song[song.name]:
+            seeded = contender.with_seed(seed)
+            spec = JobSpec(
+                song=song.name,
+                song_digest=digest,
+                agent=seeded.agent,
+                seed=seed,
+                task=seeded.task,
+                scene=seeded.scene,
+                arrangement=arrangement,
+                config=seeded.config,
+                agent_digest=seeded.digest,
+            )
+            page = pages == "all" or (pages == "first-seed" and seed == seeds[0])
+            jobs.setdefault(spec.key, Job(spec, song, page))
+    return list(jobs.values())
+
+
+def key_of(content: Mapping[str, Any]) -> str:
+    """Returns the hash of a run that is known as JSON, see `JobSpec.as_json`."""
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_HASH]
+
+
+def digest_of_files(*configs: Any) -> str:
+    """Returns a hash of the files that these options name; nothing if they name none.
+
+    Raises:
+        CadenzaError: a file is not there, or cannot be read.
+    """
+    paths = [Path(path) for config in configs for path in files_named(config)]
+    return sha256_of(*paths)[:_HASH] if paths else ""
+
+
+def _end_of(name: str) -> str:
+    return name.encode()[-_MAX_NAME:].decode(errors="ignore")
+
+
+def songs_of(library: Library) -> list[tuple[SongFacts, str]]:
+    """Returns what the index says of each song, and the hash of what is played.
+
+    Raises:
+        CadenzaError: a song cannot be read.
+    """
+    return [(_facts(song, library), song_digest(song)) for song in library.songs]
+
+
+def _facts(song: Song, library: Library) -> SongFacts:
+    return SongFacts(
+        song.name,
+        song.title,
+        song.composer,
+        library.name.partition(":")[0],
+        song.split,
+        song.difficulty,
+        song.seconds,
+        song.notes,
+    )
+
+
+def song_digest(song: Song) -> str:
+    """Returns a hash of the song's files, so that many are planned in a moment, or of its notes.
+
+    Raises:
+        CadenzaError: a file cannot be read, or a song without one cannot be made.
+    """
+    files = [part for part in getattr(song.read, "args", ()) if isinstance(part, Path)]
+    if files:
+        fingers = [path for file in files if os.path.isfile(path := file.with_suffix(SUFFIX))]
+        return sha256_of(*files, *fingers)[:_HASH]
+    score = song.load()
+    notes = [  # `astuple` of the whole takes as long as writing an etude
+        (note.start, note.end, note.pitch, note.velocity, note.finger and astuple(note.finger))
+        for note in score.notes
+    ]
+    pedal = [(event.time, event.value) for event in score.pedal]
+    content = json.dumps([notes, pedal]).encode()
+    return hashlib.sha256(content).hexdigest()[:_HASH]

@@ -1,0 +1,167 @@
+"""The summary of a bench: the values that its pages, its figure and its tables are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cadenza.report.charts import fixed_number
+
+
+class Metric(NamedTuple):
+    """What is measured of every run."""
+
+    title: str
+    decimals: int
+    meaning: str
+
+
+SHARES = {
+    "f1": Metric(
+        "F1", 3, "The balance of precision and recall in each control step, mean over all steps."
+    ),
+    "note_onset_f1": Metric(
+        "Note onset F1", 3, "Whole notes: found is what begins within 50 ms of its time."
+    ),
+    "pooled_f1": Metric("F1, pooled", 3, "As F1, with the keys of all steps counted together."),
+    "precision": Metric("Precision", 3, "Of the keys that sound, the share that should."),
+    "recall": Metric("Recall", 3, "Of the keys that should sound, the share that do."),
+}
+"""Metrics from 0 to 1, where 1 is perfect."""
+METRICS = SHARES | {
+    "wall_per_music": Metric(
+        "Wall time / music",
+        2,
+        "Seconds that a run took, with any training, for each second of music. It is longer where "
+        "other programs, or other runs, kept the cores busy.",
+    ),
+    "cpu_per_music": Metric(
+        "CPU time / music",
+        2,
+        "Seconds that all threads of a run computed, for each second of music; not known of "
+        "policies that were trained first.",
+    ),
+    "power": Metric("Energy / music [W]", 1, "Of all actuators, for each second of music."),
+}
+"""All metrics of a run; NaN stands for one that is not known."""
+
+BARS = ("f1", "note_onset_f1", "pooled_f1")
+"""Metrics that are drawn as bars."""
+HEADLINES = (*BARS, "wall_per_music")
+"""Metrics at the top of the page."""
+IDENTICAL = "Same with every seed"
+"""Title of the number of pieces whose runs are all the same."""
+THRESHOLDS = np.linspace(0, 1, 51)
+"""Values at which performance profiles are computed."""
+
+
+class Estimate(NamedTuple):
+    """A value and its 95 % interval, numbers or arrays.
+
+    The interval is NaN where there is none, as with a single seed or where every seed gave the
+    same.
+    """
+
+    value: Any
+    low: Any
+    high: Any
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What was played."""
+
+    name: str
+    title: str
+    composer: str
+    library: str
+    difficulty: float
+    """1 to 10; NaN where it is not known."""
+    seconds: float
+    """Length of the music that was played."""
+    notes: int
+    """Number of notes to be played."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One agent with one seed at one piece."""
+
+    piece: int
+    """Index of the piece."""
+    agent: str
+    seed: int
+    metrics: Mapping[str, float]
+    """All of `METRICS`."""
+    page: Path | None
+    """The page on which it can be seen and heard."""
+
+
+@dataclass(frozen=True)
+class AgentSummary:
+    """How an agent does on a number of pieces."""
+
+    pieces: int
+    runs: int
+    repeated: int
+    """Number of pieces with several seeds."""
+    identical: int
+    """Number of those of which each of `SHARES` is the same with every seed."""
+    mean: Mapping[str, Estimate]
+    """The mean of each of `METRICS`: numbers."""
+    iqm: Mapping[str, Estimate]
+    """The interquartile mean of each of `METRICS`: numbers."""
+    profile: Mapping[str, Estimate]
+    """The performance profile of each of `SHARES`: arrays, at `THRESHOLDS`."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Pieces that are summed up together."""
+
+    name: str
+    pieces: Sequence[int]
+    """Indices of the pieces."""
+    agents: Mapping[str, AgentSummary]
+    """Every agent that played any of them."""
+
+
+@dataclass(frozen=True)
+class BenchSummary:
+    """All that the pages show."""
+
+    title: str
+    pieces: Sequence[Piece]
+    agents: Sequence[str]
+    """Those who played the most pieces first, and of these the best."""
+    runs: Sequence[Run]
+    by_piece: Mapping[str, Estimate]
+    """The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run."""
+    groups: Sequence[Group]
+    """All pieces first."""
+    common: Group
+    """The pieces that all agents played; all, if there are none."""
+    caveats: Sequence[tuple[str, Sequence[str]]]
+    """What to know before comparing: a line, and its cases."""
+
+
+def metric_text(name: str, value: float) -> str:
+    """Returns the value of one of `METRICS` as text; a dash if it is not known."""
+    return fixed_number(value, METRICS[name].decimals)
+
+
+def interval_text(name: str, estimate: Estimate, between: str = "–") -> str:
+    """Returns both ends of the interval as text; nothing if there is none."""
+    if math.isnan(estimate.low):
+        return ""
+    return f"{metric_text(name, estimate.low)}{between}{metric_text(name, estimate.high)}"
+
+
+def identical_text(summary: AgentSummary) -> str:
+    """Returns how many pieces were played the same with every seed; a dash with a single seed."""
+    return f"{summary.identical} of {summary.repeated}" if summary.repeated else "–"

@@ -1,0 +1,166 @@
+"""The page of a performance: in three dimensions, with sound, piano roll and scores."""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cadenza.configs import flat
+from cadenza.episode import Episode
+from cadenza.music.formats.finger_numbers import finger_from
+from cadenza.report.recording import recording_of
+from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
+from cadenza.report.templates import render
+
+STYLES = ("uplot.min.css", "page.css", "chart.css")
+SCRIPTS = (
+    *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js"),
+    *("chart.js", "roll.js", "rewards.js", "controls.js", "page.js"),
+)
+LIBRARIES = ("three.min.js", "uplot.min.js")
+"""All assets of the page of any performance, which a page of several performances holds once."""
+_HEADLINES = {
+    "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
+    "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),
+    "recall": ("Recall", "Of the keys that should sound, the share that do, 0 to 1."),
+    "note_onset_f1": ("Note onset F1", "Notes that begin within 50 ms of their time, 0 to 1."),
+}
+"""Title and meaning of the metrics at the top of the page; the others are folded."""
+
+
+def performance_page(
+    episode: Episode,
+    metrics: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    audio: Samples,
+    sample_rate: int = SAMPLE_RATE,
+    misses: Sequence[Mapping[str, Any]] = (),
+    goal_mp3: bytes = b"",
+    midi: bytes = b"",
+    video: str = "",
+) -> Iterator[str]:
+    """Yields the page of an episode piece by piece, see `templates.render`.
+
+    Args:
+        episode: what to show; without a drawn scene, the page has all but the 3D view.
+        metrics: name -> number or text; nested mappings are flattened. NaN is shown as a dash.
+        settings: name -> value, nested or not; `agent` and `seed` are also named at the top, and
+            each of `remarks`. None is not shown; of an absolute path, only the last part.
+        audio: the performance as `synthesize` makes it, starting with the first step.
+        sample_rate: of the audio [Hz].
+        misses: of each note that was lost `time` [s], `note`, `finger` as files have it, `what`
+            became of it, and the `reason`; without any, the page has no such table.
+        goal_mp3: what should have been played, of the same length; without, it cannot be heard.
+        midi: a MIDI file to download.
+        video: name of a file beside the page to download.
+    """
+    metrics, remarks = _shown_metrics(episode, metrics), settings.get("remarks") or ()
+    settings = {name: value for name, value in settings.items() if name != "remarks"}
+    # At least as long as the episode: the page's clock is this sound.
+    sound = encode_mp3(audio, sample_rate, seconds=episode.num_steps * episode.dt)
+    yield from render(
+        "performance.html",
+        title=episode.song or "Untitled",
+        facts=_facts(episode, dict(flat(settings))),
+        remarks=remarks,
+        headlines=[_headline(name, metrics[name]) for name in _HEADLINES if name in metrics],
+        figures=_other_figures(metrics),
+        misses=[_miss(miss) for miss in misses],
+        settings=settings_table(settings),
+        midi=base64.b64encode(midi).decode(),
+        video=video,
+        roll_description=_roll_description(episode),
+        recording=recording_of(episode),
+        sounds={"sound": sound} | ({"goal": goal_mp3} if goal_mp3 else {}),
+        styles=STYLES,
+        scripts=SCRIPTS,
+    )
+
+
+def _facts(episode: Episode, settings: Mapping[str, Any]) -> dict[str, str]:
+    named = {name.rsplit(".", 1)[-1]: settings[name] for name in reversed(list(settings))}
+    known = (name for name in ("agent", "seed") if named.get(name) is not None)
+    facts = {name: _plain(named[name]) for name in known}
+    if named.get("hands") == "apart":
+        facts["recordings"] = "of each hand by itself, combined"
+    seconds = episode.num_steps * episode.dt
+    return facts | {"length": f"{seconds:.1f} s", "control steps": str(episode.num_steps)}
+
+
+def _roll_description(episode: Episode) -> str:
+    goal, played = episode["goal_keys"], episode["key_activation"]
+    hit, wrong = np.sum(goal & played), np.sum(played & ~goal)
+    return (
+        f"Piano roll of {episode.num_steps * episode.dt:.1f} seconds: of {goal.sum()} key steps "
+        f"to play, {hit} were hit; {wrong} were wrong"
+    )
+
+
+def _shown_metrics(episode: Episode, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the metrics flattened, and without the pedal's where the piece has none."""
+    pedal = bool(episode["goal_sustain"].any())
+    return {name: v for name, v in flat(metrics) if pedal or not name.startswith("sustain_")}
+
+
+def _headline(name: str, value: Any) -> tuple[str, str, str, float | None]:
+    """Returns title and meaning of a metric, its value as text, and the length of its bar."""
+    number = _number(value)
+    return *_HEADLINES[name], "–" if number is None else f"{number:z.3f}", number or None
+
+
+def _other_figures(metrics: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        _spoken(name.removesuffix("_seconds")): _with_unit(name, value)
+        for name, value in metrics.items()
+        if name not in _HEADLINES
+    }
+
+
+def _with_unit(name: str, value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    number = _number(value)
+    if number is None or isinstance(value, bool):
+        return "–" if number is None else "yes" if value else "no"
+    unit = " s" if name.endswith(("seconds", "timing_error")) else ""
+    return f"{round(number, 3):z.6g}{unit}"
+
+
+def settings_table(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the text of each setting that is not None, under its full name."""
+    return {name: _plain(value) for name, value in flat(settings) if value is not None}
+
+
+def _plain(value: Any) -> str:
+    """Returns `value` as text, of a path only its name: folders say nothing to other people."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value)) or "–"
+    path = Path(text := str(value))
+    return path.name if path.is_absolute() else text
+
+
+def _miss(miss: Mapping[str, Any]) -> tuple[str, ...]:
+    """Returns the cells of a row."""
+    finger = finger_from(miss["finger"])
+    named = finger.name if finger else "–"
+    return f"{miss['time']:.2f}", miss["note"], named, miss["what"], miss["reason"]
+
+
+def _spoken(name: str) -> str:
+    words = re.sub(r"[_./]+", " ", name).strip()
+    return re.sub(r"\bf1\b", "F1", words[:1].upper() + words[1:], flags=re.IGNORECASE)
+
+
+def _number(value: Any) -> float | None:
+    """Returns `value` short enough for the page, None where it is no finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return None
+    return float(f"{number:.5g}") if math.isfinite(number) else None

@@ -1,0 +1,96 @@
+"""Pages as HTML files that need neither a network nor a server, made from the files in `templates`.
+
+A page holds its style sheets, its scripts, the libraries that these use, and the data. The
+libraries are three.js for 3D (cut down to 570 kB) and uPlot for charts (50 kB), copies of which lie
+in `assets` because no Python package carries ones that serve: trimesh has three.js of 2022,
+meshcat, viser, pythreejs and k3d bring a web server or Jupyter, plotly, bokeh and altair bring
+megabytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cadenza.files import write_atomically
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_BASE64_BLOCK = 3 << 18  # bytes encoded at once; a multiple of 3, so that blocks can be joined
+_SEPARATORS = r"[/\\_,=]|\.(?=[^\W\d])"  # a line may be broken after each; not within 1.5
+
+
+@cache
+def asset(name: str) -> str:
+    """Returns the text of a file of `assets`, which templates do not escape."""
+    from markupsafe import Markup
+
+    return Markup(resources.files("cadenza.report").joinpath("assets", name).read_text("utf-8"))
+
+
+def render(template: str, **context: Any) -> Iterator[str]:
+    """Yields the text of a page piece by piece; each asset is a piece of its own.
+
+    Args:
+        template: a file of `templates`.
+        context: the values and functions that the template names; text among them is escaped.
+    """
+    return _environment().get_template(template).generate(context)
+
+
+def write_page(path: Path, pieces: Iterator[str]) -> None:
+    """Writes the page made of `pieces` to `path`; what is no text, as in names of files, is a ?."""
+    with write_atomically(path) as file:
+        for piece in pieces:
+            file.write(piece.encode("utf-8", "replace"))
+
+
+def iframe(page: str) -> str:
+    """Returns a whole page as an element of another, such as a notebook."""
+    from markupsafe import escape
+
+    return (
+        f'<iframe srcdoc="{escape(page)}" style="width: 100%; height: 800px; border: 0"></iframe>'
+    )
+
+
+@cache
+def _environment() -> Environment:
+    # Importing it takes a tenth of a second, and would delay the first action.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("cadenza.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.globals["asset"] = asset
+    environment.filters |= {"base64": in_base64, "breakable": _breakable, "percent": _percent}
+    return environment
+
+
+def in_base64(content: bytes) -> Iterator[str]:
+    """Yields the base64 text of `content` block by block."""
+    for start in range(0, len(content), _BASE64_BLOCK):
+        yield base64.b64encode(content[start : start + _BASE64_BLOCK]).decode()
+
+
+def _breakable(text: str) -> str:
+    """Returns `text` that a narrow screen breaks after separators rather than within words."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(_SEPARATORS, r"\g<0><wbr>", str(escape(text))))
+
+
+def _percent(share: float) -> str:
+    """Returns a share as a length in CSS, at least 0 and at most 100 %."""
+    return f"{100 * min(max(share, 0.0), 1.0):.1f}%"
