@@ -312,7 +312,7 @@ def test_values_show_under_the_pointer_the_finger_and_by_keys(
     press(browser, "Escape")
 
     browser.evaluate("document.activeElement.blur()")
-    for key in ("Tab", "Tab", "Tab"):  # the table, and both charts of F1
+    for key in ("Tab",) * 4:  # the table, F1 and note onset F1 by control steps, F1 by wall time
         press(browser, key)
     assert "wall time" in browser.evaluate(VALUES)
     for key, time in (("Home", "100 s"), ("ArrowRight", "3 min"), ("ArrowLeft", "100 s")):
@@ -354,7 +354,7 @@ def test_labels_are_as_people_say_them(written, browser: Browser, tmp_path: Path
     rows[-1]["seconds"] = 3.2 * 3600
     written(Curve("a day", rows))
     opened(browser, tmp_path / "training.html")
-    steps, time, earned, loss = (set(labels) for labels in browser.labels())
+    steps, _, time, _, earned, loss = (set(labels) for labels in browser.labels())
     assert {"0", "200 k", "400 k", "0.5", "1.0", "control steps"} < steps
     assert {"0", "1 h", "2 h", "3 h"} < time
     assert {"−0.40", "−0.36"} < earned
