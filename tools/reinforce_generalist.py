@@ -37,7 +37,7 @@ from cadenza.agents.planner.search.fingertip_correction import MAX_ERROR
 from cadenza.agents.planner.search.horizon_cost import HARMLESS_DEPTH
 from cadenza.agents.planner.search.networks.weights import CONSTANTS, INPUT_LIMIT, Network, Weights
 from cadenza.errors import CadenzaError, errors_in_a_line
-from cadenza.evaluation.collecting.collect import excerpt
+from cadenza.evaluation.collecting.variation import excerpt
 from cadenza.files import plain, read_json, write_atomically, write_json
 from cadenza.fingers import SIDES
 from cadenza.music.libraries.library import load_score, open_library

@@ -38,7 +38,7 @@ from cadenza.agents.planner.search.networks.weights import (
     Weights,
 )
 from cadenza.demonstrations.dataset import Dataset, kept
-from cadenza.demonstrations.recorded import Recorded, played_actions
+from cadenza.demonstrations.recorded_episode import RecordedEpisode, played_actions
 from cadenza.errors import CadenzaError, errors_in_a_line
 from cadenza.files import write_atomically
 from cadenza.scene.scene import Scene, hand_alone
@@ -68,15 +68,15 @@ class Lesson(NamedTuple):
     """(N, A) how the planner corrected the plan."""
 
 
-def lesson_of(recorded: Recorded) -> Lesson:
+def lesson_of(recorded: RecordedEpisode) -> Lesson:
     """That of an episode.
 
     Raises:
         CadenzaError: its plan was made by another version.
     """
     scene, rows = recorded.build_scene(), recorded.steps
-    track = GoalTrack(recorded.score, (), recorded.about.task, scene)
-    plan = plan_song(track, np.array(recorded.about.start))
+    track = GoalTrack(recorded.score, (), recorded.facts.task, scene)
+    plan = plan_song(track, np.array(recorded.facts.start))
     if not np.allclose(plan.nominal.tracking.expected, recorded.plan["reference"], atol=1e-3):
         raise CadenzaError(
             f"{recorded.folder}: the planner of another version had another plan; "
@@ -85,7 +85,7 @@ def lesson_of(recorded: Recorded) -> Lesson:
     nothing, inputs, answers = State.zeros(scene, 1), [], []
     hands = CorrectedHands(plan)
     played = played_actions(rows, scene)
-    for step in range(recorded.about.num_steps):
+    for step in range(recorded.facts.num_steps):
         seen, planned = hands.observe(step, state_of(rows[step : step + 1], nothing, scene))
         inputs.append(seen)
         answers.append(hands.recommended(rows["action"][step, hands.servos], planned))
@@ -100,9 +100,9 @@ def state_of(rows: Array, nothing: State, scene: Scene) -> State:
     return nothing._replace(**known, key_qpos=rows["key_state"] * scene.keyboard.travel)
 
 
-def kept_lesson(recorded: Recorded, folder: Path) -> Lesson:
+def kept_lesson(recorded: RecordedEpisode, folder: Path) -> Lesson:
     """That of an episode, made once; for another version of its inputs, take another folder."""
-    files = hashlib.sha256("".join(recorded.about.files.values()).encode()).hexdigest()
+    files = hashlib.sha256("".join(recorded.facts.files.values()).encode()).hexdigest()
     path = folder / f"{recorded.folder.name}-{files[:12]}.npz"
     if not path.exists():
         lesson = lesson_of(recorded)
@@ -262,7 +262,7 @@ def main() -> None:
     of_songs: dict[str, list[Lesson]] = {}
     for i, episode in enumerate(episodes, start=1):
         lesson = kept_lesson(episode, given.output / "lessons")
-        of_songs.setdefault(Path(episode.about.song).name, []).append(lesson)
+        of_songs.setdefault(Path(episode.facts.song).name, []).append(lesson)
         print(f"\r{i} of {len(episodes)} episodes read", end="", flush=True)
     print()
     if len(of_songs) < NETWORKS_EACH:

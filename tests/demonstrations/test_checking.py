@@ -25,9 +25,17 @@ from cadenza.demonstrations import replay
 from cadenza.demonstrations.checking import problems
 from cadenza.demonstrations.dataset import kept, open_dataset
 from cadenza.demonstrations.minari_export import write_minari
-from cadenza.demonstrations.recorded import PLAN, RESULT, SCORE, SONGS, STEPS, digest, write_about
+from cadenza.demonstrations.recorded_episode import (
+    PLAN,
+    RESULT,
+    SCORE,
+    SONGS,
+    STEPS,
+    write_facts,
+)
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
+from cadenza.files import sha256_of
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
 from cadenza.performing.replaying import play_again
@@ -48,7 +56,7 @@ def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> No
     change(array)
     np.save(first(folder) / name, array)
     with changed_result(folder) as result:
-        result["files"][name] = digest(first(folder) / name)
+        result["files"][name] = sha256_of(first(folder) / name)
 
 
 @contextmanager
@@ -141,7 +149,7 @@ def test_rows_that_are_missing(copied: Path) -> None:
     path = first(copied) / STEPS
     np.save(path, np.load(path)[:-3])
     with changed_result(copied) as result:
-        result["files"][STEPS] = digest(path)
+        result["files"][STEPS] = sha256_of(path)
     (line,) = problems(copied, replays=0)
     assert f"{path}: not the" in line
 
@@ -196,7 +204,7 @@ def test_a_score_that_is_too_short(copied: Path) -> None:
     score = json.loads(path.read_text())
     path.write_text(json.dumps(score | {"notes": score["notes"][:1]}))
     with changed_result(copied) as result:
-        result["files"][SCORE] = digest(path)
+        result["files"][SCORE] = sha256_of(path)
     (line,) = problems(copied, replays=0)
     assert re.search(r": has \d+ steps, the episode \d+; delete its folder and collect again", line)
     assert line.startswith(str(path))
@@ -218,8 +226,8 @@ def test_no_file_makes_it_import_a_module(
     )
     monkeypatch.syspath_prepend(tmp_path)
     for episode in kept(copied):
-        scene = replace(episode.about.scene, hand="stranger:HAND")
-        write_about(episode.folder, replace(episode.about, scene=scene))
+        scene = replace(episode.facts.scene, hand="stranger:HAND")
+        write_facts(episode.folder, replace(episode.facts, scene=scene))
     line, *_ = problems(copied, replays=1)
     assert "no file makes Cadenza import a module; give --hand stranger:HAND if you trust" in line
     for refuses in (

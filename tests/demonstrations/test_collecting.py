@@ -12,19 +12,17 @@ import pytest
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.demonstrations.dataset import kept
-from cadenza.demonstrations.recorded import RESULT, STEPS, about, digest, played_actions
-from cadenza.demonstrations.replay import differences
-from cadenza.evaluation.collecting.collect import (
-    _drawn,
-    _playable,
-    episodes,
-    excerpt,
-    is_complete,
-    record,
+from cadenza.demonstrations.recorded_episode import (
+    RESULT,
+    STEPS,
+    played_actions,
+    read_facts,
 )
-from cadenza.evaluation.collecting.variation import Variation
+from cadenza.demonstrations.replay import differences
+from cadenza.evaluation.collecting.collect import episodes, is_complete, record
+from cadenza.evaluation.collecting.variation import Variation, excerpt
 from cadenza.evaluation.results import FAILED, RUNS
-from cadenza.files import locked
+from cadenza.files import locked, sha256_of
 from cadenza.keyboards.piano import PIANO
 from cadenza.music.libraries.library import open_library
 from cadenza.music.score import Note, Score
@@ -47,9 +45,9 @@ def test_randomized_episodes_are_played_again_bit_for_bit(tmp_path: Path) -> Non
     collected(tmp_path / "a", Variation(), 2, randomization=randomization)
     for episode in kept(tmp_path / "a"):
         assert differences(episode, build_scene()) == {}
-        other = replace(episode.about.task.randomization, seed=1)
-        about = replace(episode.about, task=replace(episode.about.task, randomization=other))
-        assert "hand_qpos" in differences(replace(episode, about=about), build_scene())
+        other = replace(episode.facts.task.randomization, seed=1)
+        facts = replace(episode.facts, task=replace(episode.facts.task, randomization=other))
+        assert "hand_qpos" in differences(replace(episode, facts=facts), build_scene())
 
 
 def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
@@ -58,7 +56,7 @@ def test_the_label_is_the_correction_and_not_the_noise(made: Path) -> None:
         steps = episode.steps
         chosen, played = steps["action"][:-1, :-1], played_actions(steps, build_scene())[:, :-1]
         assert np.abs(chosen - steps["tracked"][:-1]).max() < 1e-5
-        noise = episode.about.drawn["noise"]
+        noise = episode.facts.drawn["noise"]
         assert 0 < noise < 0.2
         assert 0.1 * noise < np.abs(played - chosen).max() / 0.12 < 5 * noise
 
@@ -88,7 +86,7 @@ def test_rewards_are_for_the_fingers_that_are_recorded(tmp_path: Path) -> None:
     record(job, tmp_path / RUNS / job.spec.name, num_threads=1)
     (episode,) = kept(tmp_path)
     assert episode.score.has_fingering
-    with closing(PianoTask([episode.score], episode.about.task)) as task:
+    with closing(PianoTask([episode.score], episode.facts.task)) as task:
         again = play_episode(task, Playback(played_actions(episode.steps, task.scene)), 0)
     np.testing.assert_allclose(
         again.episode["reward_total"], episode.steps["previous_reward"][1:], atol=1e-4
@@ -101,9 +99,8 @@ def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
 ) -> None:
     (job,) = jobs(tmp_path / "made", Variation(), 1, transpose=transpose)
     score = Score((Note(0.0, 0.5, 100),))  # its mirror image is 24, three keys from the lowest
-    pitches = _playable(job.spec)
     mirrored = {
-        _drawn(score, Variation(), pitches, np.random.default_rng(seed))[1]["mirrored"]
+        Variation().draw(score, job.spec.pitches, np.random.default_rng(seed))[1]["mirrored"]
         for seed in range(20)
     }
     assert mirrored == ({False, True} if there else {False})
@@ -112,10 +109,10 @@ def test_what_is_transposed_afterwards_is_mirrored_only_where_there_are_keys(
 def test_episodes_differ_and_the_same_one_never_does(made: Path, tmp_path: Path) -> None:
     first, second = kept(made)
     assert first.score != second.score  # tempo and transposition
-    assert first.about.start != second.about.start
+    assert first.facts.start != second.facts.start
     again, _ = collected(tmp_path / made.name, Variation(noise=0.2, mirror=False), 2)
-    (same,) = [e for e in (first, second) if e.about.job["seed"] == about(again).job["seed"]]
-    assert digest(again / STEPS) == digest(same.folder / STEPS)
+    (same,) = [e for e in (first, second) if e.facts.job["seed"] == read_facts(again).job["seed"]]
+    assert sha256_of(again / STEPS) == sha256_of(same.folder / STEPS)
 
 
 def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path: Path) -> None:
@@ -127,13 +124,13 @@ def test_only_good_episodes_are_kept_and_finished_ones_never_made_again(tmp_path
         "log.txt",
         RESULT,
     ]
-    was = about(folder)
+    was = read_facts(folder)
     assert not was.kept
     (job,) = jobs(tmp_path / "a", noisy, 1, least_f1=1.0)
     assert is_complete(job, folder)
     assert not is_complete(replace(job, least_f1=was.f1), folder)
     collected(tmp_path / "a", noisy, least_f1=was.f1)
-    assert about(folder).kept
+    assert read_facts(folder).kept
     before = (folder / RESULT).stat().st_mtime_ns
     collected(tmp_path / "a", noisy, least_f1=1.0)
     assert (folder / RESULT).stat().st_mtime_ns == before
@@ -159,7 +156,7 @@ def test_why_there_is_no_episode(tmp_path: Path) -> None:
 def test_songs_are_mirrored_where_there_are_keys(highest: int) -> None:
     score = replace(SCORE, notes=(*SCORE.notes, Note(1.0, 1.2, highest)))
     rng = np.random.default_rng(0)
-    drawn = [_drawn(score, Variation(), PIANO.pitches, rng) for _ in range(20)]
+    drawn = [Variation().draw(score, PIANO.pitches, rng) for _ in range(20)]
     mirrored = sum(how["mirrored"] for _, how in drawn)
     assert 3 < mirrored < 17 if highest == 103 else not mirrored
     for played, how in drawn:
@@ -180,7 +177,7 @@ def test_excerpts_begin_with_a_note_and_last_as_long_as_asked() -> None:
     rng = np.random.default_rng(0)
     begin = set()
     for _ in range(50):
-        played, how = _drawn(score, Variation(mirror=False, excerpt=4.0), PIANO.pitches, rng)
+        played, how = Variation(mirror=False, excerpt=4.0).draw(score, PIANO.pitches, rng)
         assert [note.start for note in played.notes] == list(range(4))
         assert played.notes[0].pitch == 60 + how["since"]
         begin.add(how["since"])

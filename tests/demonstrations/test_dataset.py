@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cadenza.demonstrations.dataset import Dataset, kept, open_dataset
-from cadenza.demonstrations.overview import overview
-from cadenza.demonstrations.recorded import played_actions
+from cadenza.demonstrations.recorded_episode import played_actions
+from cadenza.demonstrations.summary import summarize
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from demonstrations.made import collected
@@ -21,7 +21,7 @@ def test_a_batch_is_what_a_plain_loop_reads(made: Path) -> None:
     steps = dataset.sample(np.random.default_rng(0), 40)
     ahead, lookahead = (0, 1, 5), 4
     batch = dataset.batch(steps, lookahead, ahead)
-    numbered = [(e, t) for e in dataset.episodes for t in range(e.about.num_steps)]
+    numbered = [(e, t) for e in dataset.episodes for t in range(e.facts.num_steps)]
     for i, number in enumerate(steps.tolist()):
         episode, t = numbered[number]
         row, goals, last = episode.steps[t], episode.goals(dataset.scene), len(episode.steps) - 1
@@ -78,7 +78,7 @@ def test_all_that_is_played_was_a_goal_or_is_an_error(made: Path) -> None:
         share = [(s & w).sum() / w.sum() for s, w in zip(sounds[asked], wanted[asked], strict=True)]
         ones = len(wanted) - asked.sum()  # nothing is missed where nothing is asked for
         recall = (sum(share) + ones) / len(wanted)
-        assert recall == pytest.approx(episode.about.metrics["recall"])
+        assert recall == pytest.approx(episode.facts.metrics["recall"])
 
 
 def test_episodes_that_do_not_go_together_are_refused(made: Path, tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_million_steps_take_less_than_two_gigabytes(made: Path) -> None:
 
 
 def test_what_there_is(made: Path) -> None:
-    lines = list(overview(made))
+    lines = list(summarize(made))
     assert lines[:2] == ["2 episodes of 1 songs kept", "0 not kept, 0 not finished"]
     assert any("mujoco" in line for line in lines)
     assert any(line.startswith("note onsets F1 ") for line in lines)

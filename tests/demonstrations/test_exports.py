@@ -16,7 +16,7 @@ from cadenza.agents.rollout import play_episodes
 from cadenza.cli import main
 from cadenza.demonstrations import lerobot_export, lerobot_videos, minari_export
 from cadenza.demonstrations.dataset import Dataset, open_dataset
-from cadenza.demonstrations.recorded import played_actions
+from cadenza.demonstrations.recorded_episode import played_actions
 from cadenza.demonstrations.replay import task_of
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
@@ -65,7 +65,7 @@ def test_observations_are_those_of_the_environment(made: Path) -> None:
     ours = np.delete(exported.observation, np.s_[at : at + fingering], axis=1)
     assert ours.shape == shown.shape
     np.testing.assert_array_equal(ours, shown)
-    assert result.metrics["f1"] == episode.about.f1
+    assert result.metrics["f1"] == episode.facts.f1
 
 
 def test_minari_loads_what_was_recorded(
@@ -84,7 +84,7 @@ def test_minari_loads_what_was_recorded(
         np.testing.assert_array_equal(episode.infos["chosen_action"][:-1], ours.chosen)
         assert episode.truncations.tolist() == [False] * (len(ours.chosen) - 1) + [True]
         (told,) = loaded.storage.get_episode_metadata([number])
-        about = dataset.episodes[number].about
+        about = dataset.episodes[number].facts
         assert (told["seed"], told["f1"], told["song"]) == (about.job["seed"], about.f1, about.song)
         assert about.drawn.items() <= told.items()
     environment = loaded.recover_environment()
@@ -181,7 +181,7 @@ def written_to(folder: Path) -> tuple[Path, Path]:
 def test_lerobot_files_hold_what_was_recorded(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lerobot_export, "_ROWS_AT_ONCE", 1)
+    monkeypatch.setattr(lerobot_export, "_MAX_ROWS", 1)
     folder = tmp_path / "lerobot"
     main(["dataset", "export", str(made), "--format", "lerobot", "-o", str(folder)])
     dataset = open_dataset(made)
@@ -235,9 +235,9 @@ def test_lerobot_files_hold_what_cameras_see(
 def pictures_of(dataset: Dataset, number: int) -> np.ndarray:
     """(T, height, width, 3) what the environment shows before each step."""
     episode = dataset.episodes[number]
-    start, actions = episode.about.start, episode.steps["played"][1:]
+    start, actions = episode.facts.start, episode.steps["played"][1:]
     small = Picture(64, 48, "back")
-    env = PianoEnv(episode.score, task=episode.about.task, pixels=True, picture=small)
+    env = PianoEnv(episode.score, task=episode.facts.task, pixels=True, picture=small)
     shown = [env.reset(options={"score": episode.score, "start": start})[0]]
     shown += [env.step(action)[0] for action in actions[:-1]]
     env.close()
@@ -295,7 +295,7 @@ def test_the_current_folder_can_be_written_to(
 def test_minari_is_given_so_many_steps_at_once_whatever_episodes_they_are_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(minari_export, "_AT_ONCE", 10)
+    monkeypatch.setattr(minari_export, "_MAX_BATCH", 10)
     batches = list(minari_export._batched(range(1, 7), [9, 4, 6, 1, 30, 2, 3]))
     assert batches == [range(1, 3), range(3, 4), range(4, 5), range(5, 7)]
 

@@ -13,7 +13,7 @@ from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import play_episode
 from cadenza.demonstrations.dataset import kept, open_dataset
 from cadenza.demonstrations.mirror import Mirror
-from cadenza.demonstrations.recorded import played_actions
+from cadenza.demonstrations.recorded_episode import played_actions
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
@@ -43,7 +43,7 @@ def test_fingertips_are_where_those_of_the_other_hand_would_be(scene: Scene) -> 
 
     for _ in range(10):
         posture = rng.uniform(low, high)
-        image = mirror._points(tips(posture)[None])[0]
+        image = mirror.points(tips(posture)[None])[0]
         np.testing.assert_allclose(tips(mirror.joints(posture)), image, atol=1e-7)
 
 
@@ -61,7 +61,7 @@ def test_mirrored_goals_are_those_of_the_mirrored_score(made: Path) -> None:
     dataset = open_dataset(made)
     mirror = Mirror(dataset.scene)
     for number, episode in enumerate(dataset.episodes):
-        steps = np.arange(episode.about.num_steps)
+        steps = np.arange(episode.facts.num_steps)
         image = mirror(dataset.batch(dataset.first[number] + steps, lookahead=0))
         played = replace(episode)
         played.__dict__["score"] = episode.score.mirrored
@@ -75,15 +75,15 @@ def test_mirrored_actions_make_the_mirrored_episode(made: Path) -> None:
     scene = build_scene()
     mirror = Mirror(scene)
     episode = kept(made)[0]
-    begun = replace(scene, hand_start=mirror.joints(np.array(episode.about.start)))
-    config = replace(episode.about.task, fingering="off")
+    begun = replace(scene, hand_start=mirror.joints(np.array(episode.facts.start)))
+    config = replace(episode.facts.task, fingering="off")
     task = PianoTask([episode.score.mirrored], config, begun)
     result = play_episode(task, Playback(mirror.actions(played_actions(episode.steps, scene))))
     image = mirror.joints(episode.steps["hand_qpos"][1:].astype(np.float64))
     off = np.abs(result.episode["hand_qpos"] - image).max(axis=1)
     assert off[:5].max() < 1e-6
     assert off.max() < 0.05
-    assert result.metrics["f1"] == pytest.approx(episode.about.f1, abs=0.05)
+    assert result.metrics["f1"] == pytest.approx(episode.facts.f1, abs=0.05)
 
 
 def test_keys_without_an_image_are_told(made: Path) -> None:

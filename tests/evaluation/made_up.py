@@ -17,7 +17,7 @@ COMPOSERS = ("Beethoven", "Chopin", "Bach", "Mozart", "Debussy", "Petzold")
 
 
 def result(
-    name: str, agent: str, seed: int, metrics: dict[str, Any], page: bool = False, **song: Any
+    name: str, agent: str, seed: int, metrics: dict[str, Any], **song: Any
 ) -> dict[str, Any]:
     """What a result.json holds."""
     job = {"song": name, "song_digest": "0" * 12, "agent": agent, "agent_digest": "", "seed": seed}
@@ -31,7 +31,6 @@ def result(
         "metrics": metrics,
         "timing": {"wall_seconds": 30.0, "music_seconds": 20.0, "threads": 2},
         "versions": {"cadenza": "1.0", "mujoco": "3.17", "numpy": "2.4", "python": "3.12"},
-        "pages": {"report": "report.html" if page else None},
     }
 
 
@@ -67,7 +66,7 @@ def write_bench(
             own = 1 - 0.012 * (1 + 3 * j) * difficulty * rng.uniform(0.5, 1.5)
             for seed in range(seeds):
                 metrics = _metrics(np.clip(own + rng.normal(0, 0.012), 0.02, 0.999), seconds)
-                content = result(f"repertoire/{i:03}", agent, seed, metrics, seed == 0, **song)
+                content = result(f"repertoire/{i:03}", agent, seed, metrics, **song)
                 content["timing"] |= {
                     "wall_seconds": seconds * (0.4 + j),
                     "cpu_seconds": seconds * (0.3 + j),

@@ -52,7 +52,7 @@ def test_a_result_says_what_was_played_and_how_well(tmp_path: Path) -> None:
     assert result.timing.music_seconds == pytest.approx(0.45)
     assert result.timing.cpu_seconds is not None
     assert 0 < result.timing.cpu_seconds < 10
-    assert (run / str(result.pages["report"])).exists()
+    assert (run / "report.html").exists()
     assert {"cadenza", "mujoco", "numpy", "python", "platform"} <= result.versions.keys()
     assert result.job == job().spec.as_json()
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import cadenza
 from cadenza.cli import main
 from cadenza.demonstrations.dataset import Dataset, open_dataset
-from cadenza.demonstrations.recorded import about, write_about
+from cadenza.demonstrations.recorded_episode import read_facts, write_facts
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
@@ -204,8 +204,8 @@ def test_episodes_held_out_go_together_with_the_others(
     mixed = tmp_path / "mixed"
     shutil.copytree(demonstrations, mixed)
     last = max((mixed / "runs").iterdir())
-    made = about(last)
-    write_about(last, replace(made, scene=replace(made.scene, physics="fast")))
+    made = read_facts(last)
+    write_facts(last, replace(made, scene=replace(made.scene, physics="fast")))
     with pytest.raises(CadenzaError, match="has another scene than"):
         Imitation(CONFIG, mixed, tmp_path / "run")
 
@@ -214,7 +214,7 @@ def test_a_name_that_several_songs_have_is_told(demonstrations: Path, tmp_path: 
     mixed = tmp_path / "mixed"
     shutil.copytree(demonstrations, mixed)
     for folder, song in zip(sorted((mixed / "runs").iterdir()), ("a/song", "b/song"), strict=True):
-        write_about(folder, replace(about(folder), song=song))
+        write_facts(folder, replace(read_facts(folder), song=song))
     config = replace(CONFIG, held_out=0)
     with pytest.raises(CadenzaError, match="song is a/song and b/song; give one of these"):
         Imitation(replace(config, songs=("song",)), mixed, tmp_path / "run")

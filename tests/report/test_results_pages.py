@@ -101,7 +101,7 @@ def test_words_of_others_are_escaped_and_stay_in_the_folder(tmp_path: Path) -> N
     bench = tmp_path / "bench"
     song = {"title": BAD, "composer": BAD, "library": BAD}
     for i, name in enumerate((BAD, "A/b", "a_b", "..")):
-        content = result(name, BAD, 0, {"f1": 0.5}, page=True, **song)
+        content = result(name, BAD, 0, {"f1": 0.5}, **song)
         content["versions"]["mujoco"] = f"{BAD}{i}"
         (write_result(bench, f"run {i} #", content) / "report.html").touch()
     index = write_pages(bench)

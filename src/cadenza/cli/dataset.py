@@ -153,9 +153,9 @@ def _who(command: Collect) -> Demonstrator:
 
 
 def _how_it_went(folder: Path, _job: Job) -> str:
-    from cadenza.demonstrations.recorded import about
+    from cadenza.demonstrations.recorded_episode import read_facts
 
-    made = about(folder)
+    made = read_facts(folder)
     left_out = "" if made.kept else ", not kept"
     scores = f"F1 {made.f1:.3f}, note onsets F1 {made.note_onset_f1:.3f}"
     return f"{scores}, {counted(made.num_steps, 'step')}{left_out}"
@@ -173,9 +173,9 @@ class DatasetInfo:
 
 
 def info(command: DatasetInfo) -> None:
-    from cadenza.demonstrations.overview import overview
+    from cadenza.demonstrations.summary import summarize
 
-    print(*overview(command.folder), sep="\n")
+    print(*summarize(command.folder), sep="\n")
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ def play(command: DatasetPlay) -> None:
     check_replaceable(folder)
     with stages("playing") as told:
         performance = play_again(episodes[number], told)
-    print(f"{episodes[number].about.song}, {episodes[number].folder.name}")
+    print(f"{episodes[number].facts.song}, {episodes[number].folder.name}")
     keep(performance, folder, command.video)
 
 

@@ -8,30 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, results_in, wrong_values
-from cadenza.demonstrations.recorded import MAKE_AGAIN, RESULT, STEPS, Recorded, about
+from cadenza.demonstrations.recorded_episode import (
+    MAKE_AGAIN,
+    RESULT,
+    STEPS,
+    RecordedEpisode,
+    read_facts,
+)
 from cadenza.demonstrations.replay import differences, wrong_start
 from cadenza.errors import CadenzaError
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene
 
 
-class _Scenes:
-    """Builds each scene once."""
-
-    def __init__(self) -> None:
-        self._built = dict[SceneConfig, Scene]()
-
-    def __call__(self, recorded: Recorded) -> Scene:
-        config = recorded.about.scene
-        if config not in self._built:
-            self._built[config] = recorded.build_scene()
-        return self._built[config]
-
-
 def problems(
     folder: Path, replays: int, progress: Callable[[int, int], None] = lambda *_: None
 ) -> Iterator[str]:
-    """Everything that is wrong with the episodes, a line each.
+    """Yields everything that is wrong with the episodes, a line each.
 
     Args:
         folder: of the demonstrations.
@@ -45,40 +38,42 @@ def problems(
         raise CadenzaError(f"{folder}: holds no demonstrations")
     yield from _unfinished(folder / EPISODES)
     paths = results_in(folder / EPISODES)
-    scenes, sound = _Scenes(), list[tuple[Recorded, Scene]]()
+    scenes, sound = dict[SceneConfig, Scene](), list[tuple[RecordedEpisode, Scene]]()
     for done, path in enumerate(paths, start=1):
         try:
-            recorded = Recorded(path.parent, about(path.parent))
-            if recorded.about.kept:
-                scene = scenes(recorded)
-                found = list(recorded.wrong_files()) or list(_of_content(recorded, scene))
+            recorded = RecordedEpisode(path.parent, read_facts(path.parent))
+            if recorded.facts.kept:
+                if (config := recorded.facts.scene) not in scenes:
+                    scenes[config] = recorded.build_scene()
+                scene = scenes[config]
+                found = list(recorded.wrong_files()) or list(_content_problems(recorded, scene))
                 yield from found
                 if not found:  # anew, as what is mapped holds an open file
-                    sound.append((Recorded(path.parent, recorded.about), scene))
+                    sound.append((RecordedEpisode(path.parent, recorded.facts), scene))
         except CadenzaError as error:
-            yield _of(path.parent, error)
+            yield _problem(path.parent, error)
         except OSError as error:
             yield _unreadable(path.parent, error)
         progress(done, len(paths))
     chosen = np.unique(np.linspace(0, len(sound) - 1, min(replays, len(sound))).astype(int))
     for i in chosen.tolist():
         try:
-            yield from _of_replay(*sound[i])
+            yield from _replay_problems(*sound[i])
         except CadenzaError as error:
-            yield _of(sound[i][0].folder, error)
+            yield _problem(sound[i][0].folder, error)
         except OSError as error:
             yield _unreadable(sound[i][0].folder, error)
 
 
 def _unfinished(runs: Path) -> Iterator[str]:
-    """Episodes whose arrays are there, but not what says that they are whole."""
+    """Yields episodes whose arrays are there, but not the file that says that they are whole."""
     for at in sorted(runs.iterdir()):
         if (at / STEPS).exists() and not (at / RESULT).exists():
             yield f"{at}: has no {RESULT}, so it does not count; collect again, or delete it"
 
 
-def _of(folder: Path, error: CadenzaError) -> str:
-    """What is wrong with an episode, its folder, and what to do."""
+def _problem(folder: Path, error: CadenzaError) -> str:
+    """Returns what is wrong with an episode, its folder, and what to do."""
     said = str(error) if str(folder) in str(error) else f"{folder}: {error}"
     return said if said.endswith(MAKE_AGAIN) else f"{said}; or {MAKE_AGAIN}"
 
@@ -87,8 +82,8 @@ def _unreadable(folder: Path, error: OSError) -> str:
     return f"{folder}: cannot be read ({error.strerror or error})"
 
 
-def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
-    """Whether the arrays have their shapes and sensible values, and the score its steps."""
+def _content_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
+    """Yields which arrays have wrong shapes or values; raises if the score does not fit them."""
     yield from wrong_values(recorded, scene)
     if wrong := wrong_start(recorded, scene):
         yield wrong
@@ -96,7 +91,7 @@ def _of_content(recorded: Recorded, scene: Scene) -> Iterator[str]:
     _ = recorded.song
 
 
-def _of_replay(recorded: Recorded, scene: Scene) -> Iterator[str]:
+def _replay_problems(recorded: RecordedEpisode, scene: Scene) -> Iterator[str]:
     found = differences(recorded, scene)
     if found:
         what = ", ".join(f"{name} by {most:.1g}" for name, most in found.items())

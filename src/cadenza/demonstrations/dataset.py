@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.demonstrations.recorded import (
+from cadenza.demonstrations.recorded_episode import (
     MAKE_AGAIN,
     PLAN,
     RESULT,
     STEPS,
-    About,
-    Recorded,
-    about,
+    EpisodeFacts,
+    RecordedEpisode,
     plan_type,
+    read_facts,
     steps_type,
 )
 from cadenza.errors import CadenzaError
@@ -45,80 +45,80 @@ _ROUNDING = 1e-6  # of actions that are kept as float32, beyond their limits [m,
 
 
 class Batch(NamedTuple):
-    """Steps of episodes; arrays (B, ...), of a scene with J joints, A servos, K keys, F fingers."""
+    """B steps of episodes of a scene with J joints, A servos, K keys and F fingers."""
 
     hand_qpos: Floats
-    """(B, J) before the step [m, rad]."""
+    """Joint positions before the step (B, J) [m, rad]."""
     hand_qvel: Floats
-    """(B, J) [m/s, rad/s]"""
+    """Joint velocities (B, J) [m/s, rad/s]."""
     fingertip_xpos: Floats
-    """(B, F, 3) [m]"""
+    """Fingertips (B, F, 3) [m]."""
     key_state: Floats
-    """(B, K) how far the keys are down, from 0 to 1."""
+    """How far the keys are down (B, K), from 0 to 1."""
     pedal: Floats
-    """(B,) how far the pedal is down, from 0 to 1."""
+    """How far the pedal is down (B,), from 0 to 1."""
     sounding: NDArray[np.bool_]
-    """(B, K) which keys sound."""
+    """Which keys sound (B, K)."""
     previous_action: Floats
-    """(B, A + 1) what was played in the step before, in actuator units, the pedal last; at first
-    0."""
+    """Action that was played in the step before (B, A + 1), in actuator units, the pedal last; 0
+    in the first step."""
     previous_reward: Floats
-    """(B,) that it got."""
+    """Reward of the previous action (B,)."""
     action: Floats
-    """(B, A + 1) what the demonstrator would play."""
+    """Action that the demonstrator chose (B, A + 1)."""
     tracked: Floats
-    """(B, A) what the plan and its feedback alone would play."""
+    """Action of the nominal trajectory and its feedback alone (B, A)."""
     goal: NDArray[np.bool_]
-    """(B, L + 1, K + 1) keys and pedal that should sound after the step and after the L next."""
+    """Keys and pedal that should sound after the step and after the L next (B, L + 1, K + 1)."""
     fingers: NDArray[np.int8]
-    """(B, L + 1, F) the key that each finger should press in these steps, -1 for none."""
+    """Key that each finger should press in these steps (B, L + 1, F), -1 for none."""
     reference: Floats
-    """(B, S, A, 2) position and speed of each servo in the plan, so many steps ahead."""
+    """Position and speed of each servo in the plan, S steps ahead (B, S, A, 2)."""
     reference_fingertips: Floats
-    """(B, S, F, 3) and of the fingertips [m]."""
+    """Fingertips in the plan (B, S, F, 3) [m]."""
 
     @property
     def fingering(self) -> NDArray[np.bool_]:
-        """(B, L + 1, F) which fingers have a key to press."""
+        """Which fingers have a key to press (B, L + 1, F)."""
         return self.fingers != NO_FINGER
 
 
-class _Goals(NamedTuple):
-    """Of R rows: each episode's steps, and one after the last that asks for nothing."""
+class _GoalTable(NamedTuple):
+    """Goals of R rows: each episode's steps, and one after the last that asks for nothing."""
 
     bits: NDArray[np.uint8]
-    """(R, ...) keys and pedal."""
+    """Keys and pedal (R, bytes)."""
     fingers: NDArray[np.int8]
-    """(R, F)"""
+    """Key of each finger (R, F)."""
     made: NDArray[np.bool_]
-    """(E,) of which episodes."""
+    """Episodes whose goals are there (E,)."""
 
 
 class Dataset:
     """Episodes that were kept, all of one scene, as one long list of steps.
 
     Attributes:
-        episodes: them.
-        first: (E,) the number of the first step of each.
-        num_steps: in all episodes together.
+        episodes: E episodes.
+        first: number of the first step of each (E,).
+        num_steps: of all episodes together.
         scene: the hands and the keys.
         control_timestep: between two steps [s].
         shows_fingers: whether the task's observations say which fingers have a key to press.
     """
 
-    def __init__(self, episodes: Sequence[Recorded]) -> None:
+    def __init__(self, episodes: Sequence[RecordedEpisode]) -> None:
         """Raises: CadenzaError: there is none, or they do not go together."""
         if not episodes:
             raise CadenzaError("no demonstrations: none was kept, or none was asked for")
         _allow_open_files()
         self.episodes = tuple(episodes)
-        _common(episodes, "scene", [e.about.scene for e in episodes])
+        _common(episodes, "scene", [e.facts.scene for e in episodes])
         self.scene = episodes[0].build_scene()
-        dt = [e.about.task.control_timestep for e in episodes]
+        dt = [e.facts.task.control_timestep for e in episodes]
         self.control_timestep = _common(episodes, "control_timestep", dt)
-        shown = [e.about.task.fingering != "off" for e in episodes]
+        shown = [e.facts.task.fingering != "off" for e in episodes]
         self.shows_fingers = _common(episodes, "fingering", shown)
-        lengths = np.array([episode.about.num_steps for episode in episodes], np.intp)
+        lengths = np.array([episode.facts.num_steps for episode in episodes], np.intp)
         ends = np.cumsum(lengths)
         self._lengths, self.first, self.num_steps = lengths, ends - lengths, int(ends[-1])
         self._first_row = self.first + np.arange(len(lengths))  # each has a row more
@@ -126,11 +126,11 @@ class Dataset:
         self._plans = [_Rows(e, PLAN, plan_type(self.scene)) for e in episodes]
 
     def sample(self, rng: np.random.Generator, count: int) -> Ids:
-        """(count,) numbers of steps, drawn uniformly with replacement."""
+        """Draws numbers of steps (count,) uniformly with replacement."""
         return rng.integers(self.num_steps, size=count)
 
     def place(self, steps: Ids) -> tuple[Ids, Ids]:
-        """(B,) and (B,) the episodes of these steps (B,), and which steps of those they are.
+        """Returns the episodes of these steps (B,), and which steps of those they are (B,).
 
         Raises:
             CadenzaError: there is no such step.
@@ -143,7 +143,7 @@ class Dataset:
         return episode, steps - self.first[episode]
 
     def batch(self, steps: Ids, lookahead: int = LOOKAHEAD, ahead: Sequence[int] = ()) -> Batch:
-        """What there is to learn from `steps` (B,).
+        """Returns what there is to learn from `steps` (B,).
 
         Args:
             steps: their numbers, from 0 up to `num_steps`.
@@ -177,7 +177,7 @@ class Dataset:
         )
 
     def actions(self, steps: Ids, count: int) -> Floats:
-        """(B, count, A + 1) what the demonstrator would play in these `steps` (B,) and after them.
+        """Returns the chosen actions (B, count, A + 1) in these `steps` (B,) and after them.
 
         Past the end of an episode its last action is repeated. Later actions follow from the states
         in which the episode really was.
@@ -188,16 +188,16 @@ class Dataset:
         return rows
 
     def goals(self, episode: int) -> Goals:
-        """Keys, fingers and pedal per step of an episode, rebuilt from its score."""
+        """Returns keys, fingers and pedal per step of an episode, rebuilt from its score."""
         return self.episodes[episode].goals(self.scene)
 
     def _in_units(self, played: Floats, step: Ids) -> Floats:
-        """(B, A + 1) in actuator units, 0 before the first step."""
+        """Returns actions (B, A + 1) in actuator units, 0 before the first step."""
         ctrl = to_range(played, self.scene.action_low, self.scene.action_high)
         return np.where(step[:, None] > 0, ctrl, 0.0).astype(np.float32)
 
     def _within(self, episode: Ids, step: Ids, ahead: Sequence[int]) -> Ids:
-        """(B, S) rows of the episodes."""
+        """Returns rows of the episodes (B, S)."""
         return np.minimum(step[:, None] + np.array(ahead, np.intp), self._lengths[episode, None])
 
     def _goal(
@@ -213,10 +213,10 @@ class Dataset:
         return goal, table.fingers[rows]
 
     @cached_property
-    def _table(self) -> _Goals:
+    def _table(self) -> _GoalTable:
         rows = self.num_steps + len(self.episodes)
         keys, fingers = self.scene.keyboard.num_keys, self.scene.fingers.count
-        return _Goals(
+        return _GoalTable(
             bits=np.zeros((rows, -(-(keys + 1) // 8)), np.uint8),
             fingers=np.full((rows, fingers), NO_FINGER, np.int8),
             made=np.zeros(len(self.episodes), bool),
@@ -234,12 +234,12 @@ class Dataset:
 class _Rows:
     """The rows of an episode's array as bytes, which are copied faster than what they hold."""
 
-    def __init__(self, episode: Recorded, name: str, kind: np.dtype[np.void]) -> None:
+    def __init__(self, episode: RecordedEpisode, name: str, kind: np.dtype[np.void]) -> None:
         self._episode, self._name, self.kind = episode, name, kind
 
     @cached_property
     def bytes(self) -> NDArray[np.uint8]:
-        """(T + 1, size of a row)
+        """The rows (T + 1, bytes).
 
         Raises:
             CadenzaError: the array is not as it should be.
@@ -256,16 +256,16 @@ class _Rows:
         return array.view(np.uint8).reshape(len(array), self.kind.itemsize)
 
 
-def check_rows(episode: Recorded, name: str, array: Array, kind: np.dtype[np.void]) -> None:
+def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype[np.void]) -> None:
     """Raises: CadenzaError: an array has other rows, or not as many as the episode."""
-    if array.dtype != kind or array.shape != (episode.about.num_steps + 1,):
+    if array.dtype != kind or array.shape != (episode.facts.num_steps + 1,):
         raise CadenzaError(
-            f"{episode.folder / name}: not the {episode.about.num_steps + 1} rows of this episode; "
+            f"{episode.folder / name}: not the {episode.facts.num_steps + 1} rows of this episode; "
             f"{MAKE_AGAIN}"
         )
 
 
-def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
+def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
     """What in its arrays cannot be, a line each.
 
     Raises:
@@ -289,7 +289,7 @@ def wrong_values(episode: Recorded, scene: Scene) -> Iterator[str]:
             yield f"{episode.folder / STEPS}: {field} beyond the actions' limits; {MAKE_AGAIN}"
 
 
-def check_values(episode: Recorded, scene: Scene) -> None:
+def check_values(episode: RecordedEpisode, scene: Scene) -> None:
     """Reads all of an episode's arrays.
 
     Raises:
@@ -301,7 +301,7 @@ def check_values(episode: Recorded, scene: Scene) -> None:
 
 
 def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
-    """(B, S) rows of these episodes (B,)."""
+    """Returns rows (B, S) of these episodes (B,)."""
     kind = rows[0].kind
     result = np.empty((*within.shape, kind.itemsize), np.uint8)
     if within.size:
@@ -311,7 +311,7 @@ def _gathered(rows: Sequence[_Rows], episode: Ids, within: Ids) -> Array:
 
 
 def _allow_open_files() -> None:
-    """As many as the system lets us have: each mapped array is one, and episodes have two."""
+    """Allows as many as the system does: each mapped array is one, and episodes have two."""
     try:
         import resource  # which only Unix has
     except ImportError:
@@ -321,7 +321,7 @@ def _allow_open_files() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
-def _common(episodes: Sequence[Recorded], what: str, values: Sequence[Any]) -> Any:
+def _common(episodes: Sequence[RecordedEpisode], what: str, values: Sequence[Any]) -> Any:
     for episode, value in zip(episodes, values, strict=True):
         if value != values[0]:
             raise CadenzaError(
@@ -331,8 +331,8 @@ def _common(episodes: Sequence[Recorded], what: str, values: Sequence[Any]) -> A
     return values[0]
 
 
-def finished(folder: str | Path) -> list[tuple[Path, About]]:
-    """The episodes of a folder that are finished, kept or not, by name.
+def finished(folder: str | Path) -> list[tuple[Path, EpisodeFacts]]:
+    """Returns the episodes of a folder that are finished, kept or not, by name.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
@@ -342,11 +342,11 @@ def finished(folder: str | Path) -> list[tuple[Path, About]]:
         raise CadenzaError(
             f"{folder}: holds no demonstrations; make some with: cadenza dataset collect"
         )
-    return [(path.parent, about(path.parent)) for path in results_in(runs)]
+    return [(path.parent, read_facts(path.parent)) for path in results_in(runs)]
 
 
 def results_in(runs: Path) -> list[Path]:
-    """The result.json of each episode that is finished, by name.
+    """Returns the result.json of each episode that is finished, by name.
 
     Raises:
         OSError: a folder cannot be read, which `Path.glob` would not say.
@@ -354,19 +354,21 @@ def results_in(runs: Path) -> list[Path]:
     return [path for at in sorted(runs.iterdir()) if (path := at / RESULT).exists()]
 
 
-def open_dataset(folder: str | Path, wanted: Callable[[About], bool] = lambda _: True) -> Dataset:
-    """The episodes of a folder that were kept and are `wanted`.
+def open_dataset(
+    folder: str | Path, wanted: Callable[[EpisodeFacts], bool] = lambda _: True
+) -> Dataset:
+    """Opens the episodes of a folder that were kept and are `wanted`.
 
     Raises:
         CadenzaError: there is none, they do not go together, or a result.json is damaged.
     """
-    return Dataset([episode for episode in kept(folder) if wanted(episode.about)])
+    return Dataset([episode for episode in kept(folder) if wanted(episode.facts)])
 
 
-def kept(folder: str | Path) -> list[Recorded]:
-    """The episodes of a folder that were kept, by name; none of their arrays is read.
+def kept(folder: str | Path) -> list[RecordedEpisode]:
+    """Returns the episodes of a folder that were kept, by name; none of their arrays is read.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
     """
-    return [Recorded(at, about) for at, about in finished(folder) if about.kept]
+    return [RecordedEpisode(path, facts) for path, facts in finished(folder) if facts.kept]

@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Dataset
-from cadenza.demonstrations.lerobot_videos import FILE_BYTES, FILES_PER_CHUNK, PLACE, Video
+from cadenza.demonstrations.lerobot_videos import FILE_BYTES, FILES_PER_CHUNK, PATH, Video
 from cadenza.demonstrations.transitions import transitions
 from cadenza.errors import CadenzaError, extra_packages
 from cadenza.files import new_folder, write_json
 from cadenza.sim.render import Picture
 
-_DATA_BYTES = 100 * 2**20  # after which another file is begun
-_ROWS_AT_ONCE = 256  # of the table of episodes; one takes 170 kB
+_MAX_DATA_BYTES = 100 * 2**20  # of a file; then another is begun
+_MAX_ROWS = 256  # of the table of episodes in memory; one takes 170 kB
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
@@ -54,18 +54,18 @@ def write_lerobot(
         import pyarrow as pa
         import pyarrow.parquet as pq
     fps = _fps(dataset)
-    songs = list(dict.fromkeys(episode.about.song for episode in dataset.episodes))
+    songs = list(dict.fromkeys(episode.facts.song for episode in dataset.episodes))
     tasks = {song: number for number, song in enumerate(songs)}
     with new_folder(path) as folder, ExitStack() as opened:
         videos = [
             opened.enter_context(closing(Video(dataset, picture, fps, folder)))
             for picture in pictures
         ]
-        files, rows, stats = _Files(folder), _Episodes(folder / _EPISODES), _Stats()
+        files, rows, stats = _FrameFiles(folder), _EpisodeTable(folder / _EPISODES), _Stats()
         index = 0
         features: dict[str, Any] = {}
         for number, episode in enumerate(dataset.episodes):
-            frames = _frames(dataset, number, index, tasks[episode.about.song], fps)
+            frames = _frames(dataset, number, index, tasks[episode.facts.song], fps)
             features = features or {name: _feature(values) for name, values in frames.items()}
             of_episode, places = _stats_of(frames), dict[str, Any]()
             for video in videos:
@@ -74,7 +74,7 @@ def write_lerobot(
             stats.add(of_episode)
             place = files.add(pa.table({n: _column(pa, v) for n, v in frames.items()}))
             end = index + len(frames["index"])
-            row = _row(number, episode.about.song, range(index, end), place, of_episode)
+            row = _row(number, episode.facts.song, range(index, end), place, of_episode)
             rows.add(row | places)
             index = end
             advance(number + 1, len(dataset.episodes))
@@ -100,7 +100,7 @@ def _fps(dataset: Dataset) -> int:
 def _row(
     number: int, song: str, frames: range, place: tuple[int, int], stats: Stats
 ) -> dict[str, Any]:
-    """What the table of episodes says of one; its frames are in a file of a chunk, the `place`."""
+    """Returns the row of an episode, whose frames are in a file of a chunk, the `place`."""
     chunk, file = place
     return {
         "episode_index": number,
@@ -118,18 +118,18 @@ def _row(
 def _info(
     robot: str, counts: Mapping[str, int], fps: int, features: dict[str, Any]
 ) -> dict[str, Any]:
-    """What the format has to say of the whole dataset."""
+    """Returns the content of info.json."""
     return {
         "codebase_version": "v3.0",
         "robot_type": robot,
         **{f"total_{what}": count for what, count in counts.items()},
         "chunks_size": FILES_PER_CHUNK,
-        "data_files_size_in_mb": _DATA_BYTES >> 20,
+        "data_files_size_in_mb": _MAX_DATA_BYTES >> 20,
         "video_files_size_in_mb": FILE_BYTES >> 20,
         "fps": fps,
         "splits": {"train": f"0:{counts['episodes']}"},
         "data_path": _DATA,
-        "video_path": PLACE if any(of["dtype"] == "video" for of in features.values()) else None,
+        "video_path": PATH if any(of["dtype"] == "video" for of in features.values()) else None,
         "features": features,
     }
 
@@ -170,7 +170,7 @@ def _task(song: str) -> str:
 
 
 def _tasks(pa: Any, songs: Sequence[str]) -> Any:
-    """The table of tasks, whose names pandas, which reads it, takes as their index."""
+    """Returns the table of tasks, whose names pandas, which reads it, takes as their index."""
     table = pa.table({"task_index": range(len(songs)), "task": [_task(song) for song in songs]})
     columns: list[dict[str, Any]] = [
         {"name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
@@ -200,7 +200,7 @@ def _stats_of(frames: Mapping[str, NDArray[Any]]) -> Stats:
 
 
 class _Stats:
-    """Of many episodes together, each given by its own."""
+    """Statistics of many episodes together, each added by its own."""
 
     def __init__(self) -> None:
         self.whole: Stats = {}
@@ -226,7 +226,7 @@ class _Stats:
             }
 
 
-class _Files:
+class _FrameFiles:
     """The files of frames, one after the other."""
 
     def __init__(self, folder: Path) -> None:
@@ -237,7 +237,7 @@ class _Files:
         """Adds an episode; returns the numbers of its chunk and its file."""
         import pyarrow.parquet as pq
 
-        if self._writer is None or self._path.stat().st_size > _DATA_BYTES:
+        if self._writer is None or self._path.stat().st_size > _MAX_DATA_BYTES:
             self.close()
             self._number += 1
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -259,8 +259,8 @@ class _Files:
         return self._folder / _DATA.format(chunk_index=chunk, file_index=file)
 
 
-class _Episodes:
-    """The table of episodes, of which only so many rows are in memory."""
+class _EpisodeTable:
+    """The table of episodes, few rows of which are in memory at once."""
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True)
@@ -269,7 +269,7 @@ class _Episodes:
 
     def add(self, row: dict[str, Any]) -> None:
         self._rows.append(row)
-        if len(self._rows) == _ROWS_AT_ONCE:
+        if len(self._rows) == _MAX_ROWS:
             self._write()
 
     def close(self) -> None:

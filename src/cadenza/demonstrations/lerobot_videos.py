@@ -1,4 +1,4 @@
-"""Pictures of demonstrations as the videos of a LeRobot dataset: H.264, many episodes a file."""
+"""The videos of a LeRobot dataset: H.264, many episodes a file."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from cadenza.demonstrations.dataset import Dataset
 from cadenza.errors import CadenzaError
 from cadenza.sim.render import Picture, Renderer
 
-PLACE = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILE_BYTES = 200 * 2**20  # after which another file is begun
 FILES_PER_CHUNK = 1000
-_SMALLEST = 16  # [px] that the encoder takes
+_MIN_SIZE = 16  # [px] that the encoder takes
 _ENCODER = "libx264"
-_KEPT_WHOLE = 2  # every so many pictures, as LeRobot does: its learners read them in any order
-_OPTIONS = {"crf": "20", "g": str(_KEPT_WHOLE), "bf": "0"}
+_KEY_FRAME_INTERVAL = 2  # as LeRobot has it: its learners read pictures in any order
+_OPTIONS = {"crf": "20", "g": str(_KEY_FRAME_INTERVAL), "bf": "0"}
 _THREADS = 2  # that encode; by default, x264 takes all cores
-_BRIGHTEST = 255  # which LeRobot calls 1
+_MAX_BRIGHTNESS = 255  # which LeRobot calls 1
 
 
 class Video:
-    """What one camera sees of all episodes, the feature `name`.
+    """The view of one camera in all episodes, the feature `name`.
 
     The pictures are those that environments show before each step, see `PianoVectorEnv`.
     """
@@ -38,11 +38,11 @@ class Video:
         if (
             picture.width % 2
             or picture.height % 2
-            or min(picture.width, picture.height) < _SMALLEST
+            or min(picture.width, picture.height) < _MIN_SIZE
         ):
             raise CadenzaError(
                 f"a video of {picture.width} x {picture.height} pixels cannot be encoded: choose "
-                f"even numbers, {_SMALLEST} or more"
+                f"even numbers, {_MIN_SIZE} or more"
             )
         self.name = f"observation.images.{picture.camera}"
         self._dataset, self._picture, self._fps, self._folder = dataset, picture, fps, folder
@@ -53,7 +53,7 @@ class Video:
 
     @property
     def feature(self) -> dict[str, Any]:
-        """What the format has to say of it."""
+        """The entry of the video in info.json."""
         picture = self._picture
         return {
             "dtype": "video",
@@ -75,9 +75,9 @@ class Video:
         """Adds an episode; returns where it is, and the statistics of its pictures."""
         if self._output is None or self._path.stat().st_size > FILE_BYTES:
             self._begin()
-        first, seen = self._frames, _Seen()
+        first, colours = self._frames, _ColourStatistics()
         for pixels in self._pictures(number):
-            seen.add(pixels)
+            colours.add(pixels)
             self._encode(av.VideoFrame.from_ndarray(pixels, format="rgb24"))
             self._frames += 1
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
@@ -87,7 +87,7 @@ class Video:
             "from_timestamp": first / self._fps,
             "to_timestamp": self._frames / self._fps,
         }
-        return {f"videos/{self.name}/{what}": of for what, of in place.items()}, seen.statistics
+        return {f"videos/{self.name}/{what}": of for what, of in place.items()}, colours.statistics
 
     def close(self) -> None:
         """Ends the last file, and frees graphics."""
@@ -96,7 +96,7 @@ class Video:
 
     def _pictures(self, number: int) -> Iterator[NDArray[np.uint8]]:
         episode, keyboard = self._dataset.episodes[number], self._dataset.scene.keyboard
-        steps, count = episode.steps, episode.about.num_steps
+        steps, count = episode.steps, episode.facts.num_steps
         sounding = np.unpackbits(steps["sounding"], axis=1, count=keyboard.num_keys).view(bool)
         wanted = np.pad(self._dataset.goals(number).keys, [(1, 0), (0, 0)])
         depth = steps["key_state"] * keyboard.travel
@@ -107,7 +107,7 @@ class Video:
     @property
     def _path(self) -> Path:
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
-        return self._folder / PLACE.format(video_key=self.name, chunk_index=chunk, file_index=file)
+        return self._folder / PATH.format(video_key=self.name, chunk_index=chunk, file_index=file)
 
     def _begin(self) -> None:
         self._end()
@@ -128,7 +128,7 @@ class Video:
             self._output = None
 
 
-class _Seen:
+class _ColourStatistics:
     """The least, greatest, mean and deviation of each colour in pictures, from 0 to 1."""
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ class _Seen:
         self._mean, self._square = np.zeros(3), np.zeros(3)
 
     def add(self, pixels: NDArray[np.uint8]) -> None:
-        colours = pixels.reshape(-1, 3) / _BRIGHTEST
+        colours = pixels.reshape(-1, 3) / _MAX_BRIGHTNESS
         self._count += 1
         self._least = np.minimum(self._least, colours.min(axis=0))
         self._most = np.maximum(self._most, colours.max(axis=0))
@@ -145,7 +145,7 @@ class _Seen:
 
     @property
     def statistics(self) -> dict[str, Any]:
-        """By name, each (3, 1, 1), and of how many pictures."""
+        """Statistics by name, each (3, 1, 1), and the number of pictures."""
         deviation = np.sqrt(np.maximum(self._square - self._mean**2, 0.0))
         found = {"min": self._least, "max": self._most, "mean": self._mean, "std": deviation}
         shaped = {name: values[:, None, None].tolist() for name, values in found.items()}

@@ -27,7 +27,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 from cadenza.demonstrations.dataset import LOOKAHEAD, Dataset
-from cadenza.demonstrations.recorded import About, Recorded, written
+from cadenza.demonstrations.recorded_episode import EpisodeFacts, RecordedEpisode, written
 from cadenza.demonstrations.transitions import Transitions, transitions
 from cadenza.errors import extra_packages
 from cadenza.files import new_folder, plain
@@ -35,7 +35,7 @@ from cadenza.tasks.config import NOISE_ON_OBSERVATIONS
 
 NAME = "cadenza/demonstrations-v0"
 _ROOT = "MINARI_DATASETS_PATH"  # where Minari looks for datasets
-_AT_ONCE = 20_000  # steps that are written at once, or a longer episode
+_MAX_BATCH = 20_000  # steps that are written at once, or a longer episode
 
 
 def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], None]) -> None:
@@ -61,37 +61,37 @@ def write_minari(dataset: Dataset, path: Path, advance: Callable[[int, int], Non
             env=_environment(dataset),
             observation_space=spaces.Box(low, high, dtype=np.float32),
             action_space=spaces.Box(-1.0, 1.0, (first.chosen.shape[1],), np.float32),
-            algorithm_name=str(dataset.episodes[0].about.job["agent"]),
+            algorithm_name=str(dataset.episodes[0].facts.job["agent"]),
             description="Two simulated robot hands play the piano.",
             requirements=["cadenza"],
             data_format="parquet",
         )
-        count, lengths = len(dataset.episodes), [e.about.num_steps for e in dataset.episodes]
+        count, lengths = len(dataset.episodes), [e.facts.num_steps for e in dataset.episodes]
         for some in _batched(range(1, count), lengths):
             made.update_dataset_from_buffer(
                 [_buffer(EpisodeBuffer, transitions(dataset, i), dataset.episodes[i]) for i in some]
             )
             advance(some[-1] + 1, count)
-        made.storage.update_episode_metadata(_told(e.about) for e in dataset.episodes)
+        made.storage.update_episode_metadata(_metadata(e.facts) for e in dataset.episodes)
 
 
 def _environment(dataset: Dataset) -> EnvSpec:
-    """What `recover_environment` of Minari makes: it draws from all songs as was asked for."""
-    about = dataset.episodes[0].about
+    """Returns what `recover_environment` of Minari makes: it draws from all songs as was asked."""
+    facts = dataset.episodes[0].facts
     spec = deepcopy(gymnasium.spec("cadenza/Piano-v0"))
     lookahead = {"n_steps_lookahead": LOOKAHEAD, "n_seconds_lookahead": None}
-    task = asdict(about.task) | about.job["task"] | lookahead
+    task = asdict(facts.task) | facts.job["task"] | lookahead
     randomization = task["randomization"] | dict.fromkeys(NOISE_ON_OBSERVATIONS, 0.0)
     task |= {"randomization": randomization}
     songs = dict.fromkeys(episode.song for episode in dataset.episodes)
-    spec.kwargs = plain({"song": [written(song) for song in songs]} | task | asdict(about.scene))
+    spec.kwargs = plain({"song": [written(song) for song in songs]} | task | asdict(facts.scene))
     return spec
 
 
-def _buffer(kind: Any, made: Transitions, episode: Recorded) -> Any:
-    count, about = len(made.chosen), episode.about
-    drawn = about.task.randomization.seed
-    options = {"score": written(episode.score), "start": about.start}
+def _buffer(kind: Any, made: Transitions, episode: RecordedEpisode) -> Any:
+    count, facts = len(made.chosen), episode.facts
+    drawn = facts.task.randomization.seed
+    options = {"score": written(episode.score), "start": facts.start}
     # Minari has as many infos as observations.
     chosen = np.concatenate([made.chosen, np.zeros_like(made.chosen[:1])])
     return kind(
@@ -101,19 +101,19 @@ def _buffer(kind: Any, made: Transitions, episode: Recorded) -> Any:
         terminations=np.zeros(count, bool),
         truncations=np.arange(count) == count - 1,
         infos={"chosen_action": chosen},
-        seed=about.job["seed"],
+        seed=facts.job["seed"],
         options=options if drawn is None else {**options, "randomization": drawn},
     )
 
 
-def _told(about: About) -> dict[str, Any]:
-    """The metadata of an episode beside its seed and its options."""
+def _metadata(facts: EpisodeFacts) -> dict[str, Any]:
+    """Returns the metadata of an episode beside its seed and its options."""
     return {
-        "song": about.song,
-        "f1": about.f1,
-        "note_onset_f1": about.note_onset_f1,
-        "rewarded_fingers": about.metrics.get("rewarded_fingers"),
-        **about.drawn,
+        "song": facts.song,
+        "f1": facts.f1,
+        "note_onset_f1": facts.note_onset_f1,
+        "rewarded_fingers": facts.metrics.get("rewarded_fingers"),
+        **facts.drawn,
     }
 
 
@@ -131,10 +131,10 @@ def _root(folder: Path) -> Iterator[None]:
 
 
 def _batched(episodes: range, lengths: Sequence[int]) -> Iterator[range]:
-    """Episodes that are written together, as few as memory wants, as many as are fast."""
+    """Yields episodes that are written together, as few as memory wants, as many as are fast."""
     first, steps = episodes.start, 0
     for episode in episodes:
-        if steps and steps + lengths[episode] > _AT_ONCE:
+        if steps and steps + lengths[episode] > _MAX_BATCH:
             yield range(first, episode)
             first, steps = episode, 0
         steps += lengths[episode]

@@ -21,7 +21,7 @@ from cadenza.scene.servos import servos_of
 
 
 class Mirror:
-    """Of the steps of a scene with two hands that slide along the keyboard."""
+    """Mirrors steps of a scene with two hands that slide along the keyboard."""
 
     def __init__(self, scene: Scene) -> None:
         """Raises: CadenzaError: the scene has no mirror image."""
@@ -40,27 +40,27 @@ class Mirror:
         self._fingers = np.roll(np.arange(fingers.count), fingers.per_hand)
 
     def possible(self, batch: Batch) -> NDArray[np.bool_]:
-        """(B,) which steps ask for no key, and hold none down, whose image is not there."""
+        """Returns the steps (B,) whose keys, to press and held down, all have an image."""
         keys = batch.goal[..., :-1].any(axis=1) | batch.sounding
         return np.logical_not((keys & ~self._has_key).any(axis=1))
 
     def __call__(self, batch: Batch) -> Batch:
-        """The image of all steps; see `possible`."""
+        """Returns the image of all steps; see `possible`."""
         fingers = batch.fingers[..., self._fingers]
         image = np.where(fingers == NO_FINGER, NO_FINGER, self._keys[fingers])
         return Batch(
             hand_qpos=self.joints(batch.hand_qpos),
             hand_qvel=self.joints.speed(batch.hand_qvel),
-            fingertip_xpos=self._points(batch.fingertip_xpos),
-            key_state=np.where(self._has_key, self._of_keys(batch.key_state), batch.key_state),
+            fingertip_xpos=self.points(batch.fingertip_xpos),
+            key_state=np.where(self._has_key, self._keys_image(batch.key_state), batch.key_state),
             pedal=batch.pedal,
-            sounding=self._of_keys(batch.sounding),
+            sounding=self._keys_image(batch.sounding),
             previous_action=self.actions(batch.previous_action),
             previous_reward=batch.previous_reward,
             action=self.actions(batch.action),
             tracked=self.servos(batch.tracked),
             goal=np.concatenate(
-                [self._of_keys(batch.goal[..., :-1]), batch.goal[..., -1:]], axis=-1
+                [self._keys_image(batch.goal[..., :-1]), batch.goal[..., -1:]], axis=-1
             ),
             fingers=np.where(image < 0, NO_FINGER, image).astype(np.int8),
             reference=np.stack(
@@ -70,18 +70,19 @@ class Mirror:
                 ],
                 axis=-1,
             ),
-            reference_fingertips=self._points(batch.reference_fingertips),
+            reference_fingertips=self.points(batch.reference_fingertips),
         )
 
     def actions(self, actions: Array) -> Array:
-        """(..., A + 1) of actions in actuator units, the pedal last."""
+        """Returns the image of actions (..., A + 1) in actuator units, the pedal last."""
         return np.concatenate([self.servos(actions[..., :-1]), actions[..., -1:]], axis=-1)
 
-    def _points(self, points: Array) -> Array:
+    def points(self, points: Array) -> Array:
+        """Returns the image of a point of each finger (..., F, 3) [m]."""
         image = points[..., self._fingers, :].copy()
         image[..., 1] = 2 * self._about - image[..., 1]
         return image
 
-    def _of_keys(self, values: Array) -> Array:
+    def _keys_image(self, values: Array) -> Array:
         there = np.where(self._has_key, self._keys, 0)
         return np.where(self._has_key, values[..., there], values.dtype.type(0))

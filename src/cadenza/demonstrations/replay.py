@@ -10,11 +10,11 @@ import numpy as np
 
 from cadenza.agents.playback import Playback
 from cadenza.agents.rollout import EpisodeResult, play_episode
-from cadenza.demonstrations.recorded import (
+from cadenza.demonstrations.recorded_episode import (
     MAKE_AGAIN,
     RESULT,
     STEPS,
-    Recorded,
+    RecordedEpisode,
     played_actions,
 )
 from cadenza.errors import CadenzaError
@@ -25,17 +25,17 @@ from cadenza.tasks.reward import key_state
 _COMPARED = ("hand_qpos", "hand_qvel", "fingertip_xpos", "key_state")
 
 
-def wrong_start(recorded: Recorded, scene: Scene) -> str | None:
-    """That the hands have not begun with all joints of the scene, if so."""
-    start, joints = recorded.about.start, len(scene.hand_joint_names)
+def wrong_start(recorded: RecordedEpisode, scene: Scene) -> str | None:
+    """Returns what is wrong with the joint positions at the start; None if nothing is."""
+    start, joints = recorded.facts.start, len(scene.hand_joint_names)
     if len(start) == joints and np.isfinite(start).all():
         return None
     return f"{recorded.folder / RESULT}: start is not that of {joints} joints; {MAKE_AGAIN}"
 
 
 @contextmanager
-def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
-    """The task of an episode in its `scene`, with the hands where they began.
+def task_of(recorded: RecordedEpisode, scene: Scene) -> Iterator[PianoTask]:
+    """Yields the task of an episode in its `scene`, with the hands where they began.
 
     Raises:
         CadenzaError: they cannot begin there, or a file is not as it was written.
@@ -43,28 +43,28 @@ def task_of(recorded: Recorded, scene: Scene) -> Iterator[PianoTask]:
     recorded.check_files((STEPS,))
     if wrong := wrong_start(recorded, scene):
         raise CadenzaError(wrong)
-    begun = replace(scene, hand_start=np.array(recorded.about.start))
+    begun = replace(scene, hand_start=np.array(recorded.facts.start))
     recorded.goals(scene)  # or says that the score is shorter than the episode
     # Fingers are those of the score; looking for others would take longer than playing.
-    config = replace(recorded.about.task, fingering="off")
+    config = replace(recorded.facts.task, fingering="off")
     with closing(PianoTask([recorded.score], config, begun)) as task:
         yield task
 
 
-def replayed(recorded: Recorded, scene: Scene) -> EpisodeResult:
-    """All that happens when the recorded actions are played."""
+def replayed(recorded: RecordedEpisode, scene: Scene) -> EpisodeResult:
+    """Plays the recorded actions again."""
     with task_of(recorded, scene) as task:
         return play_episode(task, Playback(played_actions(recorded.steps, scene)))
 
 
-def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
-    """Name of what differs from the recording when it is played again -> by how much at most.
+def differences(recorded: RecordedEpisode, scene: Scene) -> dict[str, float]:
+    """Returns the largest difference of each quantity when an episode is played again.
 
-    What is recorded is compared bit for bit, in its own precision.
+    Arrays are compared bit for bit, in the precision of the recording.
     """
     result, found = replayed(recorded, scene), dict[str, float]()
     again = result.episode
-    if missing := recorded.about.num_steps - again.num_steps:
+    if missing := recorded.facts.num_steps - again.num_steps:
         found["the number of steps"] = float(missing)
         return found
     depth = key_state(again["key_qpos"], scene.keyboard.travel)
@@ -74,6 +74,6 @@ def differences(recorded: Recorded, scene: Scene) -> dict[str, float]:
         now = seen[name].astype(was.dtype)
         if not np.array_equal(was, now):
             found[name] = float(np.abs(was.astype(np.float64) - now).max())
-    if result.metrics["f1"] != recorded.about.metrics["f1"]:
-        found["f1"] = abs((result.metrics["f1"] or 0.0) - recorded.about.f1)
+    if result.metrics["f1"] != recorded.facts.metrics["f1"]:
+        found["f1"] = abs((result.metrics["f1"] or 0.0) - recorded.facts.f1)
     return found

@@ -1,4 +1,4 @@
-"""Recorded episodes as the Gymnasium environments would have given them, for other libraries."""
+"""Recorded episodes as transitions of the Gymnasium environments, for other libraries."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from cadenza.tasks.view import from_range
 
 
 class Transitions(NamedTuple):
-    """T steps of an episode."""
+    """The T steps of an episode."""
 
     goal: Floats
-    """(T + 1, (L + 1) * (K + 1)) keys and pedal of the next step and of the L after it, 0 or 1."""
+    """Keys and pedal of the next step and of the L after it (T + 1, (L + 1) * (K + 1)), 0 or 1."""
     fingering: Floats
-    """(T + 1, F) 1 for each finger that has a key to press next; F is 0 where the task shows no
+    """1 for each finger that has a key to press next (T + 1, F); F is 0 where the task shows no
     fingers."""
     key_state: Floats
-    """(T + 1, K) 0 (up) to 1 (down)."""
+    """How far the keys are down (T + 1, K), 0 to 1."""
     pedal: Floats
-    """(T + 1, 1)"""
+    """How far the pedal is down (T + 1, 1), 0 to 1."""
     joints: Floats
-    """(T + 1, J) [m, rad]"""
+    """Joint positions (T + 1, J) [m, rad]."""
     velocities: Floats
-    """(T + 1, J) [m/s, rad/s]; not part of the environments' observation."""
+    """Joint velocities (T + 1, J) [m/s, rad/s], no part of the environments' observation."""
     chosen: Floats
-    """(T, A + 1) actions in [-1, 1] that the demonstrator chose, without noise."""
+    """Actions that the demonstrator chose (T, A + 1), in [-1, 1], without noise."""
     played: Floats
-    """(T + 1, A + 1) and those that were played, before each state; 0 before the first."""
+    """Actions that were played before each state (T + 1, A + 1); 0 before the first."""
     reward: NDArray[np.float64]
-    """(T,)"""
+    """Reward of each step (T,)."""
 
     @property
     def observation(self) -> Floats:
-        """(T + 1, D) laid out as in `PianoTask.observation`."""
+        """Observations (T + 1, D), laid out as in `PianoTask.observation`."""
         return np.concatenate([*self[: Transitions._fields.index("velocities")]], axis=1)
 
     @property
     def environment(self) -> Floats:
-        """(T + 1, D - J) what of it is not of the hands."""
+        """Observations without the hands (T + 1, D - J)."""
         return np.concatenate([*self[: Transitions._fields.index("joints")]], axis=1)
 
 
 def transitions(dataset: Dataset, number: int) -> Transitions:
-    """Those of the episode of that number.
+    """Returns the transitions of the episode of that number.
 
     Raises:
         CadenzaError: a file is not there, or is damaged.

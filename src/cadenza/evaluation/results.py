@@ -57,8 +57,6 @@ class ResultFile:
     """As `cadenza play` writes them, and `energy` [J] of all actuators, if the task counts it."""
     timing: Timing
     versions: dict[str, str]
-    pages: dict[str, str | None]
-    """Kind -> file in the folder, or None."""
     training: Trained | None = None
 
 

@@ -39,7 +39,7 @@ from cadenza.evaluation.run_status import (
     progress_writer,
     versions,
 )
-from cadenza.files import read_json, write_json
+from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
 from cadenza.learning.run_folder import RunFolder
@@ -84,10 +84,8 @@ def _carry_out(job: Job, folder: Path, num_threads: int, stop: Callable[[], bool
 
 
 def _add_page(spec: JobSpec, folder: Path) -> None:
-    """Of a run that is finished; one of which none can be made keeps its result."""
+    """Makes the page of a finished run; one of which none can be made keeps its result."""
     try:
-        result = read_json(folder / RESULT, ResultFile)
-        write_json(folder / RESULT, asdict(replace(result, pages={"report": PAGE})))
         check_song(spec)
         selection = select(spec.song, "zero", arrangement=spec.arrangement)
         with set_up(selection, spec.task, spec.scene, spec.seed) as setup:
@@ -122,7 +120,6 @@ def _result(
         metrics=performance.metrics | {"energy": performance.energy},
         timing=Timing(seconds, performance.seconds, num_threads, cpu_seconds),
         versions=versions(),
-        pages={"report": PAGE if job.page else None},
         training=trained,
     )
 

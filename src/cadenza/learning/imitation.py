@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
-from cadenza.demonstrations.recorded import Recorded
+from cadenza.demonstrations.recorded_episode import RecordedEpisode
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked, read_json, write_atomically, write_json
 from cadenza.learning.config import ImitationConfig
@@ -109,20 +109,20 @@ class Imitation:
         names = (*about.learnt_from, *about.held_out)
         scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
         self._dataset = Dataset([episodes[name] for name in about.learnt_from])
-        self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
+        self.songs = tuple(sorted({episode.facts.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
         self._task = replace(  # as is observed, see `observed`
-            first.about.task,
+            first.facts.task,
             n_steps_lookahead=config.n_steps_lookahead,
             n_seconds_lookahead=None,
             fingering="auto",
             trim_silence=True,
         )
-        with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
+        with closing(PianoTask([first.score], self._task, first.facts.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
         for name in names:  # anew, as what is read of both arrays holds open files
-            check_values(Recorded(episodes[name].folder, episodes[name].about), scene)
+            check_values(RecordedEpisode(episodes[name].folder, episodes[name].facts), scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
@@ -234,7 +234,7 @@ class Imitation:
             reference=None,
             ranges=self._ranges,
             task=self._task,
-            scene=self._dataset.episodes[0].about.scene,
+            scene=self._dataset.episodes[0].facts.scene,
             score=None,
         )
         save_policy(self._folder / "last", learnt, {"step": self.update, "songs": self.songs})
@@ -312,7 +312,7 @@ def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArra
 
 
 def _about(
-    config: ImitationConfig, demonstrations: Path, folder: Path, there: Sequence[Recorded]
+    config: ImitationConfig, demonstrations: Path, folder: Path, there: Sequence[RecordedEpisode]
 ) -> _About:
     """What the run in a folder is, or will be if there is none, of the episodes that are there."""
     where, place = folder / _RUN, str(demonstrations.resolve())
@@ -338,11 +338,13 @@ def _about(
     return _About(config, place, learnt_from, held_out)
 
 
-def _of_songs(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, list[Recorded]]:
+def _of_songs(
+    episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
+) -> dict[str, list[RecordedEpisode]]:
     """Those of each song, all if none are `wanted`."""
-    found = defaultdict[str, list[Recorded]](list)
+    found = defaultdict[str, list[RecordedEpisode]](list)
     for episode in episodes:
-        found[episode.about.song].append(episode)
+        found[episode.facts.song].append(episode)
     if not wanted:
         return found
     return {song: found[song] for song in (_song_called(name, list(found)) for name in wanted)}
@@ -366,7 +368,7 @@ def _song_called(name: str, songs: Sequence[str]) -> str:
 
 
 def _divided(
-    songs: dict[str, list[Recorded]], held_out: int
+    songs: dict[str, list[RecordedEpisode]], held_out: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the episodes that are learnt from, at least one of each song, and of the others."""
     learnt_from, others = [], []

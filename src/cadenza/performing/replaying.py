@@ -6,15 +6,15 @@ from dataclasses import asdict
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.playback import Playback
-from cadenza.demonstrations.recorded import Recorded, played_actions
+from cadenza.demonstrations.recorded_episode import RecordedEpisode, played_actions
 from cadenza.demonstrations.replay import task_of
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Setup
 
 
-def play_again(recorded: Recorded, progress: Progress = silent) -> Performance:
+def play_again(recorded: RecordedEpisode, progress: Progress = silent) -> Performance:
     """The performance of a recorded episode, with the noise that it was played with."""
-    about = recorded.about
+    about = recorded.facts
     scene = recorded.build_scene()
     with task_of(recorded, scene) as task:
         settings = {

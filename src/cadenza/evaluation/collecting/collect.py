@@ -18,17 +18,17 @@ from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Follower
 from cadenza.agents.registry import make_agent
 from cadenza.agents.rollout import EpisodeResult, play_episode
-from cadenza.demonstrations.recorded import (
+from cadenza.demonstrations.recorded_episode import (
     FORMAT,
     PLAN,
     RESULT,
     STEPS,
-    About,
-    about,
+    EpisodeFacts,
     plan_type,
+    read_facts,
     steps_type,
     write,
-    write_about,
+    write_facts,
 )
 from cadenza.evaluation.collecting.perturbed_agent import PerturbedAgent, observed_pedal
 from cadenza.evaluation.collecting.variation import Variation
@@ -44,7 +44,7 @@ from cadenza.files import write_json
 from cadenza.keyboards.registry import keyboard_named
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.libraries.songs import Library
-from cadenza.music.score import MIRROR, Score
+from cadenza.music.score import Score
 from cadenza.performing.setup import Setup, select, set_up
 from cadenza.scene.config import SceneConfig
 from cadenza.sim.protocol import State
@@ -62,6 +62,12 @@ class EpisodeSpec(JobSpec):
     variation: Variation = field(default_factory=Variation)
     student_config: Any = None
     """The options of the student, if there is one and it has any."""
+
+    @property
+    def pitches(self) -> range:
+        """Pitches of notes for which there are keys once they are transposed."""
+        pitches, transpose = keyboard_named(self.scene.keyboard).pitches, self.task.transpose
+        return range(pitches.start - transpose, pitches.stop - transpose)
 
 
 @dataclass(frozen=True)
@@ -123,7 +129,7 @@ def is_complete(job: EpisodeJob, folder: Path) -> bool:
     """Returns whether it is recorded, or was not good enough."""
     if not (folder / RESULT).exists():
         return False
-    made = about(folder)
+    made = read_facts(folder)
     return made.kept or not _is_good(made.metrics, job)
 
 
@@ -147,7 +153,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     song = selection.score
     if getattr(spec.config, "fingering", "found") == "found":  # so that the task has those, too
         song = song.without_fingers()
-    score, drawn = _varied(song, spec.variation, _playable(spec), rng)
+    score, drawn = spec.variation.draw(song, spec.pitches, rng)
     selection = replace(selection, score=score)
     with (
         set_up(selection, spec.task, spec.scene, seed, progress, num_threads) as setup,
@@ -157,7 +163,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         kept = _is_good(result.metrics, job)
         plan = _plan(setup, perturbed) if kept else None
         last = setup.task.view()  # after the last step
-    made = About(
+    made = EpisodeFacts(
         format=FORMAT,
         job=spec.as_json(),
         song=spec.song,
@@ -172,7 +178,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
         files={},
     )
     if plan is None:
-        write_about(folder, made)
+        write_facts(folder, made)
     else:
         write(
             folder, made, song, _fingered_score(setup, plan), _arrays(result, perturbed, last, plan)
@@ -196,37 +202,6 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
     content = hashlib.sha256(f"{spec.song_digest} {spec.seed}".encode()).digest()
     seed, other = (int.from_bytes(content[at : at + 8], "big") for at in (0, 8))
     return seed, np.random.default_rng(other)
-
-
-def _playable(spec: EpisodeSpec) -> range:
-    """Returns the pitches of notes for which there are keys once they are transposed."""
-    pitches, transpose = keyboard_named(spec.scene.keyboard).pitches, spec.task.transpose
-    return range(pitches.start - transpose, pitches.stop - transpose)
-
-
-def _varied(
-    score: Score, variation: Variation, pitches: range, rng: np.random.Generator
-) -> tuple[Score, dict[str, Any]]:
-    """Draws what of a song is played, and how, by name; mirrored only within `pitches`."""
-    begin, mirror, noise = rng.random(3).tolist()
-    since = 0.0
-    if variation.excerpt is not None:
-        score, since = excerpt(score, variation.excerpt, begin)
-    there = all(MIRROR - note.pitch in pitches for note in score.notes)
-    mirrored = variation.mirror and mirror < 0.5 and there
-    if mirrored:
-        score = score.mirrored
-    drawn = {"since": since, "mirrored": mirrored, "noise": noise * variation.noise}
-    return score, drawn
-
-
-def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
-    """Returns so many seconds from a note on, and when that begins; `where` is 0 to 1."""
-    starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
-    possible = [start for start in starts if start <= last] or starts[:1]
-    since = possible[int(where * len(possible))]
-    notes = tuple(note for note in score.notes if note.start >= since)
-    return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since
 
 
 def _plan(setup: Setup, perturbed: PerturbedAgent) -> SongPlan:
@@ -268,7 +243,7 @@ def _without_randomness(task: TaskConfig, result: EpisodeResult) -> TaskConfig:
 def _arrays(
     result: EpisodeResult, perturbed: PerturbedAgent, last: View, plan: SongPlan
 ) -> dict[str, Array]:
-    """Returns the arrays of a recorded episode, see `cadenza.demonstrations.recorded`."""
+    """Returns the arrays of a recorded episode, see `cadenza.demonstrations.recorded_episode`."""
     episode, start, scene = result.episode, perturbed.start, plan.scene
     assert start is not None
     count = episode.num_steps

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
+
+from cadenza.music.score import MIRROR, Score
 from cadenza.tasks.config import TaskConfig
+
+_MIRRORED_SHARE = 0.5  # of the episodes whose mirror image can be played
 
 
 @dataclass(frozen=True)
@@ -22,6 +28,35 @@ class Variation:
     student: str | None = None
     """Another agent, which plays half of the time, in stretches of about a second. What is recorded
     is what the first agent would have played in its place."""
+
+    def draw(
+        self, score: Score, pitches: range, rng: np.random.Generator
+    ) -> tuple[Score, dict[str, Any]]:
+        """Draws what of a song is played, and how: `since`, `mirrored` and `noise`.
+
+        Args:
+            score: the song.
+            pitches: of the notes for which there are keys; a mirror image beyond is not played.
+            rng: what it is drawn from.
+        """
+        begin, mirror, noise = rng.random(3).tolist()
+        since = 0.0
+        if self.excerpt is not None:
+            score, since = excerpt(score, self.excerpt, begin)
+        has_image = all(MIRROR - note.pitch in pitches for note in score.notes)
+        mirrored = self.mirror and mirror < _MIRRORED_SHARE and has_image
+        if mirrored:
+            score = score.mirrored
+        return score, {"since": since, "mirrored": mirrored, "noise": noise * self.noise}
+
+
+def excerpt(score: Score, seconds: float, where: float) -> tuple[Score, float]:
+    """Returns so many seconds from a note on, and when that begins; `where` is 0 to 1."""
+    starts, last = sorted({note.start for note in score.notes}), score.total_time - seconds
+    possible = [start for start in starts if start <= last] or starts[:1]
+    since = possible[int(where * len(possible))]
+    notes = tuple(note for note in score.notes if note.start >= since)
+    return replace(score, notes=notes).beginning(seconds).with_silence_trimmed(), since
 
 
 def varied() -> TaskConfig:

@@ -1,4 +1,4 @@
-"""What is kept of an episode that somebody has played, to learn from.
+"""The files of a recorded episode.
 
 FOLDER/steps.npy      states and actions, see `steps_type`
 FOLDER/plan.npy       where a plan has the hands, see `plan_type`
@@ -20,7 +20,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from cadenza.files import (
     opened,
     plain,
     read_json,
+    sha256_of,
     write_atomically,
     write_json,
 )
@@ -49,10 +50,10 @@ Array = NDArray[Any]
 FORMAT: Literal[1] = 1
 RESULT = "result.json"
 STEPS, PLAN, SCORE, SONG = "steps.npy", "plan.npy", "score.json", "song"
-SONGS = "songs"  # the folder of those of all episodes
-_SEAL = "seal"  # what result.json calls its own checksum
-_MOST_STEPS = 2 * MAX_STEPS  # of a song, and of the silence before it
-_LEAST_STEP = 1e-4  # [s]
+SONGS = "songs"  # the folder of the songs of all episodes
+_SEAL = "seal"  # the field of result.json with its own checksum
+_MAX_STEPS = 2 * MAX_STEPS  # of a song, and of the silence before it
+_MIN_TIMESTEP = 1e-4  # [s]; a shorter one is damage
 
 
 def steps_type(scene: Scene) -> np.dtype[np.void]:
@@ -107,33 +108,33 @@ def plan_type(scene: Scene) -> np.dtype[np.void]:
 
 
 @dataclass(frozen=True)
-class About:
-    """What result.json says of an episode."""
+class EpisodeFacts:
+    """Content of result.json."""
 
     format: Literal[1]
     job: dict[str, Any]
-    """What was asked for."""
+    """The `EpisodeSpec` of the episode."""
     song: str
     kept: bool
-    """Whether it was good enough; else there is nothing but this."""
+    """Whether it was good enough; otherwise there is no other file."""
     metrics: dict[str, int | float | bool | str | None]
-    """See `cadenza.agents.rollout.EpisodeResult`."""
+    """Metrics as in `cadenza.agents.rollout.EpisodeResult`."""
     drawn: dict[str, int | float | bool]
-    """How it differs from others of the same song."""
+    """What was drawn for it, see `Variation.draw`."""
     task: TaskConfig
-    """With which it is played again: nothing is drawn any more, and nothing done to the score."""
+    """The task of a replay: nothing is drawn any more, and nothing done to the score."""
     scene: SceneConfig
     start: tuple[float, ...]
-    """(J,) joint positions of the hands at its beginning [m, rad]."""
+    """Joint positions (J,) of the hands at its beginning [m, rad]."""
     cpu_seconds: float
-    """That it took to make."""
+    """CPU time of making it."""
     versions: dict[str, str]
     files: dict[str, str]
-    """Name -> SHA-256 of what lies beside this."""
+    """Name -> SHA-256 of the other files."""
 
     @property
     def num_steps(self) -> int:
-        """T"""
+        """Number T of control steps."""
         return int(self.metrics["steps"] or 0)
 
     @property
@@ -146,35 +147,35 @@ class About:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedEpisode:
     """An episode that was kept. Its arrays are mapped when they are first asked for."""
 
     folder: Path
-    about: About
+    facts: EpisodeFacts
 
     def build_scene(self) -> Scene:
-        """The hands and the keys.
+        """Builds the scene in which it was played.
 
         Raises:
-            CadenzaError: they are of a module that nobody has imported.
+            CadenzaError: the hands are of a module that nobody has imported.
         """
-        check_modules(self.about.scene, self.folder / RESULT)
-        return build_scene(self.about.scene)
+        check_modules(self.facts.scene, self.folder / RESULT)
+        return build_scene(self.facts.scene)
 
     def path(self, name: str) -> Path:
-        """Where one of its files is."""
+        """Returns where one of its files is."""
         if name == SONG:
-            return _path_of_song(self.folder, self.about.files.get(name, ""))
+            return _path_of_song(self.folder, self.facts.files.get(name, ""))
         return self.folder / name
 
     @cached_property
     def steps(self) -> Array:
-        """(T + 1,) see `steps_type`."""
+        """Rows (T + 1,) of `steps_type`."""
         return mapped(self.folder / STEPS)
 
     @cached_property
     def plan(self) -> Array:
-        """(T + 1,) see `plan_type`."""
+        """Rows (T + 1,) of `plan_type`."""
         return mapped(self.folder / PLAN)
 
     @cached_property
@@ -205,7 +206,7 @@ class Recorded:
             raise CadenzaError(f"{said}; or {MAKE_AGAIN}") from error
 
     def check_files(self, names: Collection[str]) -> None:
-        """Reads files as a whole; `score` does so by itself.
+        """Compares files with their checksums; `score` does so by itself.
 
         Raises:
             CadenzaError: one is not there, or is not as it was written.
@@ -214,38 +215,38 @@ class Recorded:
             raise CadenzaError(what)
 
     def wrong_files(self, names: Collection[str] = (STEPS, PLAN, SCORE, SONG)) -> Iterator[str]:
-        """Which of its files are not there, or are not as they were written, a line each."""
+        """Yields a line for each file that is not there, or not as it was written."""
         for name in names:
             path = self.path(name)
-            if name not in self.about.files:
+            if name not in self.facts.files:
                 yield f"{self.folder / RESULT}: does not name {name}; {MAKE_AGAIN}"
             elif not path.is_file():
                 yield f"{path}: missing; {MAKE_AGAIN}"
-            elif digest(path) != self.about.files[name]:
+            elif sha256_of(path) != self.facts.files[name]:
                 yield f"{path}: damaged, its checksum is another; {MAKE_AGAIN}"
 
     def goals(self, scene: Scene) -> Goals:
-        """Keys, fingers and pedal per control step, rebuilt from the score.
+        """Returns keys, fingers and pedal per control step, rebuilt from the score.
 
         Raises:
             CadenzaError: the file of the score is not there, is damaged, or has other steps.
         """
-        goals = GoalTrack(self.score, (), self.about.task, scene).goals
-        if goals.num_steps != self.about.num_steps:
+        goals = GoalTrack(self.score, (), self.facts.task, scene).goals
+        if goals.num_steps != self.facts.num_steps:
             raise CadenzaError(
                 f"{self.folder / SCORE}: has {goals.num_steps} steps, the episode "
-                f"{self.about.num_steps}; {MAKE_AGAIN}"
+                f"{self.facts.num_steps}; {MAKE_AGAIN}"
             )
         return goals
 
 
 def played_actions(steps: Array, scene: Scene) -> NDArray[np.float64]:
-    """(T, A + 1) what was played in each step, in actuator units, of the rows of steps.npy."""
+    """Returns the played actions (T, A + 1) in rows of steps.npy, in actuator units."""
     return to_range(steps["played"][1:], scene.action_low, scene.action_high)
 
 
 def mapped(path: Path) -> Array:
-    """The array of an .npy file, of which only what is read comes into memory.
+    """Returns the array of an .npy file, of which only what is read comes into memory.
 
     Raises:
         CadenzaError: the file is not there, or is no such file.
@@ -269,51 +270,51 @@ def mapped(path: Path) -> Array:
 MAKE_AGAIN = "delete its folder and collect again"
 
 
-def about(folder: Path) -> About:
-    """What is known of an episode.
+def read_facts(folder: Path) -> EpisodeFacts:
+    """Reads the result.json of an episode.
 
     Raises:
         CadenzaError: it is not finished, or the file is damaged.
     """
     facts = read_json(folder / RESULT, dict[str, Any])
     sealed = facts.pop(_SEAL, None)
-    told = checked(facts, About, folder / RESULT)
+    checked_facts = checked(facts, EpisodeFacts, folder / RESULT)
     if sealed != _seal(folder, facts):
         raise CadenzaError(
             f"{folder / RESULT}: its checksum is another or gone, as it was changed or its folder "
             f"renamed or copied; {MAKE_AGAIN}"
         )
-    if told.kept and (what := _unlikely(told)):
+    if checked_facts.kept and (what := _impossible_value(checked_facts)):
         raise CadenzaError(f"{folder / RESULT}: {what} cannot be; {MAKE_AGAIN}")
-    return told
+    return checked_facts
 
 
-def _unlikely(told: About) -> str | None:
-    """What of an episode that was kept others count on, and is not as it can be."""
-    steps = told.metrics.get("steps")
-    if type(steps) is not int or not 0 < steps <= _MOST_STEPS:
+def _impossible_value(facts: EpisodeFacts) -> str | None:
+    """Returns a value on which readers count and which cannot be; None if there is none."""
+    steps = facts.metrics.get("steps")
+    if type(steps) is not int or not 0 < steps <= _MAX_STEPS:
         return f"steps {steps!r:.30}"
     for name in ("f1", "note_onset_f1"):
-        value = told.metrics.get(name)
+        value = facts.metrics.get(name)
         if not isinstance(value, float | int) or not 0 <= value <= 1:
             return f"{name} {value!r:.30}"
-    if not isinstance(mirrored := told.drawn.get("mirrored"), bool):
+    if not isinstance(mirrored := facts.drawn.get("mirrored"), bool):
         return f"mirrored {mirrored!r:.30}"
-    if not _LEAST_STEP <= told.task.control_timestep < math.inf:
-        return f"control_timestep {told.task.control_timestep!r}"
-    if not 0 <= told.task.initial_buffer_time <= MAX_STEPS * told.task.control_timestep:
-        return f"initial_buffer_time {told.task.initial_buffer_time!r}"
+    if not _MIN_TIMESTEP <= facts.task.control_timestep < math.inf:
+        return f"control_timestep {facts.task.control_timestep!r}"
+    if not 0 <= facts.task.initial_buffer_time <= MAX_STEPS * facts.task.control_timestep:
+        return f"initial_buffer_time {facts.task.initial_buffer_time!r}"
     return None
 
 
 def write(
-    folder: Path, about: About, song: Score, score: Score, arrays: Mapping[str, Array]
+    folder: Path, facts: EpisodeFacts, song: Score, score: Score, arrays: Mapping[str, Array]
 ) -> None:
     """Writes an episode that is kept.
 
     Args:
         folder: of the episode.
-        about: without its files.
+        facts: without its files.
         song: as it was chosen.
         score: what of it was to be played.
         arrays: of STEPS and PLAN.
@@ -324,10 +325,10 @@ def write(
         with write_atomically(folder / name) as file:
             file.write(content.getbuffer())  # NumPy itself would not say that the disk is full
     _write_score(folder / SCORE, score)
-    files = {name: digest(folder / name) for name in (*arrays, SCORE)}
+    files = {name: sha256_of(folder / name) for name in (*arrays, SCORE)}
     files[SONG] = hashlib.sha256(_bytes_of(song)).hexdigest()
     _write_score(_path_of_song(folder, files[SONG]), song)
-    write_about(folder, replace(about, files=files))
+    write_facts(folder, replace(facts, files=files))
 
 
 def _write_score(path: Path, score: Score) -> None:
@@ -340,33 +341,23 @@ def _bytes_of(score: Score) -> bytes:
 
 
 def _path_of_song(folder: Path, digest: str) -> Path:
-    """Where the song of an episode is, which others of the same demonstrations share."""
+    """Returns where the song of an episode is, which others of the same folder share."""
     return folder.parent.parent / SONGS / f"{digest}.json"
 
 
 def written(score: Score) -> dict[str, Any]:
-    """A score as JSON has it, see `WrittenScore`."""
+    """Returns a score as JSON has it, see `WrittenScore`."""
     content: dict[str, Any] = plain(asdict(WrittenScore.of(score)))
     return content
 
 
-def write_about(folder: Path, about: About) -> None:
-    """Writes that an episode is finished; alone, that it was not good enough."""
-    facts = plain(asdict(about))
-    write_json(folder / RESULT, facts | {_SEAL: _seal(folder, facts)})
+def write_facts(folder: Path, facts: EpisodeFacts) -> None:
+    """Writes result.json, with which an episode is finished."""
+    content = plain(asdict(facts))
+    write_json(folder / RESULT, content | {_SEAL: _seal(folder, content)})
 
 
 def _seal(folder: Path, facts: Mapping[str, Any]) -> str:
-    """The SHA-256 of what result.json says, and of which folder."""
+    """Returns the SHA-256 of the name of the folder and the facts of result.json."""
     content = json.dumps([folder.name, facts], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
-
-
-def digest(path: Path) -> str:
-    """The SHA-256 of a file.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    with opened(path) as file:
-        return hashlib.file_digest(cast(Any, file), "sha256").hexdigest()

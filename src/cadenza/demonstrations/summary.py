@@ -1,4 +1,4 @@
-"""What a folder of demonstrations holds, in lines."""
+"""A summary of a folder of demonstrations in lines of text."""
 
 from __future__ import annotations
 
@@ -9,61 +9,61 @@ from pathlib import Path
 import numpy as np
 
 from cadenza.demonstrations.dataset import EPISODES, finished
-from cadenza.demonstrations.recorded import SONGS, About
+from cadenza.demonstrations.recorded_episode import SONGS, EpisodeFacts
 from cadenza.music.formats.titles import printable
 
 _MIB = 2**20
 
 
-def overview(folder: Path) -> Iterator[str]:
-    """Songs, episodes, steps, F1, size on disk, and which versions made it.
+def summarize(folder: Path) -> Iterator[str]:
+    """Yields songs, episodes, steps, F1, size on disk, and which versions made it.
 
     Raises:
         CadenzaError: it holds no demonstrations, or a result.json is damaged.
     """
     found = finished(folder)
-    kept = [about for _, about in found if about.kept]
+    kept = [facts for _, facts in found if facts.kept]
     names = {at.name for at, _ in found}
     there = (path for path in (folder / EPISODES).iterdir() if path.is_dir())
     unfinished = sum(path.name not in names for path in there)
-    yield f"{len(kept)} episodes of {len({about.song for about in kept})} songs kept"
+    yield f"{len(kept)} episodes of {len({facts.song for facts in kept})} songs kept"
     yield f"{len(found) - len(kept)} not kept, {unfinished} not finished"
     yield _steps(kept)
     if kept:
-        yield _spread("F1", [about.f1 for about in kept])
-        yield _spread("note onsets F1", [about.note_onset_f1 for about in kept])
+        yield _spread("F1", [facts.f1 for facts in kept])
+        yield _spread("note onsets F1", [facts.note_onset_f1 for facts in kept])
         yield from _rewarded(kept)
-        yield f"{sum(about.drawn['mirrored'] for about in kept)} episodes are mirrored"
+        yield f"{sum(facts.drawn['mirrored'] for facts in kept)} episodes are mirrored"
     there = (file for part in (EPISODES, SONGS) for file in (folder / part).rglob("*"))
     size = sum(file.stat().st_size for file in there if file.is_file())
-    steps = sum(about.num_steps for about in kept)
+    steps = sum(facts.num_steps for facts in kept)
     yield f"{size / _MIB:.1f} MiB, {size / max(steps, 1):,.0f} bytes a step"
-    hours = sum(about.cpu_seconds for _, about in found) / 3600
+    hours = sum(facts.cpu_seconds for _, facts in found) / 3600
     yield f"{hours:.2f} hours of one core to make"
-    yield from _versions(about for _, about in found)
+    yield from _versions(facts for _, facts in found)
 
 
-def _steps(kept: list[About]) -> str:
-    seconds = sum(about.num_steps * about.task.control_timestep for about in kept)
-    return f"{sum(about.num_steps for about in kept):,} steps, {seconds / 60:.1f} min of music"
+def _steps(kept: list[EpisodeFacts]) -> str:
+    seconds = sum(facts.num_steps * facts.task.control_timestep for facts in kept)
+    return f"{sum(facts.num_steps for facts in kept):,} steps, {seconds / 60:.1f} min of music"
 
 
 def _spread(what: str, values: list[float]) -> str:
     return f"{what} {np.mean(values):.3f} on average, {min(values):.3f} to {max(values):.3f}"
 
 
-def _rewarded(kept: list[About]) -> Iterator[str]:
-    """Whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
-    counts = Counter(str(about.metrics.get("rewarded_fingers")) for about in kept)
+def _rewarded(kept: list[EpisodeFacts]) -> Iterator[str]:
+    """Yields whose fingers the rewards are for, see `GoalTrack.rewarded_fingers`."""
+    counts = Counter(str(facts.metrics.get("rewarded_fingers")) for facts in kept)
     for fingers, count in sorted(counts.items()):
         yield f"rewarded fingers: {printable(fingers)} in {count} episodes"
 
 
-def _versions(found: Iterable[About]) -> Iterator[str]:
+def _versions(found: Iterable[EpisodeFacts]) -> Iterator[str]:
     counts = Counter(
         printable(f"{name} {version}")
-        for about in found
-        for name, version in about.versions.items()
+        for facts in found
+        for name, version in facts.versions.items()
     )
     for what, count in sorted(counts.items()):
         yield f"made with {what}: {count} episodes"
