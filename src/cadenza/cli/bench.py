@@ -120,7 +120,7 @@ def _agents(command: Bench) -> list[str]:
 
 
 def _seeds(parts: Sequence[str]) -> list[int]:
-    """From 0-2 or 0,5: whole numbers, each once."""
+    """Returns the seeds of texts such as 0-2 or 0,5, each once."""
     seeds: dict[int, None] = {}
     for part in (part for given in parts for part in given.split(",") if part):
         first, _, last = part.partition("-")
@@ -216,7 +216,7 @@ def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
 
 
 def _result(folder: Path, job: Job) -> str:
-    """How a run that has finished went."""
+    """Returns a line on a run that has finished."""
     from cadenza.evaluation.results import PAGE, read_result
 
     result = read_result(folder)

@@ -54,11 +54,11 @@ class Batch(NamedTuple):
     fingertip_xpos: Floats
     """Fingertips (B, F, 3) [m]."""
     key_state: Floats
-    """How far the keys are down (B, K), from 0 to 1."""
+    """Depth of the keys (B, K), 0 to 1."""
     pedal: Floats
-    """How far the pedal is down (B,), from 0 to 1."""
+    """Depth of the pedal (B,), 0 to 1."""
     sounding: NDArray[np.bool_]
-    """Which keys sound (B, K)."""
+    """True for keys that sound (B, K)."""
     previous_action: Floats
     """Action that was played in the step before (B, A + 1), in actuator units, the pedal last; 0
     in the first step."""
@@ -79,7 +79,7 @@ class Batch(NamedTuple):
 
     @property
     def fingering(self) -> NDArray[np.bool_]:
-        """Which fingers have a key to press (B, L + 1, F)."""
+        """True for fingers that have a key to press (B, L + 1, F)."""
         return self.fingers != NO_FINGER
 
 
@@ -266,7 +266,7 @@ def check_rows(episode: RecordedEpisode, name: str, array: Array, kind: np.dtype
 
 
 def wrong_values(episode: RecordedEpisode, scene: Scene) -> Iterator[str]:
-    """What in its arrays cannot be, a line each.
+    """Yields a line for each array of an episode with impossible values.
 
     Raises:
         CadenzaError: an array has other rows than it should have.

@@ -116,11 +116,11 @@ class EpisodeFacts:
     """The `EpisodeSpec` of the episode."""
     song: str
     kept: bool
-    """Whether it was good enough; otherwise there is no other file."""
+    """True if it was good enough; otherwise there is no other file."""
     metrics: dict[str, int | float | bool | str | None]
     """Metrics as in `cadenza.agents.rollout.EpisodeResult`."""
     drawn: dict[str, int | float | bool]
-    """What was drawn for it, see `Variation.draw`."""
+    """Values that were drawn for it, see `Variation.draw`."""
     task: TaskConfig
     """The task of a replay: nothing is drawn any more, and nothing done to the score."""
     scene: SceneConfig
@@ -180,7 +180,7 @@ class RecordedEpisode:
 
     @cached_property
     def score(self) -> Score:
-        """What was to be played, without the silence before it.
+        """The score of the episode, without the silence before it.
 
         Raises:
             CadenzaError: the file is not there, or is not as it was written.

@@ -20,9 +20,9 @@ class Transitions(NamedTuple):
     """1 for each finger that has a key to press next (T + 1, F); F is 0 where the task shows no
     fingers."""
     key_state: Floats
-    """How far the keys are down (T + 1, K), 0 to 1."""
+    """Depth of the keys (T + 1, K), 0 to 1."""
     pedal: Floats
-    """How far the pedal is down (T + 1, 1), 0 to 1."""
+    """Depth of the pedal (T + 1, 1), 0 to 1."""
     joints: Floats
     """Joint positions (T + 1, J) [m, rad]."""
     velocities: Floats

@@ -29,7 +29,7 @@ class Ended(NamedTuple):
 
     job: Job
     crash: str = ""
-    """How the process died, in a line; one that did not leaves a result or why there is none."""
+    """Cause of death of the process, in a line; empty if it ended by itself."""
 
 
 class Executor(Protocol):
@@ -54,7 +54,7 @@ class Executor(Protocol):
 
 @dataclass
 class BenchState:
-    """How far a bench is. Runs are named as their folders."""
+    """State of a bench; runs have the names of their folders."""
 
     folder: Path
     """The folder of all runs."""
@@ -69,7 +69,7 @@ class BenchState:
     failed: dict[str, str] = field(default_factory=dict)
     """Reasons of the runs that failed."""
     died: dict[str, list[str]] = field(default_factory=dict)
-    """How each process of a run died."""
+    """Causes of death of the processes of each run."""
 
     @property
     def left(self) -> int:

@@ -1,4 +1,4 @@
-"""Which runs can be summed up, and what makes them hard to compare."""
+"""Finds runs that cannot be summed up, and differences that make runs hard to compare."""
 
 from __future__ import annotations
 

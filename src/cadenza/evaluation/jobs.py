@@ -32,14 +32,14 @@ Pages = Literal["first-seed", "all", "none"]
 
 @dataclass(frozen=True)
 class JobSpec:
-    """All that the result of a run depends on, but for the versions of programs."""
+    """Everything that the result of a run depends on, but for the versions of programs."""
 
     song: str
     """The song as `cadenza play` takes it."""
     song_digest: str
     """A hash of what is played, see `song_digest`."""
     agent: str
-    """As `cadenza play` takes it, or train:PRESET(-residual) for a policy that is trained first."""
+    """A name that `cadenza play` takes, or train:PRESET(-residual): a policy is trained first."""
     seed: int
     task: TaskConfig
     scene: SceneConfig
@@ -51,7 +51,7 @@ class JobSpec:
 
     @property
     def training(self) -> TrainingConfig | None:
-        """How a policy is trained before it plays; None for all others."""
+        """The options of training before it plays; None for agents that are not trained."""
         return self.config if isinstance(self.config, TrainingConfig) else None
 
     def as_json(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class JobSpec:
 
 @dataclass(frozen=True)
 class SongFacts:
-    """What is worth knowing about a song; a result does not depend on it."""
+    """Facts about a song on which a result does not depend."""
 
     name: str
     title: str = ""
@@ -97,7 +97,7 @@ class Job:
     spec: JobSpec
     song: SongFacts
     page: bool = True
-    """Whether it leaves a page to watch and hear."""
+    """True if it leaves a page to watch and hear."""
 
 
 @dataclass(frozen=True)

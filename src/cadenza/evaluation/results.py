@@ -25,10 +25,10 @@ _HASH = 12  # hexadecimal digits
 
 @dataclass(frozen=True)
 class Timing:
-    """How long a run took."""
+    """Duration of a run."""
 
     wall_seconds: float
-    """From its beginning to its end, but for the page; all of the training included."""
+    """Wall time of the whole run with its training, but for the page."""
     music_seconds: float
     """Length of the music that was played."""
     threads: int
@@ -54,7 +54,7 @@ class ResultFile:
     """A `cadenza.evaluation.job.JobSpec`."""
     song: SongFacts
     metrics: dict[str, int | float | bool | str | None]
-    """As `cadenza play` writes them, and `energy` [J] of all actuators, if the task counts it."""
+    """Metrics of `cadenza play`, and `energy` [J] of all actuators, if the task counts it."""
     timing: Timing
     versions: dict[str, str]
     training: Trained | None = None
@@ -82,12 +82,12 @@ class MissingRun:
     name: str
     """Name of its folder."""
     reason: str
-    """Why there is no result, in a line."""
+    """Reason why there is no result, in a line."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """All runs of a folder, in the order of their names."""
+    """The runs of a folder, in the order of their names."""
 
     results: tuple[Result, ...]
     broken: tuple[MissingRun, ...]

@@ -34,7 +34,7 @@ _VERSIONS = ("cadenza", "mujoco", "numpy")
 
 @dataclass(frozen=True)
 class RunProgress:
-    """How far a run is."""
+    """Progress of a run."""
 
     stage: str
     done: int

@@ -1,4 +1,4 @@
-"""How well agents do over runs and pieces, and how sure that is.
+"""Means, profiles and confidence intervals over the runs and pieces of agents.
 
 After Agarwal, Schwarzer, Castro, Courville, Bellemare: Deep Reinforcement Learning at the Edge of
 the Statistical Precipice, NeurIPS 2021, cited by section. Their library, rliable, brings a plotting
@@ -24,12 +24,12 @@ RESAMPLES = 2000
 
 
 def mean(scores: Scores) -> Scores:
-    """(...) over pieces, of the mean over the runs of each: every piece counts the same."""
+    """Returns the mean over pieces (...) of the mean over the runs of each."""
     return np.nanmean(scores, axis=-2).mean(axis=-1)
 
 
 def interquartile_mean(scores: Scores) -> Scores:
-    """(...) the mean of the middle half of all runs of all pieces (section 4.3).
+    """Returns the mean (...) of the middle half of all runs of all pieces (section 4.3).
 
     A quarter of the runs, rounded down, is left out at either end. A few pieces that nobody or
     everybody plays change it less than the mean, and it is surer than the median.
@@ -40,7 +40,7 @@ def interquartile_mean(scores: Scores) -> Scores:
 
 
 def performance_profile(scores: Scores, thresholds: ArrayLike) -> Scores:
-    """(..., thresholds) which share of runs is better than each, the mean over pieces.
+    """Returns the share of runs that is better than each threshold (..., thresholds).
 
     The "score distribution" of section 4.2: for M pieces of N runs each,
     `F(t) = 1/M sum_m 1/N sum_n [x_nm > t]`.
@@ -64,9 +64,9 @@ def bootstrap_interval(
     resamples: int = RESAMPLES,
     confidence: float = CONFIDENCE,
 ) -> tuple[Scores, Scores]:
-    """Where `statistic` of `scores` (runs, pieces) lies, from and to, by stratified bootstrap.
+    """Returns both ends of the interval of `statistic` of `scores` (runs, pieces).
 
-    The percentile bootstrap of section 4.1: the runs of each piece are drawn anew from these runs,
+    It is the stratified percentile bootstrap of section 4.1: the runs of each piece are drawn anew from these runs,
     with replacement, as many as there are. It tells how much the figure owes to the seeds, for
     these very pieces. NaN where no piece has two runs that differ: nothing is random then.
     """
@@ -80,13 +80,13 @@ def bootstrap_interval(
 
 
 def _differ(scores: Scores) -> NDArray[np.bool_]:
-    """(pieces,) whether some run of a piece differs from another."""
+    """Returns whether some run of a piece differs from another (pieces,)."""
     least = np.fmin.reduce(scores, axis=0, initial=np.inf)
     return np.asarray(np.fmax.reduce(scores, axis=0, initial=-np.inf) > least)
 
 
 def _resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Scores:
-    """(resamples, runs, pieces)"""
+    """Draws scores anew (resamples, runs, pieces)."""
     there = ~np.isnan(scores)
     first = np.argsort(~there, axis=0, kind="stable")  # the runs that there are
     drawn = rng.integers(np.maximum(there.sum(axis=0), 1), size=(resamples, *scores.shape))
@@ -95,7 +95,7 @@ def _resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Scor
 
 
 def mean_interval(scores: Scores, confidence: float = CONFIDENCE) -> tuple[Scores, Scores, Scores]:
-    """Of each piece the mean over its runs, and from where to where it lies; each (pieces,).
+    """Returns the mean of each piece over its runs, and both ends of its interval; each (pieces,).
 
     Student's t interval, `mean -+ t s / sqrt(n)` with n - 1 degrees of freedom, because a bootstrap
     of few runs is too narrow. NaN from and to for a piece with a single run, or whose runs are all

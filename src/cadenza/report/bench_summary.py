@@ -14,7 +14,7 @@ from cadenza.report.charts import fixed_number
 
 
 class Metric(NamedTuple):
-    """What is measured of every run."""
+    """A measure of every run."""
 
     title: str
     decimals: int
@@ -48,7 +48,7 @@ METRICS = SHARES | {
     ),
     "power": Metric("Energy / music [W]", 1, "Of all actuators, for each second of music."),
 }
-"""All metrics of a run; NaN stands for one that is not known."""
+"""Metrics of a run; NaN stands for one that is not known."""
 
 BARS = ("f1", "note_onset_f1", "pooled_f1")
 """Metrics that are drawn as bars."""
@@ -74,7 +74,7 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Piece:
-    """What was played."""
+    """A piece that was played."""
 
     name: str
     title: str
@@ -97,14 +97,14 @@ class Run:
     agent: str
     seed: int
     metrics: Mapping[str, float]
-    """All of `METRICS`."""
+    """Value of each of `METRICS`."""
     page: Path | None
     """The page on which it can be seen and heard."""
 
 
 @dataclass(frozen=True)
 class AgentSummary:
-    """How an agent does on a number of pieces."""
+    """Results of an agent on a number of pieces."""
 
     pieces: int
     runs: int
@@ -133,21 +133,21 @@ class Group:
 
 @dataclass(frozen=True)
 class BenchSummary:
-    """All that the pages show."""
+    """Content of the pages."""
 
     title: str
     pieces: Sequence[Piece]
     agents: Sequence[str]
-    """Those who played the most pieces first, and of these the best."""
+    """Ordered by how many pieces they played, and then by how well."""
     runs: Sequence[Run]
     by_piece: Mapping[str, Estimate]
     """The mean over seeds of each of `METRICS`: arrays (agents, pieces), NaN without a run."""
     groups: Sequence[Group]
-    """All pieces first."""
+    """The first is that of all pieces."""
     common: Group
     """The pieces that all agents played; all, if there are none."""
     caveats: Sequence[tuple[str, Sequence[str]]]
-    """What to know before comparing: a line, and its cases."""
+    """Reasons to be careful with comparisons: a line, and its cases."""
 
 
 def metric_text(name: str, value: float) -> str:

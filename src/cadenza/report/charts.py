@@ -60,7 +60,7 @@ class LineChart(NamedTuple):
     description: str
     """A sentence that stands for the picture."""
     data: dict[str, Any]
-    """What `curves.js` reads."""
+    """Input of `curves.js`."""
 
 
 def line_chart(

@@ -48,7 +48,7 @@ class Run:
     agent: str
     seed: int
     metrics: Mapping[str, float]
-    """All of `COLUMNS`; NaN where one is not defined."""
+    """Value of each of `COLUMNS`; NaN where one is not defined."""
     episode: Episode
 
     @property

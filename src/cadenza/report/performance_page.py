@@ -24,7 +24,7 @@ SCRIPTS = (
     *("chart.js", "roll.js", "rewards.js", "controls.js", "page.js"),
 )
 LIBRARIES = ("three.min.js", "uplot.min.js")
-"""All assets of the page of any performance, which a page of several performances holds once."""
+"""Libraries of the page. Its assets are the same for every performance."""
 _HEADLINES = {
     "f1": ("F1", "The balance of precision and recall, 0 to 1. At 1 every key is right, always."),
     "precision": ("Precision", "Of the keys that sound, the share that should, 0 to 1."),

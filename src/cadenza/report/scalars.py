@@ -1,4 +1,4 @@
-"""Figures of a run for TensorBoard and Weights & Biases, as they come."""
+"""Metrics of a training run for TensorBoard and Weights & Biases."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from cadenza.errors import extra_packages
 
 
 class Scalars(Protocol):
-    """Takes rows of figures."""
+    """Destination of rows of metrics."""
 
     def add(self, row: Mapping[str, float]) -> None:
-        """Shows a row; its step is `eval_step`, or else `step`."""
+        """Adds a row; its step is `eval_step`, or else `step`."""
 
     def close(self) -> None:
         """Writes what is left."""
 
 
 class TensorBoard:
-    """Event files in a folder."""
+    """Event files of TensorBoard in a folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        """`step` is where the run goes on; what is there of later steps is hidden.
+        """Resumes at `step`; what the files hold of later steps is hidden.
 
         Raises:
             CadenzaError: tensorboardX is not installed.
@@ -36,7 +36,7 @@ class TensorBoard:
         self._writer = SummaryWriter(str(folder), purge_step=step or None, filename_suffix=suffix)
 
     def add(self, row: Mapping[str, float]) -> None:
-        for name, value in _shown(row).items():
+        for name, value in _metrics(row).items():
             self._writer.add_scalar(name, value, _step(row))
 
     def close(self) -> None:
@@ -44,7 +44,7 @@ class TensorBoard:
 
 
 def need_wandb() -> Any:
-    """The package wandb.
+    """Imports the package wandb.
 
     Raises:
         CadenzaError: it is not installed.
@@ -58,7 +58,7 @@ class WeightsAndBiases:
     """A run on wandb.ai, or wherever its environment variables say."""
 
     def __init__(self, project: str, folder: Path, run: str, settings: Mapping[str, Any]) -> None:
-        """Goes on with the run of that id in the project, if there is one.
+        """Resumes the run of that id in the project, if there is one.
 
         Args:
             project: there.
@@ -78,7 +78,7 @@ class WeightsAndBiases:
         )
 
     def add(self, row: Mapping[str, float]) -> None:
-        self._run.log({**_shown(row), "control_steps": _step(row)})
+        self._run.log({**_metrics(row), "control_steps": _step(row)})
 
     def close(self) -> None:
         self._run.finish()
@@ -88,5 +88,5 @@ def _step(row: Mapping[str, float]) -> int:
     return int(row.get("eval_step", row["step"]))
 
 
-def _shown(row: Mapping[str, float]) -> dict[str, float]:
+def _metrics(row: Mapping[str, float]) -> dict[str, float]:
     return {n: v for n, v in row.items() if n not in ("step", "eval_step")}

@@ -1,4 +1,4 @@
-"""A score made audible, note by note; see `cadenza.report.tone`.
+"""Synthesis of a score, note by note; see `cadenza.report.tone`.
 
 Sound is made, levelled and encoded block by block, and lies in a file in between, so that the
 memory it takes does not grow with its length.
@@ -67,17 +67,17 @@ class Sound:
         return np.frombuffer(self._file.read(4 * max(last - first, 0)), np.int16).reshape(-1, 2)
 
     def write(self, first: int, samples: NDArray[np.int16]) -> None:
-        """Puts `samples` from `first` on."""
+        """Writes `samples` from the sample `first` on."""
         self._file.seek(4 * first)
         self._file.write(samples.tobytes())
 
 
 Samples = NDArray[np.int16] | Sound
-"""(n,) or (n, 2), 16 bit."""
+"""Samples (n,) or (n, 2), 16 bit."""
 
 
 def synthesize(score: Score, sample_rate: int = SAMPLE_RATE) -> Sound:
-    """The sound of `score`; of no samples without notes.
+    """Returns the sound of `score`; without notes it has no samples.
 
     Louder notes are also brighter; while the pedal is down, notes ring on after their end. The
     whole has an integrated loudness of -18 LUFS (ITU-R BS.1770) and peaks below -1 dBFS, so that
@@ -109,7 +109,7 @@ def encode_mp3(
     mono: bool = False,
     seconds: float = 0.0,
 ) -> bytes:
-    """`audio` as an MP3 file: what every browser plays.
+    """Returns `audio` as an MP3 file, which every browser plays.
 
     Args:
         bit_rate: of the file, bits a second.
@@ -129,7 +129,7 @@ def encode_mp3(
 
 
 def audio_frames(audio: Samples, sample_rate: int, length: int) -> Iterator[av.AudioFrame]:
-    """`length` samples of `audio`, with silence where it has no more, a second at a time."""
+    """Yields `length` samples of `audio`, with silence after its end, a second at a time."""
     for first in range(0, length, sample_rate):
         samples = np.zeros((min(sample_rate, length - first), *audio.shape[1:]), np.int16)
         part = audio[first : first + len(samples)]
@@ -146,7 +146,7 @@ class _LoudnessMeter:
 
     def __init__(self, sample_rate: int) -> None:
         self.integrated = -70.0
-        """[LUFS] of what was added, but for the last tenth of a second; -70 for silence."""
+        """Loudness [LUFS] of what was added, but for the last tenth of a second; -70 for silence."""
         self._rate, self._added = sample_rate, 0
         self._graph = av.filter.Graph()
         nodes = (
@@ -162,7 +162,7 @@ class _LoudnessMeter:
         self._graph.link_nodes(*nodes).configure()
 
     def add(self, block: NDArray[np.float32]) -> None:
-        """The next samples (2, n) of the piece."""
+        """Measures the next samples (2, n) of the piece."""
         frame = av.AudioFrame.from_ndarray(block, format="fltp", layout="stereo")
         frame.sample_rate, frame.pts = self._rate, self._added
         self._graph.push(frame)
@@ -178,7 +178,7 @@ class _LoudnessMeter:
 def _blocks(
     notes: list[tuple[Note, float]], length: int, rate: int
 ) -> Iterator[NDArray[np.float32]]:
-    """The sound of notes, sorted by their start, and their releases [s], block by block (2, n)."""
+    """Yields the sound of notes, sorted by start, with their releases [s], in blocks (2, n)."""
     loudest = max(note.velocity for note, _ in notes)
     size = _BLOCK * rate
     mix = np.zeros((2, size), np.float32)  # from the block's beginning on
@@ -199,7 +199,7 @@ def _blocks(
 
 
 def _at_least(length: int, mix: NDArray[np.float32]) -> NDArray[np.float32]:
-    """`mix` (2, n) with silence after it where it is shorter."""
+    """Returns `mix` (2, n) with silence after it where it is shorter."""
     return np.pad(mix, ((0, 0), (0, max(0, length - mix.shape[1]))))
 
 
@@ -209,7 +209,7 @@ def _tone_of(
     rate: int,
     tones: dict[tuple[int, int, int], NDArray[np.float32]],
 ) -> NDArray[np.float32]:
-    """The undamped tone of a note, at least as long as it is heard; `tones` keeps it."""
+    """Returns the undamped tone of a note, at least as long as it is heard; `tones` caches it."""
     band = note.velocity // _VELOCITY_BAND * _VELOCITY_BAND + _VELOCITY_BAND // 2
     # Lengths are powers of two, so that notes of different lengths share a tone.
     doublings = max(0, int(np.ceil(np.log2(release - note.start + _damping(note.pitch)))))
@@ -222,7 +222,7 @@ def _tone_of(
 
 
 def _releases(score: Score) -> list[float]:
-    """When the damper falls on each note [s]: key and pedal are up, or the key is struck again."""
+    """Returns when each damper falls [s]: key and pedal are up, or the key is struck again."""
     end = score.total_time
     times = np.array([event.time for event in score.pedal])
     down = np.array([event.value >= SUSTAIN_ON for event in score.pedal], bool)
@@ -245,14 +245,14 @@ def _releases(score: Score) -> list[float]:
 
 
 def _damping(pitch: int) -> float:
-    """Time from the damper's fall to silence [s]."""
+    """Returns the time from the damper's fall to silence [s]."""
     return 1.2 if pitch > LAST_DAMPER else 8 * DAMPING
 
 
 def _damped(
     tone: NDArray[np.float32], note: Note, release: float, rate: int
 ) -> NDArray[np.float32]:
-    """The note's tone with the damper falling at `release` [s], (n,)."""
+    """Returns the note's tone (n,) with the damper falling at `release` [s]."""
     held, damping = release - note.start, _damping(note.pitch)
     sound = tone[: int((held + damping) * rate)].copy()
     after = sound[int(held * rate) :]
@@ -264,7 +264,7 @@ def _damped(
 
 
 def _pan(pitch: int) -> NDArray[np.float32]:
-    """Gains (2,) of the left and right ear, of equal power: bass a little left."""
+    """Returns gains (2,) of the left and right ear, of equal power: bass a little left."""
     across = (pitch - PITCHES[0]) / (PITCHES[-1] - PITCHES[0])
     angle = np.pi / 4 * (1 + 0.45 * (2 * across - 1))
     return np.sqrt(2) * np.array([np.cos(angle), np.sin(angle)], np.float32)
@@ -294,7 +294,7 @@ def _in_room(blocks: Iterator[NDArray[np.float32]], rate: int) -> Iterator[NDArr
 
 
 def _level(sound: Sound, gain: float, rate: int) -> None:
-    """Puts the samples of a mix, in half precision, times `gain` in its place.
+    """Replaces a mix in half precision by its samples times `gain`.
 
     Where that exceeds the ceiling, it is turned down around peaks, so that the waveform is not
     bent.

@@ -1,4 +1,4 @@
-"""One note of a piano, with numpy alone.
+"""Synthesis of one note of a piano.
 
 A note is a sum of damped sinusoids, `sum_k a_k exp(-s_k t) sin(2 pi f_k t)`, with the stretched
 partials of a stiff string, `f_k ~ k f_1 sqrt(1 + B k^2)` (Fletcher, Blackham and Stratton, "Quality
@@ -20,7 +20,7 @@ DAMPING = 0.06  # [s] in which a damper reduces the sound to 1/e
 
 
 def tone(pitch: int, hardness: float, seconds: float, rate: int) -> NDArray[np.float32]:
-    """One undamped note of loudness 1, (n,); `hardness` 0..1 is how hard the hammer strikes.
+    """Returns an undamped note (n,) of loudness 1, struck with a `hardness` of 0 to 1.
 
     It decays at first as the strings of C2, C4 and C7 that Bensa et al. fitted to a grand piano
     ("The simulation of piano string vibration", JASA 114, 2003, table I): by 2, 10 and 80 dB a
@@ -63,7 +63,7 @@ def _ring(
     length: int,
     rate: int,
 ) -> NDArray[np.float32]:
-    """`sum_k level_k exp(-decay_k t) sin(2 pi frequency_k t)` for `length` samples.
+    """Returns `length` samples of `sum_k level_k exp(-decay_k t) sin(2 pi frequency_k t)`.
 
     Sample i * block + j of a damped sinusoid is the product of a factor of i and a factor of j, so
     the sum over k is one matrix product, and few exponentials are computed.
@@ -80,7 +80,7 @@ def _ring(
 
 
 def _powers(step: NDArray[Any], count: int) -> NDArray[Any]:
-    """`exp(step_k * i)` for i below `count`, (K, count), by few exponentials."""
+    """Returns `exp(step_k * i)` (K, count) for i below `count`, by few exponentials."""
     few = int(np.sqrt(count)) + 1
     coarse = np.exp(np.multiply.outer(few * step, np.arange(few)))
     fine = np.exp(np.multiply.outer(step, np.arange(few)))

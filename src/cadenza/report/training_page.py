@@ -52,7 +52,7 @@ _MAX_LINE_POINTS = 200  # of a line: more are not to be seen
 
 @dataclass(frozen=True)
 class Curve:
-    """What is known of one training run."""
+    """A training run."""
 
     name: str
     rows: Sequence[Mapping[str, float | None]]
@@ -63,7 +63,7 @@ class Curve:
     missing.
     """
     task: str = ""
-    """What it learns, and how; runs that differ in it are not drawn as one."""
+    """Song and settings; runs that differ in it are not drawn as one."""
     num_steps: float = math.nan
     """Control steps that it is to make, if that is known."""
 

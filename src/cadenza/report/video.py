@@ -16,7 +16,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import write_atomically
 from cadenza.report.sound import SAMPLE_RATE, Samples, audio_frames
 
-_SMALLEST = 16  # [px] that the encoder takes
+_MIN_SIZE = 16  # [px] that the encoder takes
 _THREADS = 2  # that encode; by default, x264 takes all cores
 
 
@@ -44,10 +44,10 @@ def write_video(
     if first is None:
         raise CadenzaError(f"{path}: a video needs at least one picture")
     height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
-    if min(height, width) < _SMALLEST:
+    if min(height, width) < _MIN_SIZE:
         raise CadenzaError(
             f"{path}: a video of {width} x {height} pixels cannot be encoded; "
-            f"choose {_SMALLEST} x {_SMALLEST} or more"
+            f"choose {_MIN_SIZE} x {_MIN_SIZE} or more"
         )
     with (
         write_atomically(path) as file,
@@ -80,7 +80,7 @@ def write_video(
 
 @contextmanager
 def _errors_of_files() -> Iterator[None]:
-    """Raises what went wrong with the file, and not that PyAV heard of it."""
+    """Raises the OSError behind an error of PyAV, if there is one."""
     try:
         yield
     except av.FFmpegError as error:

@@ -57,7 +57,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class EpisodeSpec(JobSpec):
-    """All that an episode depends on; its `seed` is the number of the episode of its song."""
+    """Everything that an episode depends on; `seed` is the number of the episode of its song."""
 
     variation: Variation = field(default_factory=Variation)
     student_config: Any = None

@@ -40,7 +40,7 @@ class PerturbedAgent(Agent):
     def __init__(
         self, agent: Agent, scene: Scene, noise: float, student: Agent | None = None
     ) -> None:
-        """`noise` is its standard deviation, of what the planner's search has for each servo."""
+        """Takes the standard deviation of the noise in units of that of the planner's search."""
         self._agent, self._student = agent, student
         self._sigma = noise * np.append(servos_of(scene).noise, 0.0)
         self.chosen: list[NDArray[np.float32]] = []
@@ -83,7 +83,7 @@ class PerturbedAgent(Agent):
         return task.scale_action(self.played[-1])[None]
 
     def close(self) -> None:
-        """Closes the student; the agent is whose it was."""
+        """Closes the student; the agent belongs to the caller."""
         if self._student is not None:
             self._student.close()
 

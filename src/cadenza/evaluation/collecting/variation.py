@@ -1,4 +1,4 @@
-"""How episodes of a song differ. Imports nothing heavy: the command line shows it."""
+"""Variation among the episodes of a song. Imports nothing heavy: the command line shows it."""
 
 from __future__ import annotations
 

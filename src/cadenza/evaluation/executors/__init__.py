@@ -1,1 +1,1 @@
-"""Where runs are carried out: processes of this machine, or a Ray cluster."""
+"""Executors carry out runs: in processes of this machine, or on a Ray cluster."""
