@@ -66,9 +66,10 @@ def bootstrap_interval(
 ) -> tuple[Scores, Scores]:
     """Returns both ends of the interval of `statistic` of `scores` (runs, pieces).
 
-    It is the stratified percentile bootstrap of section 4.1: the runs of each piece are drawn anew from these runs,
-    with replacement, as many as there are. It tells how much the figure owes to the seeds, for
-    these very pieces. NaN where no piece has two runs that differ: nothing is random then.
+    It is the stratified percentile bootstrap of section 4.1: the runs of each piece are drawn anew
+    from these runs, with replacement, as many as there are. It tells how much the statistic owes
+    to the seeds, for these very pieces. NaN where no piece has two runs that differ: nothing is
+    random then.
     """
     if not _differ(scores).any():
         unknown = np.full_like(statistic(scores), np.nan)

@@ -146,7 +146,7 @@ class _LoudnessMeter:
 
     def __init__(self, sample_rate: int) -> None:
         self.integrated = -70.0
-        """Loudness [LUFS] of what was added, but for the last tenth of a second; -70 for silence."""
+        """Loudness [LUFS] so far, but for the last tenth of a second; -70 for silence."""
         self._rate, self._added = sample_rate, 0
         self._graph = av.filter.Graph()
         nodes = (
