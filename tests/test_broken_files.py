@@ -29,8 +29,8 @@ from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.fingering_file import read_fingering, write_fingering
 from cadenza.music.score import Note, PedalEvent, Score
+from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.templates import write_page
 from cadenza.report.training_page import Curve, training_page
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig, task_identity

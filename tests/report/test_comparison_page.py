@@ -15,7 +15,7 @@ from made_up_episode import make_episode
 
 from cadenza.cli.compare import in_text
 from cadenza.report.comparison_page import COLUMNS, Run, comparison_page, means
-from cadenza.report.templates import asset, write_page
+from cadenza.report.html_pages import asset, write_page
 from headless import Browser, needs_chromium
 
 

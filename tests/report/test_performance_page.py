@@ -7,8 +7,8 @@ import pytest
 from made_up_episode import make_episode
 
 from cadenza.episode import Episode
+from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.templates import asset, write_page
 
 SILENCE = np.zeros((0, 2), np.int16)
 

@@ -6,9 +6,9 @@ from made_up_episode import DT, STEPS, make_episode
 
 from cadenza.episode import Episode
 from cadenza.music.performance import performed_score
+from cadenza.report.html_pages import write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import encode_mp3, synthesize
-from cadenza.report.templates import write_page
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import drawing
 from cadenza.scene.scene import build_scene

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from made_up_episode import DT, make_episode
 
+from cadenza.report.html_pages import asset, write_page
 from cadenza.report.performance_page import performance_page
-from cadenza.report.templates import asset, write_page
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.drawing import body_poses, drawing
 from cadenza.scene.scene import build_scene

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cadenza.report.templates import write_page
+from cadenza.report.html_pages import write_page
 from cadenza.report.training_page import Curve, training_page
 from headless import Browser, needs_chromium
 

@@ -81,7 +81,7 @@ def compare(command: Compare, again: Again[Compare]) -> None:
 def _tell(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
     """Writes the files, and prints the table."""
     from cadenza.report.comparison_page import comparison_page, means
-    from cadenza.report.templates import write_page
+    from cadenza.report.html_pages import write_page
 
     content = {
         "means": means(runs),

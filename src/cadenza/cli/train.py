@@ -249,7 +249,7 @@ def _sparingly(do: Callable[[], None]) -> Callable[[], None]:
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
     """The page of a run."""
-    from cadenza.report.templates import write_page
+    from cadenza.report.html_pages import write_page
     from cadenza.report.training_page import training_page
 
     pages = {"the best policy plays": "best_played/report.html", "video": "best_played/video.mp4"}
@@ -261,7 +261,7 @@ def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: boo
 
 
 def curves(command: Curves) -> None:
-    from cadenza.report.templates import write_page
+    from cadenza.report.html_pages import write_page
     from cadenza.report.training_page import training_page
 
     if not command.runs:

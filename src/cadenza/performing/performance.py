@@ -28,9 +28,9 @@ from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
 from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
+from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize
-from cadenza.report.templates import iframe, write_page
 from cadenza.report.video import write_video
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene

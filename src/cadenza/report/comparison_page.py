@@ -15,9 +15,9 @@ from cadenza.music.performance import key_runs, played_in
 from cadenza.music.score import is_black, note_name
 from cadenza.report import performance_page as performance
 from cadenza.report.charts import Bar
+from cadenza.report.html_pages import asset, render
 from cadenza.report.recording import VERDICTS, verdict
 from cadenza.report.sound import synthesize
-from cadenza.report.templates import asset, render
 
 COLUMNS = {
     "f1": ("F1", 3),

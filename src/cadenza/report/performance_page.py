@@ -14,9 +14,9 @@ import numpy as np
 from cadenza.configs import flat
 from cadenza.episode import Episode
 from cadenza.music.formats.finger_numbers import finger_from
+from cadenza.report.html_pages import render
 from cadenza.report.recording import recording_of
 from cadenza.report.sound import SAMPLE_RATE, Samples, encode_mp3
-from cadenza.report.templates import render
 
 STYLES = ("uplot.min.css", "page.css", "chart.css")
 SCRIPTS = (
@@ -45,7 +45,7 @@ def performance_page(
     midi: bytes = b"",
     video: str = "",
 ) -> Iterator[str]:
-    """Yields the page of an episode piece by piece, see `templates.render`.
+    """Yields the page of an episode piece by piece, see `html_pages.render`.
 
     Args:
         episode: what to show; without a drawn scene, the page has all but the 3D view.

@@ -44,7 +44,7 @@ from cadenza.report.charts import (
     line_chart,
     line_style,
 )
-from cadenza.report.templates import render, write_page
+from cadenza.report.html_pages import render, write_page
 
 _STYLES = (*STYLES, "results.css")
 _MEANS = {"f1": "Mean F1", "note_onset_f1": "Mean note onset F1"}  # beside interquartile means

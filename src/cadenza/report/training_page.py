@@ -24,8 +24,8 @@ from cadenza.report.charts import (
     line_chart,
     line_style,
 )
+from cadenza.report.html_pages import render
 from cadenza.report.performance_page import settings_table
-from cadenza.report.templates import render
 
 _REWARDS = "eval/reward/"
 _TITLES = {

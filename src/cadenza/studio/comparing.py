@@ -10,7 +10,7 @@ from typing import Any
 from cadenza.episode import load_episode
 from cadenza.files import read_json
 from cadenza.report.comparison_page import COLUMNS, Run, comparison_page
-from cadenza.report.templates import write_page
+from cadenza.report.html_pages import write_page
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.request import AGENTS
 from cadenza.studio.shelf import Kept

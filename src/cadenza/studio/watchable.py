@@ -30,7 +30,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cadenza.errors import CadenzaError
-from cadenza.report.templates import asset
+from cadenza.report.html_pages import asset
 from cadenza.studio.address import Address, announce, keep
 from cadenza.studio.address import known as known_address
 from cadenza.studio.guard import Guard

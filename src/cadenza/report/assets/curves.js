@@ -1,4 +1,4 @@
-// Charts of lines over numbers, as line_chart.py leaves them on a page.
+// Line charts, whose numbers charts.py leaves on a page.
 
 const DASHES = { precision: [0.1, 4], recall: [6, 4] };
 const DOTTED = 40; // lines of no more points than this show each of them

@@ -1,4 +1,4 @@
-// What is unfolded, and the page anew while the run goes on.
+// Keeps what is unfolded, and loads the page anew while the run goes on.
 
 // The browser keeps the place on the page; what is unfolded is left to us.
 const settings = document.querySelector("details");
