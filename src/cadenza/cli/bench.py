@@ -193,7 +193,7 @@ def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) 
     learnt = load_policy(folder)
     own = again(replace(command, task=learnt.task, scene=learnt.scene))
     digest = sha256_of(folder / MANIFEST)[:12]
-    return Contender(agent, own.task, own.scene, digest=digest)
+    return Contender(agent, own.task, own.scene, agent_digest=digest)
 
 
 def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:

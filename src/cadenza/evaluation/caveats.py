@@ -95,14 +95,14 @@ def _differing(settings: Sequence[tuple[Result, Mapping[str, Any]]]) -> list[str
     """Returns a line for each name whose value is not the same in all runs, and who has which."""
     lines = []
     for name in dict.fromkeys(name for _, values in settings for name in values):
-        whose: dict[Any, list[str]] = {}
+        by_value: dict[Any, list[str]] = {}
         for result, values in settings:
             value = values.get(name)
-            whose.setdefault("not set" if value is None else str(value), []).append(result.agent)
-        if len(whose) > 1:
+            by_value.setdefault("not set" if value is None else str(value), []).append(result.agent)
+        if len(by_value) > 1:
             each = (
                 f"{value} in {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
-                for value, agents in whose.items()
+                for value, agents in by_value.items()
             )
             lines.append(f"{name}: {'; '.join(each)}")
     return lines
@@ -126,15 +126,15 @@ def _rewarded_fingers(results: Sequence[Result]) -> list[str]:
 
 def _not_as_written(results: Sequence[Result]) -> list[str]:
     """Returns a line for each option that changes the music."""
-    told: dict[str, list[str]] = {}
+    changes: dict[str, list[str]] = {}
     for result in results:
         settings = dict(flat(result.job))
         for name, usual in _AS_WRITTEN.items():
             if (value := settings.get(name)) not in (usual, None):
-                told.setdefault(f"{name} {value}", []).append(result.agent)
+                changes.setdefault(f"{name} {value}", []).append(result.agent)
     return [
         f"{what}: {_counted(agents, 'run')} ({', '.join(dict.fromkeys(agents))})"
-        for what, agents in told.items()
+        for what, agents in changes.items()
     ]
 
 

@@ -109,7 +109,7 @@ class Contender:
     scene: SceneConfig
     config: Any = None
     """See `JobSpec.config`; the seed of training is that of the run."""
-    digest: str = ""
+    agent_digest: str = ""
 
     def with_seed(self, seed: int) -> Contender:
         if not isinstance(self.config, TrainingConfig):
@@ -141,17 +141,12 @@ def bench_jobs(
     jobs = dict[str, Job]()
     for seed, (song, digest) in product(seeds, songs):
         for contender in by_song[song.name]:
-            seeded = contender.with_seed(seed)
             spec = JobSpec(
                 song=song.name,
                 song_digest=digest,
-                agent=seeded.agent,
                 seed=seed,
-                task=seeded.task,
-                scene=seeded.scene,
                 arrangement=arrangement,
-                config=seeded.config,
-                agent_digest=seeded.digest,
+                **vars(contender.with_seed(seed)),
             )
             page = pages == "all" or (pages == "first-seed" and seed == seeds[0])
             jobs.setdefault(spec.key, Job(spec, song, page))

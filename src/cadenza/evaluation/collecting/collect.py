@@ -93,7 +93,7 @@ class Demonstrator(NamedTuple):
 
 
 def episodes(
-    library: Library, who: Demonstrator, numbers: Sequence[int], least_f1: float
+    library: Library, demonstrator: Demonstrator, numbers: Sequence[int], least_f1: float
 ) -> list[EpisodeJob]:
     """Returns all episodes to be collected: the first of every song, then the second and so on.
 
@@ -101,21 +101,15 @@ def episodes(
         CadenzaError: a song cannot be read.
     """
     songs = songs_of(library)
-    files = digest_of_files(who.config, who.student_config)
+    files = digest_of_files(demonstrator.config, demonstrator.student_config)
     return [
         EpisodeJob(
             EpisodeSpec(
                 song=song.name,
                 song_digest=digest,
-                agent=who.agent,
                 seed=number,
-                task=who.task,
-                scene=who.scene,
-                arrangement=who.arrangement,
-                config=who.config,
-                variation=who.variation,
-                student_config=who.student_config,
                 agent_digest=files,
+                **demonstrator._asdict(),
             ),
             song,
             least_f1=least_f1,
