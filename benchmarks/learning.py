@@ -223,7 +223,7 @@ class PlainLoop:
         return np.concatenate(parts, dtype=np.float32, casting="same_kind")
 
     def _step(self, action: Floats) -> None:
-        ctrl = self._task.scale_action(action[None])
+        ctrl = self._task.spec.scale_action(action[None])
         result = self._task.step(ctrl)
         reward, goes_on = result.reward.astype(np.float32), ~result.terminated
         before, self._observation = self._observation, self._observe(ctrl[0], reward)

@@ -27,6 +27,7 @@ from cadenza.agents.planner.config import (
     PredictiveSamplingConfig,
 )
 from cadenza.agents.planner.planner import Planner
+from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import errors_in_a_line
 from cadenza.music.libraries.library import load_score
 from cadenza.tasks.config import TaskConfig
@@ -48,14 +49,13 @@ class Result(NamedTuple):
 
 def perform(agent: Agent, task: PianoTask, num_steps: int, seed: int) -> Result:
     """Has the agent play the first `num_steps` control steps."""
-    task_rng, agent_rng = np.random.default_rng(seed).spawn(2)
-    task.reset([task_rng], [0])
+    (agent_rng,) = begin_episodes(task, [seed])
     started = time.perf_counter()
     agent.reset([0], [agent_rng])
     if isinstance(agent, PlannerPerEnv):
         agent.planners[0] = agent.begin(task.view(), agent_rng)
     beforehand = time.perf_counter() - started
-    planning = beforehand * num_steps / int(task.sheets.num_steps[0])
+    planning = beforehand * num_steps / int(task.goals.num_steps[0])
     fingering = 0.0
     for _ in range(num_steps):
         started = time.perf_counter()
@@ -105,7 +105,7 @@ def main() -> None:
     config = TaskConfig(initial_buffer_time=options.initial_buffer_time)
     task = PianoTask([load_score(options.song)], config)
     task.reset([np.random.default_rng(0)], [0])
-    num_steps = min(options.steps, int(task.sheets.num_steps[0]))
+    num_steps = min(options.steps, int(task.goals.num_steps[0]))
 
     def row(name: str, agent: Agent, seeds: int = 1) -> None:
         results = [perform(agent, task, num_steps, seed) for seed in range(seeds)]

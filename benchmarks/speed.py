@@ -61,7 +61,7 @@ def environment(
     envs = PianoVectorEnv(
         SONG, num_envs, num_threads, autoreset_mode=AutoresetMode.SAME_STEP, physics=physics
     )
-    batches = np.repeat(envs.unscale_action(actions)[:, None], num_envs, axis=1)
+    batches = np.repeat(envs.task.spec.unscale_action(actions)[:, None], num_envs, axis=1)
     episodes = max(EPISODES // num_envs, 1)
     envs.reset(seed=0)
     for batch in batches:  # a whole episode, so that nothing is loaded while the clock runs

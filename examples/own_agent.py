@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Trembling(cadenza.Agent):
         self._rngs: dict[int, np.random.Generator] = {}
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
-        self._planner.num_threads = self.num_threads
+        self._planner.num_threads, self._planner.progress = self.num_threads, self.progress
         self._planner.reset(env_ids, rngs)
         self._rngs |= dict(zip(env_ids, rngs, strict=True))
 
@@ -46,6 +47,9 @@ class Trembling(cadenza.Agent):
         noise = [rngs[env].normal(0, self.config.noise, size) for env in view.env_ids.tolist()]
         action = self._planner.act(view) + noise
         return np.clip(action, view.task.action_low, view.task.action_high)
+
+    def song_plan(self, env_id: int) -> Any:
+        return self._planner.song_plan(env_id)  # its report shows fingers and missed notes
 
     def close(self) -> None:
         self._planner.close()

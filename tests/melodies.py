@@ -22,4 +22,4 @@ def whole_plan(score: Score, later: int | np.ndarray = 0, haste: float = 1.0) ->
     task = PianoTask([score], BUFFER, SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
     start = task.state.hand_qpos[0]
-    return plan_song(task.sheets.tracks[0], start, later=later, haste=haste)
+    return plan_song(task.goals.tracks[0], start, later=later, haste=haste)

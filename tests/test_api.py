@@ -224,7 +224,7 @@ def test_the_environments_of_the_documentation_run(capsys: pytest.CaptureFixture
     exec(compile(code, "python.md", "exec"), names := {})
     assert capsys.readouterr().out.startswith("['Ode to Joy' 'Frère Jacques' ")
     np.testing.assert_allclose(
-        names["envs"].unwrapped.scale_action(names["actions"]), names["ctrl"], atol=1e-12
+        names["spec"].scale_action(names["actions"]), names["ctrl"], atol=1e-12
     )
 
 

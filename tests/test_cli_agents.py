@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from cadenza.cli import main
@@ -57,21 +56,6 @@ class NeverBegins(Still):
 class OnlyResets:
     def reset(self, env_ids, rngs):
         pass
-
-class Clumsy:
-    def __init__(self):
-        self._planner = cadenza.make_agent("planner")
-    def reset(self, task, rng):
-        self._planner.reset(task, rng)
-        self._task = task
-    def act(self):
-        return np.clip(self._planner.act(), self._task.action_low, self._task.action_high)
-
-class OfOneEnvironment:
-    def reset(self, task, rng):
-        self._task, self._rng = task, rng
-    def act(self):
-        return self._rng.uniform(self._task.action_low, self._task.action_high)
 
 not_a_class = 3
 """
@@ -295,24 +279,6 @@ def test_an_agent_of_ones_own(here: Path) -> None:
     assert settings(here / "played")["agent"] == "own:Still"
 
 
-def test_an_agent_of_one_environment_plays_as_it_did(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for agent in ("own:OfOneEnvironment", "random"):
-        main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", agent[-6:]])
-    (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith("agent OfOneEnvironment: reset(task, rng) and act() will not be ")
-    ours, theirs = (load_episode(here / name / "episode.npz") for name in ("random", "onment"))
-    np.testing.assert_array_equal(ours["action"], theirs["action"])
-
-
-def test_an_agent_of_one_environment_may_be_written_around_a_planner(here: Path) -> None:
-    for agent in ("own:Clumsy", "planner"):
-        main(["play", "tune.mid", "--agent", agent, "--no-video", "-o", agent[-6:]])
-    ours, theirs = (load_episode(here / name / "episode.npz") for name in ("Clumsy", "lanner"))
-    np.testing.assert_array_equal(ours["action"], theirs["action"])
-
-
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("name", "said"),
@@ -326,7 +292,7 @@ def test_an_agent_of_one_environment_may_be_written_around_a_planner(here: Path)
         ("own:not_a_class", "agent own:not_a_class: own:not_a_class is of type int; give a class"),
         (
             "own:OnlyResets",
-            "agent own:OnlyResets: has no method act; derive its class from cadenza.Agent",
+            "agent own:OnlyResets: is no Agent; derive its class from cadenza.Agent",
         ),
         ("planer", "no agent 'planer': did you mean planner? choose from planner, "),
         ("xyz", "no agent 'xyz': choose from planner, "),
@@ -342,19 +308,6 @@ def test_agents_that_there_are_not(
 def test_a_planner_needs_a_thread(capsys: pytest.CaptureFixture[str]) -> None:
     line = refused(capsys, "plan", "tune.mid", "--num-threads", "0")
     assert line == "cadenza: num_threads 0: choose 1 to 1024"
-
-
-def test_the_name_that_playback_had_still_works(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(["play", "tune.mid", "--agent", "random", "--no-video", "-o", "a"])
-    replay = ["--agent", "replay", "--plan", "a/episode.npz", "--no-video"]
-    main(["play", "tune.mid", *replay, "-o", "b"])
-    said = capsys.readouterr().err
-    assert said == "agent replay is now called playback; the next version takes only that\n"
-    assert settings(here / "b")["agent"] == "playback"
-    first, again = (load_episode(here / name / "episode.npz") for name in ("a", "b"))
-    np.testing.assert_array_equal(first["key_qpos"], again["key_qpos"])
 
 
 @pytest.mark.usefixtures("here")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import field, fields, make_dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import pytest
 import cadenza
 from cadenza import CadenzaError, Note, SceneConfig, Score, TaskConfig
 from cadenza.cli import main
-from cadenza.configs import added, as_config, identity
+from cadenza.configs import as_config
 from cadenza.files import content_of, opened
 from cadenza.scene.scene import build_scene
 
@@ -131,11 +131,13 @@ BROKEN = {
     "syntax": "def (",
     "exits": "import sys; sys.exit(0)",
     "raises": "raise RuntimeError('two\\nlines')",
-    "wants": "class A:\n    def __init__(self, more): pass",
-    "reset": "class A:\n    def reset(self, envs, rngs): 1 / 0\n    def act(self, view): pass",
-    "act": "class A:\n    def reset(self, *_): pass\n    def act(self, view): raise SystemExit",
-    "text": "class A:\n    def reset(self, envs, rngs): pass\n    def act(self, view): return 'x'",
-    "nan": "class A:\n    def reset(self, envs, rngs): pass\n"
+    "wants": "class A(Agent):\n    def __init__(self, more): pass",
+    "reset": "class A(Agent):\n    def reset(self, *_): 1 / 0\n    def act(self, view): pass",
+    "act": "class A(Agent):\n    def act(self, view): raise SystemExit",
+    "text": "class A(Agent):\n    def act(self, view): return 'x'",
+    "plan": "class A(Agent):\n    def act(self, view): return [view.task.action_low]\n"
+    "    def song_plan(self, env_id): return 5",
+    "nan": "class A(Agent):\n"
     "    def act(self, view): return [[float('nan')] * view.task.action_size]",
 }
 
@@ -144,7 +146,7 @@ BROKEN = {
 def test_agents_of_others_that_break(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / f"broken_{name}.py").write_text(BROKEN[name])
+    (tmp_path / f"broken_{name}.py").write_text(f"from cadenza import Agent\n{BROKEN[name]}")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
@@ -155,7 +157,7 @@ def test_agents_of_others_that_break(
 
 
 def test_an_agent_s_own_error_is_the_cause() -> None:
-    class Breaks:
+    class Breaks(cadenza.Agent):
         def reset(self, env_ids: Any, rngs: Any) -> None:
             raise KeyError("here")
 
@@ -191,30 +193,3 @@ def test_a_name_of_two_lines_is_shown_in_one(
     assert capsys.readouterr().err.splitlines() == [
         r"cadenza: two\nlines: is a folder, but not of a policy or of practice; give a file"
     ]
-
-
-SWING = ("swing", float, field(default=0.0, metadata=added(before=0.0)))
-
-
-def test_a_field_that_is_added_changes_nothing_until_it_is_used() -> None:
-    old = make_dataclass("Old", [("tempo", float, 1.0)])
-    new = make_dataclass("New", [("tempo", float, 1.0), SWING])
-    assert identity(new()) == identity(old()) == {"tempo": 1.0}
-    assert identity(new(swing=0.5)) == {"tempo": 1.0, "swing": 0.5}
-
-
-def test_another_default_is_another_result() -> None:
-    slow = make_dataclass("Slow", [("tempo", float, 0.5)])
-    fast = make_dataclass("Fast", [("tempo", float, 1.0)])
-    assert identity(slow()) != identity(fast())
-    swings = field(default=0.5, metadata=added(before=0.0))
-    later = make_dataclass("Later", [("swing", float, swings)])
-    assert identity(later()) == {"swing": 0.5}
-    assert identity(later(swing=0.0)) == {}
-
-
-def test_options_within_options_count_the_same_way() -> None:
-    inner = make_dataclass("Inner", [SWING])
-    outer = make_dataclass("Outer", [("rhythm", inner), ("tempo", float)])
-    assert identity(outer(inner(), 1.0)) == {"rhythm": {}, "tempo": 1.0}
-    assert identity(outer(inner(0.5), 1.0)) == {"rhythm": {"swing": 0.5}, "tempo": 1.0}

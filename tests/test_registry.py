@@ -1,4 +1,4 @@
-"""What other installed packages add by entry points, and what is wrong with some of them."""
+"""Names that other installed packages add by entry points, some of which are broken."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from cadenza.registry import Entry, Registry
 
 TUNE = Score((Note(0.0, 0.2, 60), Note(0.2, 0.4, 64)))
 AGENT = """
+import cadenza
 import numpy as np
 
-class Still:
+class Still(cadenza.Agent):
     def reset(self, env_ids, rngs):
         pass
     def act(self, view):
@@ -202,7 +203,7 @@ def result(name: str) -> Any:
 
 
 def action_share(episode: cadenza.Episode) -> np.ndarray:
-    """Where in the range of its actuator each action is."""
+    """The place of each action in the range of its actuator."""
     low, high = episode["action_min"], episode["action_max"]
     return (episode["action"] - low) / (high - low)
 

@@ -1,4 +1,4 @@
-"""Configurations as they are to be: every field of the type that it says."""
+"""Checks of configurations: every field has the type that its annotation says."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cadenza.errors import CadenzaError
 T = TypeVar("T")
 
 MOST_SEED = 2**128  # numpy takes any
-MOST_COUNT = 2**53  # of what has no other limit: JSON of others knows no larger whole numbers
+MOST_COUNT = 2**53  # where there is no other limit: the largest whole number of JSON in JavaScript
 
-_BEFORE, _FILE = "before", "file"  # of the metadata of a field
+_FILE = "file"  # key in the metadata of a field
 
 _WORDS = {
     bool: "give True or False",
@@ -28,12 +28,16 @@ _WORDS = {
 
 
 def as_config(value: Any, kind: type[T]) -> T:
-    """`value`, which is to be a `kind`, a dataclass, with plain values; its defaults for None.
+    """Checks that `value` is a `kind`, a dataclass, with fields of the right types.
 
-    Nothing is converted but numbers of numpy, lists to tuples and whole numbers to floats.
+    Only numbers of NumPy, lists as tuples and whole numbers as floats are converted.
+
+    Args:
+        value: the configuration; None is `kind` with its defaults.
+        kind: the dataclass.
 
     Raises:
-        CadenzaError: it is something else, or one of its fields is.
+        CadenzaError: the value or one of its fields is of another type.
     """
     if value is None:
         return kind()
@@ -50,7 +54,7 @@ def _plain(value: T, kind: type[T], prefix: str = "") -> T:
 
 
 def _nested(value: Any, kind: type[T], name: str) -> T:
-    """A `kind` within another dataclass, from such a one or from a dictionary of its fields."""
+    """A `kind` within another dataclass, given as such or as a dictionary of its fields."""
     if isinstance(value, Mapping):
         known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
         if unknown := [key for key in value if key not in known]:
@@ -62,46 +66,22 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
     return _plain(value, kind, f"{name}.")
 
 
-def added(*, before: Any) -> Mapping[str, Any]:
-    """The metadata of a field that a dataclass was given after results had been kept with it.
-
-    `before` is the value that stands for what went without saying until there was the field. It
-    never changes, whatever becomes of the default.
-    """
-    return {_BEFORE: before}
-
-
 def names_file() -> Mapping[str, Any]:
     """The metadata of a field that is the path of a file."""
     return {_FILE: True}
 
 
 def files_named(config: Any) -> list[str]:
-    """The files that the options of a dataclass name, or of None."""
+    """The paths of files in a configuration, which may be None; see `names_file`."""
     named = [each.name for each in fields(config) if _FILE in each.metadata] if config else []
     return [value for name in named if (value := getattr(config, name)) is not None]
 
 
-def identity(config: Any) -> dict[str, Any]:
-    """Field -> value of a dataclass and of those in it: what tells results with it from others.
-
-    An option counts with its value even where that is the default: with another default, another
-    result is asked for. A field that was `added` is left out while it says what was so before:
-    what is asked for then is what was asked for without it.
-    """
-    values = {
-        each.name: value
-        for each in fields(config)
-        if (value := getattr(config, each.name)) != each.metadata.get(_BEFORE, MISSING)
-    }
-    return {name: identity(v) if is_dataclass(v) else v for name, v in values.items()}
-
-
 def check_kind(kind: type) -> None:
-    """That a dataclass of somebody else's is one that `as_config` takes.
+    """Checks that a user's dataclass of options is one that `as_config` takes.
 
     Raises:
-        CadenzaError: a field has no default, or is of a type that no option has.
+        CadenzaError: a field has no default, or its type is not allowed.
     """
     hints = get_type_hints(kind)
     for each in fields(kind):
@@ -124,7 +104,7 @@ def whole_number(value: Any, name: str, least: int, most: int) -> int:
     """`value` as an int from `least` to `most`.
 
     Raises:
-        CadenzaError: it is none; `name` is named.
+        CadenzaError: it is not; the message begins with `name`.
     """
     number: int = _as(value, int, name)
     _check_range(number, name, least, most)
@@ -134,10 +114,15 @@ def whole_number(value: Any, name: str, least: int, most: int) -> int:
 def check_ranges(
     config: object, ranges: Mapping[str, tuple[float, float]], prefix: str = ""
 ) -> None:
-    """That the fields named are from the least to the most.
+    """Checks that fields are in their ranges.
+
+    Args:
+        config: the configuration.
+        ranges: name -> (minimum, maximum) of fields.
+        prefix: stands before names in messages.
 
     Raises:
-        CadenzaError: one is not; its name is told after `prefix`.
+        CadenzaError: a field is out of its range.
     """
     for name, (least, most) in ranges.items():
         _check_range(getattr(config, name), prefix + name, least, most)
@@ -156,21 +141,21 @@ def _as(value: Any, hint: Any, name: str) -> Any:
         return msgspec.convert(value.item() if isinstance(value, np.generic) else value, hint)
     except (msgspec.ValidationError, OverflowError) as error:
         given = " ".join(repr(value).split())
-        raise CadenzaError(f"{name} {given:.100}: {_what(hint)}") from error
+        raise CadenzaError(f"{name} {given:.100}: {_demand(hint)}") from error
 
 
-def _what(hint: Any) -> str:
-    """To be given, in words."""
+def _demand(hint: Any) -> str:
+    """The demand of a type, in words."""
     first, *others = get_args(hint) or (hint,)
     match get_origin(hint):
         case origin if origin is Literal:
             return f"choose from {', '.join([first, *others])}"
         case origin if origin is tuple and ... not in others:
-            return f"give {len(others) + 1} of them; for each, {_what(first)}"
+            return f"give {len(others) + 1} of them; for each, {_demand(first)}"
         case origin if origin is tuple:
-            return f"give a list; for each of it, {_what(first)}"
+            return f"give a list; for each of it, {_demand(first)}"
         case origin if origin in (Union, UnionType):
-            return f"{_what(first)}, or None"
+            return f"{_demand(first)}, or None"
     return _WORDS[hint]
 
 

@@ -1,4 +1,4 @@
-"""The one exception that is meant for a person rather than a programmer."""
+"""Errors whose message is meant for users rather than programmers."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ class CadenzaError(Exception):
 
 
 class CadenzaWarning(UserWarning):
-    """Something that is done all the same, though not as one may expect.
+    """Something was done, though not as one may expect.
 
     The message is one line. The command line prints it without a traceback.
     """
 
 
 def is_full(error: Exception) -> bool:
-    """Whether it is that of a disk without room."""
+    """Whether the error says that the disk is full."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether there was too little memory, which each library says in its own words."""
+    """Whether the error, or a cause of it, says that memory was short, in any library's words."""
     return _lack_of_memory(error) is not None
 
 
 def _lack_of_memory(error: BaseException | None) -> BaseException | None:
-    """The error that tells of it, which may be the cause of what is known."""
+    """The error among `error` and its causes that says so."""
     while error is not None:
         said = "" if isinstance(error, CadenzaError) else str(error)
         if isinstance(error, MemoryError) or any(words in said for words in _LACKS_MEMORY):
@@ -54,7 +54,7 @@ def _lack_of_memory(error: BaseException | None) -> BaseException | None:
 
 
 def explained(error: BaseException) -> str:
-    """What is wrong, and what to do where the disk is full or there is too little memory."""
+    """The message of an error, with advice if the disk is full or memory is short."""
     if isinstance(error, OSError) and is_full(error):
         where = f"{error.filename}: " * bool(error.filename)
         return f"{where}the disk is full; free some space, then give the same command again"
@@ -66,10 +66,7 @@ def explained(error: BaseException) -> str:
 
 @contextmanager
 def errors_in_a_line() -> Iterator[None]:
-    """Says what is wrong, and ends the program with status 2, instead of a traceback.
-
-    For programs that are no part of the command line.
-    """
+    """Prints errors as a line and exits with status 2, in programs outside the command line."""
     try:
         yield
     except Exception as error:
@@ -81,10 +78,10 @@ def errors_in_a_line() -> Iterator[None]:
 
 @contextmanager
 def extra_packages(extra: str, what: str) -> Iterator[None]:
-    """Says how to install what cannot be imported in the block: an `extra` of Cadenza's.
+    """Turns failed imports of the block into advice to install an `extra` of Cadenza.
 
     Raises:
-        CadenzaError: an import fails. The message begins with `what` needs it.
+        CadenzaError: an import fails. The message begins with `what`, which needs the packages.
     """
     try:
         yield
@@ -98,10 +95,9 @@ def extra_packages(extra: str, what: str) -> Iterator[None]:
 
 @contextmanager
 def by_others(what: str) -> Iterator[None]:
-    """Raises as a CadenzaError of a line whatever goes wrong in the block; it begins with `what`.
+    """Turns all errors of user's code in the block into a `CadenzaError` that begins with `what`.
 
-    For code that somebody else has written. The error itself is the cause. Files that cannot be
-    read or written stay what they are.
+    The error itself is its cause. An OSError stays one.
     """
     try:
         yield

@@ -1,8 +1,8 @@
-"""Names for what can be exchanged: agents, hands, song libraries, learners.
+"""Registries of names: agents, hands, keyboards, song libraries, learners, setups.
 
-A name is one of our own, from a table beside its kind; one that another installed package has added
-by an entry point; or `module:Name`. What it stands for is imported when it is asked for, so that a
-package that is broken harms nobody who does not use it.
+A name is built in; or another installed package has added it by an entry point; or it is
+`module:Name`. Its object is imported when it is loaded, so that a broken package harms nobody who
+does not use it.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ T = TypeVar("T")
 
 
 def module_of(name: str) -> str | None:
-    """The module of `module:Name`, None for any other name."""
+    """The module of a `module:Name`, None for any other name."""
     return name.partition(":")[0] if ":" in name else None
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What has a name."""
+    """The object that a name stands for."""
 
     place: str
-    """Where it is, as `module:Name`."""
+    """The object's place, as `module:Name`."""
     about: str = ""
-    """What it is, in a line."""
+    """A description in one line."""
     config: type | None = None
-    """The dataclass of its options, if it has any; they are shown without importing the place."""
+    """The dataclass of its options, if it has any; help shows them without importing the object."""
 
 
 @dataclass(frozen=True)
 class Registry:
-    """All names of one kind.
+    """The names of one kind.
 
         HANDS = Registry("hand", "cadenza.hands", {"shadow": Entry("cadenza.hands.shadow:SHADOW")})
         hand = HANDS.load("shadow", Hand)
@@ -51,25 +51,25 @@ class Registry:
     """
 
     kind: str
-    """As errors call it, such as "agent"."""
+    """The kind, in words for errors, such as "agent"."""
     group: str
-    """Of the entry points by which other packages add to it."""
+    """The group of entry points by which other packages add names."""
     own: Mapping[str, Entry] = field(default_factory=dict)
-    """Our own, which come before those of others."""
+    """Name -> built-in object. Built-in names precede those of other packages."""
     otherwise: str = "module:Name"
-    """What can be given instead of a name, as errors say."""
+    """The alternative to a name, in words for errors."""
 
     def entries(self) -> dict[str, Entry]:
-        """By name: our own, and then those of other packages in alphabetical order."""
+        """Name -> object: built-in names, then those of other packages in alphabetical order."""
         theirs = sorted(self._installed(), key=itemgetter(0))
         return {**self.own, **{name: entry for name, entry in theirs if name not in self.own}}
 
     def load(self, name: str, kind: type[T]) -> T:
-        """What `name` stands for, which is to be a `kind`.
+        """Imports the object of `name`.
 
         Raises:
-            CadenzaError: there is no such name, two packages have it, it cannot be imported, or it
-                is something else.
+            CadenzaError: there is no such name, two packages have it, the object cannot be
+                imported, or it is not a `kind`.
         """
         entry = self._find(name)
         module, _, attribute = entry.place.partition(":")
@@ -112,7 +112,7 @@ class Registry:
         return CadenzaError(f"no {self.kind} {name!r}: {hint}{choice}{self.otherwise}")
 
     def _installed(self) -> Iterator[tuple[str, Entry]]:
-        """Names and entries of other packages, as their metadata has them."""
+        """Yields names and entries of other packages from their metadata."""
         seen = set()
         for package in metadata.distributions():
             try:

@@ -214,7 +214,7 @@ def test_planning_leaves_the_task_as_it_is(right_hand: Scene) -> None:
     before = task.observation()
     planner.act(task.view())
     assert_array_equal(task.observation(), before)
-    assert task.sheets.steps_done.tolist() == [0]
+    assert task.goals.steps_done.tolist() == [0]
 
 
 def test_planning_pays(right_hand: Scene) -> None:
@@ -271,6 +271,14 @@ def test_an_episode_that_ends_early_is_recorded_up_to_there() -> None:
     performance = play_episode(PianoTask([TUNE], config, scene), Playback(plan))
     assert performance.metrics["steps"] == performance.episode.num_steps == 5
     assert {len(performance.episode[n]) for n in ("goal_keys", "key_qpos", "goal_obs")} == {5}
+
+
+def test_an_episode_has_the_plan_of_an_agent_that_plans(right_hand: Scene) -> None:
+    plan = perform(Planner(), right_hand).plan
+    assert plan is not None
+    assert plan.complete
+    assert [note.pitch for note in plan.track.score.notes] == [note.pitch for note in TUNE.notes]
+    assert perform(ZeroAgent(), right_hand).plan is None
 
 
 # Replaying

@@ -293,7 +293,7 @@ def test_the_next_plan_begins_with_the_last_one_a_step_later(
     planned = planner.planners[0]
     planned._nominal = nominal = np.random.default_rng(0).uniform(-1, 1, (3, 19))
     action = planner.act(task.view())
-    assert_allclose(task.unscale_action(action)[0, :-1], nominal[0])
+    assert_allclose(task.spec.unscale_action(action)[0, :-1], nominal[0])
     assert_array_equal(planned._nominal, nominal[[1, 2, 2]])
 
 

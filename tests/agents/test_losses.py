@@ -71,7 +71,7 @@ def test_practice_loses_what_the_metric_does(dt: float) -> None:
     score = Score((Note(0.5, 1.0, PITCH),))
     task = PianoTask([score], TaskConfig(control_timestep=dt), SceneConfig(hands="right"))
     task.reset([np.random.default_rng(0)], [0])
-    plan = plan_song(task.sheets.tracks[0], task.state.hand_qpos[0])
+    plan = plan_song(task.goals.tracks[0], task.state.hand_qpos[0])
     goals, keyboard = HandGoals(plan, "right"), plan.scene.keyboard
     losses, goal = Losses(plan, goals), plan.goals.keys
     (first, *_), count = np.flatnonzero(goal[:, KEY]), len(goal)

@@ -105,14 +105,14 @@ def cost_of(states: State, i: int, scene: Scene, smooth: tuple[float, float] = (
 def test_ilqg_has_the_same_cost_with_smooth_norms_and_a_little_for_controls(
     right_hand: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner._search
+    tried, costs, search = Rollouts(monkeypatch), [], ILQGPlanner._line_search
 
     def searched(planner: ILQGPlanner, *args: Any) -> Any:
         controls, cost = search(planner, *args)
         costs.append(cost - 1e-9 / 2 * ((controls - planner._rest) ** 2).sum(axis=(1, 2)))
         return controls, cost
 
-    monkeypatch.setattr(ILQGPlanner, "_search", searched)
+    monkeypatch.setattr(ILQGPlanner, "_line_search", searched)
     agent = ILQG(ILQGConfig(horizon=STEP, num_step_sizes=2, control_weight=1e-9))
     agent.act(begun(agent, right_hand).view())
     (states,) = tried.states

@@ -130,7 +130,7 @@ def test_notes_that_no_finger_is_there_for_are_told() -> None:
     agent.reset([0], [np.random.default_rng(0)])
     agent.act(task.view())
     track = agent.planners[0].plan.track
-    assert track is task.sheets.tracks[0]
+    assert track is task.goals.tracks[0]
     assert len(track.dropped or ()) == sum(note.finger is None for note in track.score.notes) > 9
 
 
@@ -187,7 +187,7 @@ def test_planning_can_be_interrupted() -> None:
     task = PianoTask([melody(60, 62, 64)], BUFFER, SceneConfig(hands="right"))
     with pytest.raises(KeyboardInterrupt):
         play_episode(task, Planner(), progress=interrupt)
-    assert task.sheets.steps_done[0] == 0
+    assert task.goals.steps_done[0] == 0
 
 
 def test_a_thumb_strikes_in_time_without_a_search() -> None:

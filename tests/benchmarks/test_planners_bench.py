@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import planners
-from cadenza.agents.agent import Array, PlannerPerEnv
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.music.score import Note, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -35,7 +35,7 @@ class Thinker(PlannerPerEnv["Begun"]):
         return Begun(self._clock)
 
 
-class Begun:
+class Begun(EpisodePlanner):
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
 
@@ -48,5 +48,5 @@ def test_every_action_counts_and_a_beginning_by_its_share(monkeypatch: pytest.Mo
     monkeypatch.setattr(planners, "time", clock := Clock())
     task = PianoTask([Score((Note(0.0, 0.95, 60),))], TaskConfig(), SceneConfig(hands="right"))
     result = planners.perform(Thinker(clock), task, num_steps=5, seed=0)
-    assert task.sheets.num_steps[0] == 20
+    assert task.goals.num_steps[0] == 20
     assert result.ratio == pytest.approx((10 * 5 / 20 + 5 * 1) / (5 * 0.05))

@@ -300,7 +300,7 @@ def test_an_episode_that_ends_earlier_than_it_did(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def cut_short(task: PianoTask, agent: Agent) -> EpisodeResult:
-        return play_episode(task, agent, stop=lambda: task.sheets.steps_done[0] >= 3)
+        return play_episode(task, agent, stop=lambda: task.goals.steps_done[0] >= 3)
 
     monkeypatch.setattr(replay, "play_episode", cut_short)
     lines = list(problems(copied, replays=2))

@@ -72,7 +72,7 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = GoalTable(self.task)
         self.scores.add_all(self.task)
-        control = control_of(self.task, reference_of(self.task) if residual else None, None)
+        control = control_of(self.task.spec, reference_of(self.task) if residual else None, None)
         self.observer = Observer(self.task, self.scores, reference=control.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.action_size)
         rng = np.random.default_rng(0)
@@ -120,7 +120,7 @@ def test_the_transitions_are_those_of_the_task() -> None:
     for column, ours in ((0, drawn.observation), (3, drawn.discount), (4, drawn.next_observation)):
         assert_allclose(ours, np.array([entry[column] for entry in log])[at], **close)
     ctrl = np.array([entry[1] for entry in log])[at]
-    assert_allclose(task.scale_action(drawn.action), ctrl, **close)
+    assert_allclose(task.spec.scale_action(drawn.action), ctrl, **close)
 
 
 def test_tells_how_episodes_ended() -> None:
@@ -167,7 +167,7 @@ def test_a_residual_policy_corrects_the_plan() -> None:
 
     run.collector.begin()
     for _ in range(10):
-        plan = run.task.scale_action(run.collector.observation[:, -run.task.action_size :])
+        plan = run.task.spec.scale_action(run.collector.observation[:, -run.task.action_size :])
         run.collector.collect(Nothing(), 1)  # type: ignore[arg-type]
         done = np.array([entry[1] for entry in run.task.log[-3:]])
         size = run.task.action_high - run.task.action_low
@@ -194,7 +194,7 @@ def test_goes_on_after_a_stop_with_the_same_bits(config: TaskConfig, residual: b
     again.replay.restore({name: array.copy() for name, array in chunk.items()})
     again.collector.restore(plain, {name: array.copy() for name, array in arrays.items()})
     if not residual:
-        assert len(set(again.task.sheets.steps_done.tolist())) > 1
+        assert len(set(again.task.goals.steps_done.tolist())) > 1
     assert_array_equal(again.collector.observation, whole.collector.observation)
     for steps, using in ((20, policy), (7, None)):
         assert again.collector.collect(using, steps) == whole.collector.collect(using, steps)

@@ -38,20 +38,20 @@ class Acting:
         shape = (task.num_envs, task.action_size)
         self.action = self.rng.uniform(-1, 1, shape).astype(np.float32)  # of the episode before
         self.reward = np.full(task.num_envs, 3.0, np.float32)
-        self.first_row = np.array([scores.add(track) for track in task.sheets.tracks])
+        self.first_row = np.array([scores.add(track) for track in task.goals.tracks])
 
     def step(self) -> None:
         task = self.task
         self.action = self.rng.uniform(-1, 1, self.action.shape).astype(np.float32)
-        self.reward = task.step(task.scale_action(self.action)).reward.astype(np.float32)
+        self.reward = task.step(task.spec.scale_action(self.action)).reward.astype(np.float32)
 
     def seen_by(self, observer: Observer) -> np.ndarray:
         return observer.observation(
-            self.first_row + self.task.sheets.row,
+            self.first_row + self.task.goals.row,
             observer.proprioception(self.task.observation()),
             self.action,
             self.reward,
-            self.task.sheets.steps_done == 0,
+            self.task.goals.steps_done == 0,
         )
 
 
@@ -66,7 +66,7 @@ def test_is_what_the_task_shows_at_every_step_and_past_the_end(task: PianoTask) 
     observer = Observer(task, scores)
     for seed in range(3):
         acting = Acting(task, scores, seed)
-        for _ in range(int(task.sheets.num_steps.max()) + 3):
+        for _ in range(int(task.goals.num_steps.max()) + 3):
             assert_array_equal(
                 acting.seen_by(observer)[:, : task.observation_size], task.observation()
             )
@@ -85,7 +85,7 @@ def test_what_is_left_out_is_zero_and_the_rest_is_the_same(task: PianoTask) -> N
     assert len(left_out) > 80 * (task.observation_layout["goal"].stop // (NUM_KEYS + 1))
     for seed in range(3):
         acting = Acting(task, scores, seed)
-        for _ in range(int(task.sheets.num_steps.max()) + 1):
+        for _ in range(int(task.goals.num_steps.max()) + 1):
             assert not task.observation()[:, left_out].any()
             assert_array_equal(acting.seen_by(observer), acting.seen_by(whole)[:, kept])
             acting.step()
@@ -100,7 +100,7 @@ def test_every_input_that_is_kept_of_the_goal_is_used() -> None:
     acting = Acting(task, scores)
     seen = np.zeros(task.observation_size, bool)
     seen[task.observation_layout["key_state"].start :] = True
-    for _ in range(int(task.sheets.num_steps[0])):
+    for _ in range(int(task.goals.num_steps[0])):
         seen |= task.observation()[0] != 0
         acting.step()
     kept_of_task = [i for i in inputs.kept if i < task.observation_size]
@@ -135,7 +135,7 @@ def test_with_a_reference_its_next_action_comes_last() -> None:
     scores = GoalTable(task)
     scores.add_all(task)
     reset(task)
-    steps = int(task.sheets.num_steps[0])
+    steps = int(task.goals.num_steps[0])
     reference = (
         np.random.default_rng(0).uniform(-1, 1, (steps, task.action_size)).astype(np.float32)
     )

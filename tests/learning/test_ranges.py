@@ -127,7 +127,7 @@ def test_acts_and_sees_on_that_scale() -> None:
         action = default_rng(0).uniform(-1, 1, (2, task.action_size)).astype(np.float32)
         reward = task.step(ranges.ctrl(action)).reward.astype(np.float32)
         rest, zero = observer.proprioception(task.observation()), np.zeros(2, bool)
-        seen = observer.observation(task.sheets.row, rest, action, reward, zero)
+        seen = observer.observation(task.goals.row, rest, action, reward, zero)
         joints = seen[:, task.observation_layout["joints"]]
         low, high = ranges.joints
         assert_allclose(low + (joints + 1) / 2 * (high - low), task.state.hand_qpos, atol=1e-6)

@@ -96,7 +96,7 @@ def test_corrections_move_the_hands_within_their_reach_and_never_the_pedal() -> 
 def test_the_actions_of_the_plan_are_what_is_done_but_for_feedback() -> None:
     played = performance(Following())
     task = PianoTask([SONG], TaskConfig(**BUFFER))
-    plan = task.scale_action(ReferenceTracker(task.spec, reference_of(task)).actions)
+    plan = task.spec.scale_action(ReferenceTracker(task.spec, reference_of(task)).actions)
     done = played.episode.arrays["action"]
     assert plan.shape == done.shape
     size = task.action_high - task.action_low

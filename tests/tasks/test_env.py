@@ -125,17 +125,17 @@ def test_a_score_and_a_start_that_a_reset_names_are_taken_as_they_are() -> None:
     for song, begin in ((late, start), (written, start.tolist())):
         observation, info = env.reset(seed=0, options={"score": song, "start": begin})
         assert info["song"] == "late"
-        assert env.task.sheets.tracks[0].score == late
+        assert env.task.goals.tracks[0].score == late
         assert_array_equal(observation[env.observation_layout["joints"]], start.astype("f4"))
     env.reset()
-    assert env.task.sheets.tracks[0].score.title != "late"
+    assert env.task.goals.tracks[0].score.title != "late"
     assert not np.array_equal(env.task.state.hand_qpos[0], start)
 
 
 def test_fingers_are_looked_for_where_a_score_that_a_reset_names_gives_none() -> None:
     env = PianoEnv(SHORT)
     env.reset(options={"score": SHORT.without_fingers()})
-    assert env.task.sheets.tracks[0].score.has_fingering
+    assert env.task.goals.tracks[0].score.has_fingering
 
 
 def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own() -> None:
@@ -144,7 +144,7 @@ def test_each_environment_is_reset_to_a_score_and_a_start_of_its_own() -> None:
     other = replace(SHORT, title="other")
     options = {"song": [None, 0, None], "score": [other, None, None], "start": [None, start, None]}
     envs.reset(options=options)
-    assert [score.title for score in envs.task.sheets.songs] == ["other", "short", "short"]
+    assert [score.title for score in envs.task.goals.scores] == ["other", "short", "short"]
     moved = (envs.task.state.hand_qpos == 0.01).all(axis=1)
     assert moved.tolist() == [False, True, False]
     envs.reset(options={"start": start})
@@ -337,7 +337,7 @@ def test_seeds_of_some_leave_the_others_as_they_were() -> None:
         if again:
             envs.reset(**again)
         envs.reset()
-        return [score.notes[0].pitch for score in envs.task.sheets.songs]
+        return [score.notes[0].pitch for score in envs.task.goals.scores]
 
     mask = np.array([True, False])
     one, other = pitches()
@@ -514,7 +514,7 @@ def test_infos_name_the_song_of_each_environment(mode: AutoresetMode) -> None:
     for _ in range(12):
         before = infos["song"]
         _, _, terminated, truncated, infos = envs.step(np.zeros((8, 39)))
-        assert_array_equal(infos["song"], [score.title for score in envs.task.sheets.songs])
+        assert_array_equal(infos["song"], [score.title for score in envs.task.goals.scores])
         assert infos["_song"].all()
         if "final_info" in infos:
             assert_array_equal(infos["final_info"]["song"], before)
@@ -595,12 +595,11 @@ def test_songs_that_there_are_not(song: object, message: str) -> None:
 
 
 def test_scaling_actions_there_and_back() -> None:
-    rng = np.random.default_rng(0)
-    for env in (PianoEnv(SHORT), PianoVectorEnv(SHORT, num_envs=3), PianoTask([SHORT])):
-        action = rng.uniform(-1.0, 1.0, (5, 3, 39))
-        assert_allclose(env.unscale_action(env.scale_action(action)), action, atol=1e-12)
-        outside = np.full(39, 1e3)  # in actuator units
-        assert_array_equal(env.unscale_action([-outside, outside]), [[-1.0] * 39, [1.0] * 39])
+    spec = PianoEnv(SHORT).task.spec
+    action = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 3, 39))
+    assert_allclose(spec.unscale_action(spec.scale_action(action)), action, atol=1e-12)
+    outside = np.full(39, 1e3)  # in actuator units
+    assert_array_equal(spec.unscale_action([-outside, outside]), [[-1.0] * 39, [1.0] * 39])
 
 
 def near_middle_c(outcome: Outcome) -> np.ndarray:
@@ -619,8 +618,8 @@ def test_reward_terms_of_one_s_own() -> None:
         _, reward, _, _, info = env.step(action)
         _, rewards, _, _, infos = envs.step(np.tile(action, (3, 1)))
         _, without, _, _, before = plain.step(action)
-        goals = plain.task.sheets.part(0, 0, SHORT_STEPS)[0][:, :88].sum(axis=1)
-        wanted = plain.task.key_state[0, 39] - goals[plain.task.sheets.steps_done[0] - 1]
+        goals = plain.task.goals.between(0, 0, SHORT_STEPS)[0][:, :88].sum(axis=1)
+        wanted = plain.task.key_state[0, 39] - goals[plain.task.goals.steps_done[0] - 1]
         assert info["reward/middle_c"] == pytest.approx(wanted)
         assert info["reward/energy"] == 0
         assert reward == pytest.approx(without + wanted - before["reward/energy"])
@@ -656,6 +655,6 @@ def test_stretch_and_transpose() -> None:
     observation, _ = slow.reset(seed=0)
     goal = observation[slow.observation_layout["goal"]].reshape(11, 89)
     assert_array_equal(np.flatnonzero(goal[0]), [39 - 12])
-    assert slow.task.sheets.num_steps[0] == 11
+    assert slow.task.goals.num_steps[0] == 11
     with pytest.raises(CadenzaError, match="cannot transpose by 90"):
         PianoEnv(SHORT, transpose=90)

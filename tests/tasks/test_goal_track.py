@@ -1,8 +1,9 @@
-"""What is to be played: made once for all who need it."""
+"""Tracks and their goals: computed once for all who need them."""
 
 from __future__ import annotations
 
 import pickle
+import weakref
 from contextlib import closing
 
 import numpy as np
@@ -47,8 +48,11 @@ def test_all_share_the_goals_of_a_song(monkeypatch) -> None:
 
 
 def test_goals_are_not_kept_when_nobody_has_them() -> None:
-    track = begun(SONG, hands="none").tracks[0]  # the task is gone
-    assert track._made[0]() is None
+    task = begun(SONG, hands="none")
+    track, goals = task.tracks[0], weakref.ref(task.tracks[0].goals)
+    assert goals() is not None
+    del task
+    assert goals() is None
     assert_array_equal(track.goals.keys.sum(axis=0)[[39, 43, 46]], [4, 4, 4])
 
 
@@ -59,7 +63,7 @@ def test_notes_begin_after_the_silence() -> None:
     assert steps == [7, 11, 15]
     assert track.goals.keys[steps, [39, 43, 46]].all()
     assert not track.goals.keys[np.array(steps) - 1, [39, 43, 46]].any()
-    assert track.on_the_clock.notes[1].start == 0.55
+    assert track.delayed_score.notes[1].start == 0.55
 
 
 def test_says_which_notes_no_finger_is_there_for() -> None:
@@ -68,7 +72,7 @@ def test_says_which_notes_no_finger_is_there_for() -> None:
         note for note in track.score.notes if note.finger is None
     }
     assert track.fingered() is track
-    assert track.of(CLUSTER).fingered().score == track.score
+    assert track.with_score(CLUSTER).fingered().score == track.score
 
 
 @pytest.mark.parametrize(

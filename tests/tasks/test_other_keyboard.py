@@ -118,7 +118,7 @@ def test_shifted_songs_stay_on_it() -> None:
     melody = Score((Note(0.0, 0.1, 55), Note(0.1, 0.2, 65)))
     task = PianoTask([melody], config, SceneConfig(hands="none", keyboard=KEYBOARD), 40)
     task.reset(np.random.default_rng(0).spawn(40), range(40))
-    lowest = {min(note.pitch for note in song.notes) for song in task.sheets.songs}
+    lowest = {min(note.pitch for note in song.notes) for song in task.goals.scores}
     assert min(lowest) == 48
     assert max(lowest) == 62
 

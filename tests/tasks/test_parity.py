@@ -16,8 +16,8 @@ from cadenza.scene.config import SceneConfig
 from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.mujoco_simulation import MujocoSimulation
 from cadenza.tasks import reward
+from cadenza.tasks.augmentation import prepare_tracks
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.music import prepare
 from cadenza.tasks.piano_task import PianoTask
 
 DATA = Path(__file__).parents[1] / "data"
@@ -40,7 +40,7 @@ class Recording:
             )
         )
         self.score = load_score(str(self["song"]))
-        (track,) = prepare([self.score], self.config, self.scene)
+        (track,) = prepare_tracks([self.score], self.config, self.scene)
         self.goals = track.goals
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -134,7 +134,7 @@ def key_centres(recording: Recording) -> np.ndarray:
 
 
 def servo_force_and_velocity(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """What the servos did in the last physics step before each recorded state.
+    """Force and velocity of the servos in the last physics step before each recorded state.
 
     A semi-implicit Euler step moves positions by the new velocity, so the positions that the
     forces came from are one step of the new velocity earlier.

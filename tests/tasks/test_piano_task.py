@@ -1,4 +1,4 @@
-"""What is asked for, seen and rewarded under every option of the task."""
+"""Goals, observations and rewards under every option of the task."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_trimmed_song_begins_with_its_first_note(scenes: dict[str, Scene]) -> No
 def test_untrimmed_song_keeps_its_silence(scenes: dict[str, Scene]) -> None:
     player = Player(scenes["both"], trim_silence=False)
     assert [wanted_keys(row) for row in player.goal()[0]] == [[]] * 10 + [[39]]
-    assert player.task.sheets.num_steps.tolist() == [20]
+    assert player.task.goals.num_steps.tolist() == [20]
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_initial_buffer(scenes: dict[str, Scene], seconds: float, silent_steps: 
     rows = player.goal()[0]
     assert [wanted_keys(row) for row in rows[: silent_steps + 1]] == [[]] * silent_steps + [[39]]
     assert not rows[:silent_steps, NUM_KEYS].any()
-    assert player.task.sheets.num_steps.tolist() == [10 + silent_steps]
+    assert player.task.goals.num_steps.tolist() == [10 + silent_steps]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_the_goal_moves_on_by_a_row_a_step_and_is_seen_once_more_at_the_end(
 def test_control_timestep(scenes: dict[str, Scene]) -> None:
     player = Player(scenes["both"], control_timestep=0.1)
     assert [wanted_keys(row) for row in player.goal()[0][:5]] == [[39], [43], [22, 43], [22], [22]]
-    assert len(player.play_on()) == player.task.sheets.num_steps[0] == 5
+    assert len(player.play_on()) == player.task.goals.num_steps[0] == 5
     assert player.task.simulation.num_substeps == 20
 
 
@@ -300,11 +300,11 @@ def test_fingering_by_the_score_or_by_transport(scenes: dict[str, Scene]) -> Non
 def test_a_song_without_fingering_gets_one(
     scenes: dict[str, Scene], hands: Any, fingers: int
 ) -> None:
-    """With every note for one hand where there is but one."""
+    """Every note is for one hand if there is but one."""
     player = Player(scenes[hands], UNFINGERED)
-    notes = player.task.sheets.songs[0].notes
+    notes = player.task.goals.scores[0].notes
     there = range(fingers) if hands == "right" else range(10 - fingers, 10)
-    played = [f for f in numbers(player.task.sheets.songs[0]) if f >= 0]
+    played = [f for f in numbers(player.task.goals.scores[0]) if f >= 0]
     assert set(played) <= set(there)
     assert len(played) == (3 if hands == "both" else 2)  # a third note is out of one hand's reach
     assert np.flatnonzero(player.seen("fingering")[0]).tolist() == [FIVE.number(notes[0].finger)]
@@ -313,7 +313,7 @@ def test_a_song_without_fingering_gets_one(
 
 def test_known_fingers_stay_when_the_others_are_found(scenes: dict[str, Scene]) -> None:
     notes = (SONG.notes[0], *UNFINGERED.notes[1:])
-    found = Player(scenes["both"], Score(notes)).task.sheets.songs[0]
+    found = Player(scenes["both"], Score(notes)).task.goals.scores[0]
     assert found.notes[0].finger == SONG.notes[0].finger
     assert all(note.finger for note in found.notes)
 
@@ -426,7 +426,7 @@ def songs_drawn(scene: Scene, count: int, *scores: Score, **options: Any) -> lis
     rng = np.random.default_rng(0)
     for _ in range(count):
         player.task.reset([rng], [0])
-        drawn.append(player.task.sheets.songs[0])
+        drawn.append(player.task.goals.scores[0])
     return drawn
 
 
@@ -446,8 +446,8 @@ def test_the_score_is_on_the_clock_of_the_goals(scenes: dict[str, Scene], repeat
     options |= {"random_pitch_shift": 3, "repeats": repeats}
     task = Player(scenes["none"], song, **options).task
     goals = score_to_goals(task.score(0), DT, repeats == "shortened")
-    assert_array_equal(task.sheets.part(0, 0, goals.num_steps)[0][:, :NUM_KEYS], goals.keys)
-    assert task.sheets.num_steps[0] == goals.num_steps
+    assert_array_equal(task.goals.between(0, 0, goals.num_steps)[0][:, :NUM_KEYS], goals.keys)
+    assert task.goals.num_steps[0] == goals.num_steps
 
 
 @pytest.mark.parametrize(
@@ -474,7 +474,7 @@ def test_fingers_that_were_found_are_found_anew_for_other_keys(scenes: dict[str,
     """At another tempo they stay; a song's own always do."""
     scene = scenes["both"]
     (song, slower), (_, higher), (given, moved) = (
-        (player.task.tracks[0].score, player.task.sheets.tracks[0].score)
+        (player.task.tracks[0].score, player.task.goals.tracks[0].score)
         for player in (
             Player(scene, UNFINGERED, random_stretch=0.2),
             Player(scene, UNFINGERED, seeds=(1,), random_pitch_shift=3),
@@ -523,10 +523,10 @@ def test_each_row_is_as_if_alone(scenes: dict[str, Scene], hands: str) -> None:
     scores, seeds = (SONG, SHORT, UNFINGERED), tuple(range(5))
     batch = Player(scenes[hands], *scores, seeds=seeds, **options)
     alone = [Player(scenes[hands], *scores, seeds=(seed,), **options) for seed in seeds]
-    assert len(set(batch.task.sheets.num_steps.tolist())) > 1
+    assert len(set(batch.task.goals.num_steps.tolist())) > 1
     ctrl_rng = np.random.default_rng(0)
     low, high = batch.task.action_low, batch.task.action_high
-    for _ in range(int(batch.task.sheets.num_steps.min())):
+    for _ in range(int(batch.task.goals.num_steps.min())):
         ctrl = ctrl_rng.uniform(low, high, (len(seeds), len(low)))
         together = batch.task.step(ctrl)
         for i, player in enumerate(alone):
@@ -547,8 +547,8 @@ def test_a_longer_song_beside_a_running_episode_leaves_it_alone(scenes: dict[str
     task.step(np.zeros((2, NUM_KEYS + 1)), [0])
     alone.rest()
     task.reset([np.random.default_rng(long)], [1])
-    assert task.sheets.steps_done.tolist() == [1, 0]
-    assert task.sheets.num_steps.tolist() == [3, 10]
+    assert task.goals.steps_done.tolist() == [1, 0]
+    assert task.goals.num_steps.tolist() == [3, 10]
     for _ in range(2):
         before = task.observation()[1]
         transition = task.step(np.zeros((2, NUM_KEYS + 1)), [0])
@@ -562,7 +562,7 @@ def test_a_longer_song_beside_a_running_episode_leaves_it_alone(scenes: dict[str
 def seed_that_draws(task: PianoTask, song: Score) -> int:
     for seed in range(100):
         task.reset([np.random.default_rng(seed)], [0])
-        if task.sheets.songs[0] == song.with_silence_trimmed():
+        if task.goals.scores[0] == song.with_silence_trimmed():
             return seed
     raise AssertionError("never drawn")
 
@@ -570,10 +570,10 @@ def seed_that_draws(task: PianoTask, song: Score) -> int:
 def test_actions_are_scaled_to_the_actuators(scenes: dict[str, Scene]) -> None:
     task = Player(scenes["both"]).task
     ones = np.ones(task.action_size)
-    assert_allclose(task.scale_action(-ones), task.action_low, atol=1e-12)
-    assert_allclose(task.scale_action(ones), task.action_high, atol=1e-12)
-    assert_allclose(task.scale_action(0 * ones), (task.action_low + task.action_high) / 2)
-    assert_allclose(task.scale_action(7 * ones[None]), task.action_high[None], atol=1e-12)
+    assert_allclose(task.spec.scale_action(-ones), task.action_low, atol=1e-12)
+    assert_allclose(task.spec.scale_action(ones), task.action_high, atol=1e-12)
+    assert_allclose(task.spec.scale_action(0 * ones), (task.action_low + task.action_high) / 2)
+    assert_allclose(task.spec.scale_action(7 * ones[None]), task.action_high[None], atol=1e-12)
 
 
 # Wrong options

@@ -155,7 +155,7 @@ def test_infos_tell_what_was_drawn_for_each_episode(mode: AutoresetMode) -> None
     assert {name for name in infos if name.startswith("randomization/")} == names
     assert infos["randomization/mass"].shape == (2, envs.task.scene.model.nbody)
     assert infos["_randomization/mass"].all()
-    last = int(envs.task.sheets.num_steps[0])
+    last = int(envs.task.goals.num_steps[0])
     for k, action in enumerate(actions(envs, last + 1), 1):
         if k > last and mode == AutoresetMode.DISABLED:
             _, later = envs.reset(options={"reset_mask": np.array([True, True])})

@@ -18,7 +18,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cadenza.keyboards.piano import PIANO
 from cadenza.tasks import reward
-from cadenza.tasks.optimal_transport import keys_by_transport_on_host
 
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
 NUM_KEYS = PIANO.num_keys
@@ -99,7 +98,7 @@ def test_key_press_with_nothing_to_press(key_press: Any) -> None:
 
 
 def point(key: int, centre: np.ndarray) -> np.ndarray:
-    """Where a finger is wanted on a key whose box has this centre."""
+    """The target of a finger on a key whose box has this centre."""
     half_length, _, half_height = PIANO.half_size[key]
     return centre + np.array([0.35 * half_length, 0.0, 0.5 * half_height])
 
@@ -157,7 +156,7 @@ def test_optimal_transport(data: st.DataObject, num_fingers: int, keys: list[int
     tips, centres = data.draw(fingertips(1, num_fingers)), data.draw(key_centres(1))
     goal = np.zeros((1, NUM_KEYS), bool)
     goal[0, keys] = True
-    (assigned,) = keys_by_transport_on_host(tips, centres, PRESS, goal, slice(0, num_fingers))
+    (assigned,) = reward.keys_by_transport(tips, centres, PRESS, goal, slice(0, num_fingers))
     given_away = assigned[assigned >= 0].tolist()
     assert len(set(given_away)) == len(given_away) == min(num_fingers, len(keys))
     assert set(given_away) <= set(keys)
@@ -183,7 +182,7 @@ def test_optimal_transport_row_by_row() -> None:
     goal[1, [3, 50]] = True
     tips[1, 2], tips[1, 8] = point(50, PIANO.centre[50]), point(3, PIANO.centre[3])
     tips[1, 8, 1] += 0.11
-    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, slice(2, 9))
+    keys = reward.keys_by_transport(tips, centres, PRESS, goal, slice(2, 9))
     assert np.argwhere(keys >= 0).tolist() == [[1, 2], [1, 8]]
     assert keys[1, [2, 8]].tolist() == [50, 3]
     ours = reward.transport_fingering(tips, centres, PRESS, keys)
@@ -200,7 +199,7 @@ def test_dense_terms_have_the_bits_of_ragged_ones(data: st.DataObject, n: int) -
     goal[:, :40:2] |= data.draw(st.booleans())
     tips, fingers = data.draw(fingertips(n)), data.draw(fingerings(n))
     there = data.draw(st.sampled_from([slice(0, 10), slice(0, 5), slice(5, 10)]))
-    keys = keys_by_transport_on_host(tips, centres, PRESS, goal, there)
+    keys = reward.keys_by_transport(tips, centres, PRESS, goal, there)
     pairs = ragged_reward.transport_pairs(tips, centres, PRESS, goal, there)
     row, finger = (keys >= 0).nonzero()
     assert_array_equal([row, finger, keys[row, finger]], pairs)

@@ -1,10 +1,10 @@
-"""What an agent is, and the two simplest."""
+"""The interface of agents, and the two simplest agents."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +16,34 @@ from cadenza.tasks.view import View
 Array = NDArray[np.float64]
 
 Progress = Callable[[str, int, int], None]
-"""Is told a stage of long work, such as "playing", how much of it is done, and how much it is."""
+"""Progress(stage, done, total) of long work, such as of "playing"."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Tells nobody."""
+    """Ignores progress."""
 
 
 class Agent(ABC):
     """Chooses the actions of N environments at once.
 
     Attributes:
-        num_threads: how many threads it may use, if it can use several; by default two, one for
-            each hand.
+        config: its options, a dataclass that recordings keep; None without any.
+        keeps_fingering: whether it plays with the fingers that a score gives. Demonstrations of
+            others are recorded of the score without them.
+        num_threads: how many threads it may use; None for two, one for each hand.
         progress: is told how far its long work is, if it has any. Whoever has the agent play sets
-            both before.
+            this and `num_threads` before the reset.
     """
 
+    config: Any = None
+    keeps_fingering: bool = False
     num_threads: int | None = None
     progress: Progress = staticmethod(silent)
+
+    @property
+    def threads(self) -> int:
+        """How many threads it uses."""
+        return self.num_threads or default_threads()
 
     def reset(  # noqa: B027 - not all have anything to begin
         self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]
@@ -42,8 +51,8 @@ class Agent(ABC):
         """Episodes begin in some environments; the next view is of their first step.
 
         Args:
-            env_ids: which.
-            rngs: for each of them, where all that is random in its episode comes from.
+            env_ids: the environments.
+            rngs: for each of them, the generator of all that is random in its episode.
         """
 
     @abstractmethod
@@ -53,15 +62,22 @@ class Agent(ABC):
         What it returns for environments that are not `view.playing` does not matter.
         """
 
+    def song_plan(self, env_id: int) -> Any:
+        """The `SongPlan` that an environment's episode follows, None for an agent without one.
+
+        It has the finger of every note. Reports show these, and say why notes were missed.
+        """
+        return None
+
     def close(self) -> None:  # noqa: B027 - nor to end
-        """Lets go of what the episodes needed, such as threads. A reset may follow."""
+        """Frees what the episodes needed, such as threads. A reset may follow."""
 
 
 def check_planned_for(view: View, steps: int, width: int) -> None:
-    """For what plays `steps` actions of `width` each that were planned before.
+    """Checks that a plan of `steps` actions of `width` each fits the episodes of `view`.
 
     Raises:
-        CadenzaError: they are not as wide as the actions or not as many as an episode has.
+        CadenzaError: the actions are not as wide as the task's, or not as many as an episode has.
     """
     if width != view.task.action_size:
         flag = "no-reduced" if view.task.scene.config.reduced_action_space else "reduced"
@@ -76,21 +92,28 @@ def check_planned_for(view: View, steps: int, width: int) -> None:
         )
 
 
-class EpisodePlanner(Protocol):
-    """Plans and plays one episode of one environment."""
+class EpisodePlanner(ABC):
+    """Plans and plays one episode of one environment.
 
+    Attributes:
+        plan: the `SongPlan` that it follows, see `Agent.song_plan`; None without one.
+    """
+
+    plan: Any = None
+
+    @abstractmethod
     def act(self, view: View) -> Array:
-        """(A,) the next action; `view` is of this environment alone."""
+        """(A,) the next action; `view` has this environment alone."""
 
 
 P = TypeVar("P", bound=EpisodePlanner)
 
 
 class PlannerPerEnv(Agent, Generic[P]):
-    """Has a planner of its own for every environment, each of which plays one song.
+    """An agent with a planner of its own for the episode of every environment.
 
     Attributes:
-        planners: environment -> what plans its episode, from its first step on.
+        planners: environment -> the planner of its episode, from the first step on.
     """
 
     def __init__(self) -> None:
@@ -99,7 +122,7 @@ class PlannerPerEnv(Agent, Generic[P]):
 
     @abstractmethod
     def begin(self, view: View, rng: np.random.Generator) -> P:
-        """What plans the episode that begins in the only environment of `view`."""
+        """The planner of the episode that begins in the only environment of `view`."""
 
     def reset(self, env_ids: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         for env, rng in zip(env_ids, rngs, strict=True):
@@ -115,17 +138,16 @@ class PlannerPerEnv(Agent, Generic[P]):
             action[row] = self.planners[env].act(alone)
         return action
 
+    def song_plan(self, env_id: int) -> Any:
+        planner = self.planners.get(env_id)
+        return None if planner is None else planner.plan
+
     def close(self) -> None:
         self.planners.clear()
 
-    @property
-    def threads(self) -> int:
-        """How many it uses."""
-        return self.num_threads or default_threads()
-
 
 class ZeroAgent(Agent):
-    """Leaves all servos at zero, as the hands start unless that is drawn, and the pedal up."""
+    """Keeps all servos at zero, where the hands start by default, and the pedal up."""
 
     def act(self, view: View) -> Array:
         low, high = view.task.action_low, view.task.action_high
@@ -133,7 +155,7 @@ class ZeroAgent(Agent):
 
 
 class RandomAgent(Agent):
-    """Draws every action anew, uniformly over the actuators' ranges."""
+    """Draws every action uniformly from the actuators' ranges."""
 
     def __init__(self) -> None:
         self._rngs: dict[int, np.random.Generator] = {}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import warnings
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
@@ -20,14 +19,13 @@ from cadenza.agents.planner.config import (
     TrackedPressesConfig,
 )
 from cadenza.configs import as_config, check_kind
-from cadenza.errors import CadenzaError, CadenzaWarning, by_others
+from cadenza.errors import CadenzaError, by_others
 from cadenza.registry import Entry, Registry
 
 if TYPE_CHECKING:
     from cadenza.agents.agent import Agent
 
 PLANNER, PRETRAINED, PLAYBACK = "planner", "pretrained", "playback"
-_RENAMED = {"replay": PLAYBACK}
 
 _BASELINES = "cadenza.agents.baselines"
 AGENTS = Registry(
@@ -81,14 +79,13 @@ def make_agent(name: str, config: Any = None) -> Agent:
     """An agent that plays any task.
 
     Args:
-        name: one of `AGENTS`, or `module:Class`, a class of your own with the methods of
+        name: one of `AGENTS`, or `module:Class`, a class of your own derived from
             `cadenza.Agent`.
-        config: its options, of the type that `agent_options` tells; their defaults where there are
-            none.
+        config: its options, of the type that `agent_options` returns; by default, their defaults.
 
     Raises:
-        CadenzaError: there is no such agent, it has not the methods of one, or an option makes no
-            sense.
+        CadenzaError: there is no such agent, its class is not derived from `cadenza.Agent`, or an
+            option makes no sense.
     """
     if not isinstance(name, str):
         raise CadenzaError(f"agent {name!r:.100}: give its name, such as {PLANNER!r}")
@@ -100,23 +97,18 @@ def make_agent(name: str, config: Any = None) -> Agent:
         raise CadenzaError(f"agent {name!r} has no options: give none")
     given = () if options is None else (as_config(config, options),)
     with by_others(f"agent {name}"):
-        agent = checked_agent(kind(*given), name)
-    if name in AGENTS.own:
-        from cadenza.agents.one_environment import also_of_one  # heavy
-
-        return also_of_one(agent)
-    return agent
+        return checked_agent(kind(*given), name)
 
 
 def agent_options(name: str) -> type | None:
-    """The dataclass of an agent's options, None where it has none.
+    """The dataclass of an agent's options, None if it has none.
 
-    It is the type of the parameter `config` that the agent's class is called with.
+    It is the type of the parameter `config` of the agent's class.
 
     Raises:
-        CadenzaError: there is no such agent, or its options are none that can be given.
+        CadenzaError: there is no such agent, or a field of its options is of no allowed type.
     """
-    if (own := AGENTS.own.get(_RENAMED.get(name, name))) is not None:
+    if (own := AGENTS.own.get(name)) is not None:
         return own.config
     kind: Any = AGENTS.load(name, type)
     with by_others(f"agent {name}"):
@@ -131,37 +123,23 @@ def agent_options(name: str) -> type | None:
 
 
 def options_name(name: str) -> str:
-    """What its options are called together: `planner`; of `module:SomeAgent`, `some_agent`."""
+    """The common prefix of an agent's options: `planner`; `some_agent` for `module:SomeAgent`."""
     _, colon, last = name.rpartition(":")
     if colon:
         last = re.sub("(?<=[a-z0-9])(?=[A-Z])", "_", last.rpartition(".")[2]).lower()
     return re.sub(r"\W", "_", last)
 
 
-def current_name(name: str) -> str:
-    """What the agent is called now; an old name works for one version more, with a warning."""
-    if name not in _RENAMED:
-        return name
-    new = _RENAMED[name]
-    warnings.warn(
-        f"agent {name} is now called {new}; the next version takes only that",
-        CadenzaWarning,
-        stacklevel=3,
-    )
-    return new
-
-
 def checked_agent(agent: Any, place: str) -> Agent:
-    """`agent`, which is to be one; errors name it `place`.
+    """Returns `agent` if it is one; errors name it `place`.
 
     Raises:
-        CadenzaError: it has not the methods of one.
+        CadenzaError: it is a class, or its class is not derived from `cadenza.Agent`.
     """
+    from cadenza.agents.agent import Agent  # slow to import
+
     if isinstance(agent, type):
         raise CadenzaError(f"agent {agent.__name__}: is a class; give an instance of it")
-    if lacking := [name for name in ("reset", "act") if not callable(getattr(agent, name, None))]:
-        raise CadenzaError(
-            f"agent {place}: has no method {' and no method '.join(lacking)}; "
-            "derive its class from cadenza.Agent"
-        )
+    if not isinstance(agent, Agent):
+        raise CadenzaError(f"agent {place}: is no Agent; derive its class from cadenza.Agent")
     return agent

@@ -1,4 +1,4 @@
-"""Has an agent play episodes, and keeps everything that happened."""
+"""Rollouts of agents: episodes that are played and recorded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Agent, Progress, silent
-from cadenza.agents.one_environment import AgentOfOneEnvironment, of_many
+from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.episode import Episode
 from cadenza.errors import CadenzaError, by_others
@@ -25,31 +25,56 @@ from cadenza.tasks.view import View
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """An episode and how it went."""
+    """An episode, its metrics, and the plan that was followed."""
 
     episode: Episode
     metrics: dict[str, Any]
-    """Those of `cadenza.music.metrics.playing_metrics`, None for one that is not defined; `return`
-    and ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
+    """The metrics of `cadenza.music.metrics.playing_metrics`, None if not defined; `return` and
+    ``reward/<term>`` summed over the episode; `rewarded_fingers`, see `GoalTrack`; `steps`,
     `planning_seconds` spent by the agent, from its reset on, `playing_seconds` by the simulation,
-    and whether the simulation became `unstable`; `combined`, of hands that play apart."""
+    and whether the simulation became `unstable`; `combined`, if each hand played alone."""
+    plan: SongPlan | None
+    """The plan that the agent followed, see `Agent.song_plan`."""
+
+
+def begin_episodes(task: PianoTask, seeds: Sequence[int]) -> list[np.random.Generator]:
+    """Begins an episode in every environment of `task`.
+
+    Args:
+        task: what to play.
+        seeds: of everything random in the task and in the agent, one for each environment.
+
+    Returns:
+        A generator for each environment, which the agent draws from.
+
+    Raises:
+        CadenzaError: there are more or fewer seeds than environments, or one is negative.
+    """
+    if len(seeds) != task.num_envs:
+        raise CadenzaError(
+            f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
+        )
+    seeds = [whole_number(seed, "seed", 0, MOST_SEED) for seed in seeds]
+    spawned = [np.random.default_rng(seed).spawn(2) for seed in seeds]
+    task.reset([task_rng for task_rng, _ in spawned], range(len(spawned)))
+    return [agent_rng for _, agent_rng in spawned]
 
 
 def play_episode(
     task: PianoTask,
-    agent: Agent | AgentOfOneEnvironment,
+    agent: Agent,
     seed: int = 0,
     progress: Progress = silent,
     stop: Callable[[], bool] = lambda: False,
 ) -> EpisodeResult:
-    """Plays one episode of a task with one environment, see `play_episodes`."""
+    """Plays one episode of a task that has one environment, see `play_episodes`."""
     (result,) = play_episodes(task, agent, [seed], progress, stop)
     return result
 
 
 def play_episodes(
     task: PianoTask,
-    agent: Agent | AgentOfOneEnvironment,
+    agent: Agent,
     seeds: Sequence[int],
     progress: Progress = silent,
     stop: Callable[[], bool] = lambda: False,
@@ -58,38 +83,28 @@ def play_episodes(
 
     Args:
         task: what to play.
-        agent: who plays.
-        seeds: of everything random in the task and in the agent, one for each environment. What
-            happens in one does not depend on the others.
-        progress: is told of "playing" after every step, with the steps done and in all, and of what
-            else the agent does for long.
-        stop: is asked after every step whether that was the last; the episodes are what was played.
+        agent: the agent that plays.
+        seeds: see `begin_episodes`. What happens in an environment does not depend on the others.
+        progress: is told of "playing" after every step, with the number of steps done and in all,
+            and of long work of the agent.
+        stop: is asked after every step whether to end there; the episodes are what was played.
 
     Raises:
         CadenzaError: the agent cannot play this task, or a seed is negative.
     """
-    if len(seeds) != task.num_envs:
-        raise CadenzaError(
-            f"{len(seeds)} seeds for {task.num_envs} environments: give one for each"
-        )
-    seeds = [whole_number(seed, "seed", 0, MOST_SEED) for seed in seeds]
-    spawned = [np.random.default_rng(seed).spawn(2) for seed in seeds]
-    env_ids = list(range(task.num_envs))
-    task.reset([task_rng for task_rng, _ in spawned], env_ids)
+    rngs, env_ids = begin_episodes(task, seeds), list(range(task.num_envs))
     name = type(agent).__name__
-    player = of_many(agent, task)
-    if hasattr(player, "progress"):
-        player.progress = progress
+    agent.progress = progress
     started = time.perf_counter()
     with by_others(f"agent {name}: reset()"):
-        player.reset(env_ids, [agent_rng for _, agent_rng in spawned])
+        agent.reset(env_ids, rngs)
     planning = (time.perf_counter() - started) / task.num_envs
     view = task.view()
-    records = [_Record(task, env, view.observation[env], planning) for env in env_ids]
+    recorders = [_Recorder(task, env, view.observation[env], planning) for env in env_ids]
     while view.playing.any():
         started = time.perf_counter()
         with by_others(f"agent {name}: act()"):
-            action = np.asarray(player.act(view), np.float64)
+            action = np.asarray(agent.act(view), np.float64)
         decided = time.perf_counter()
         _check_action(action, view, name)
         moving = np.flatnonzero(view.playing).tolist()
@@ -97,14 +112,23 @@ def play_episodes(
         stepped = time.perf_counter()
         view = task.view(view.playing & ~(transition.terminated | transition.truncated))
         for env in moving:
-            record = records[env]
-            record.planning_seconds += (decided - started) / len(moving)
-            record.playing_seconds += (stepped - decided) / len(moving)
-            record.add(action[env], transition, view.observation[env])
+            recorder = recorders[env]
+            recorder.planning_seconds += (decided - started) / len(moving)
+            recorder.playing_seconds += (stepped - decided) / len(moving)
+            recorder.add(action[env], transition, view.observation[env])
         progress("playing", int(view.steps.sum()), int(view.num_steps.sum()))
         if stop():
             break
-    return [record.result() for record in records]
+    return [recorder.result(_song_plan(agent, env)) for env, recorder in enumerate(recorders)]
+
+
+def _song_plan(agent: Agent, env_id: int) -> SongPlan | None:
+    what = f"agent {type(agent).__name__}: song_plan()"
+    with by_others(what):
+        plan = agent.song_plan(env_id)
+    if not isinstance(plan, SongPlan | None):
+        raise CadenzaError(f"{what} returned {type(plan).__name__}: give a SongPlan or None")
+    return plan
 
 
 def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
@@ -118,8 +142,8 @@ def _check_action(action: NDArray[np.float64], view: View, agent: str) -> None:
         raise CadenzaError(f"agent {agent}: act() returned an action that is not finite")
 
 
-class _Record:
-    """Collects the rows of an episode's arrays (see `cadenza.episode`)."""
+class _Recorder:
+    """Records the arrays of an episode row by row, see `cadenza.episode`."""
 
     def __init__(
         self, task: PianoTask, env: int, observation: NDArray[np.float32], planning: float
@@ -128,12 +152,12 @@ class _Record:
         self.planning_seconds, self.playing_seconds = planning, 0.0
         self._unstable = False
         self._rows: dict[str, NDArray[Any]] = {}
-        self._done, self._most = 0, int(task.sheets.num_steps[env])
+        self._done, self._num_steps = 0, int(task.goals.num_steps[env])
         self._start = {"hand_qpos0": task.state.hand_qpos[env]}
-        self._start |= {f"{n}0": part for n, part in self._of_the_score(observation).items()}
+        self._start |= {f"{n}0": part for n, part in self._goals(observation).items()}
         self._start |= {f"randomization_{name}": v[env].copy() for name, v in task.drawn.items()}
 
-    def _of_the_score(self, observation: NDArray[np.float32]) -> dict[str, Any]:
+    def _goals(self, observation: NDArray[np.float32]) -> dict[str, Any]:
         layout = self._task.observation_layout
         names = [name for name in ("goal", "fingering") if name in layout]
         return {f"{name}_obs": observation[layout[name]].astype(np.uint8) for name in names}
@@ -162,19 +186,21 @@ class _Record:
             parts = {side: task.simulation.part(side) for side in task.scene.sides}
             row |= {f"{side}_key_qpos": part.key_qpos[env] for side, part in parts.items()}
         self._unstable = bool(transition.unstable[env])
-        for name, value in {**row, **self._of_the_score(observation)}.items():
+        for name, value in {**row, **self._goals(observation)}.items():
             if name not in self._rows:
                 values = np.asarray(value)
-                self._rows[name] = np.zeros((self._most, *values.shape), values.dtype)
+                self._rows[name] = np.zeros((self._num_steps, *values.shape), values.dtype)
             self._rows[name][self._done] = value
         self._done += 1
 
-    def result(self) -> EpisodeResult:
-        scores = self._task.episode_metrics(self._env)  # JSON has no NaN
-        metrics: dict[str, Any] = {n: None if math.isnan(v) else v for n, v in scores.items()}
+    def result(self, plan: SongPlan | None) -> EpisodeResult:
+        scores = self._task.episode_metrics(self._env)
+        metrics: dict[str, Any] = {  # JSON has no NaN
+            name: None if math.isnan(value) else value for name, value in scores.items()
+        }
         metrics |= self._sums()
         metrics |= {
-            "rewarded_fingers": self._task.sheets.tracks[self._env].rewarded_fingers,
+            "rewarded_fingers": self._task.goals.tracks[self._env].rewarded_fingers,
             "steps": self._done,
             "planning_seconds": self.planning_seconds,
             "playing_seconds": self.playing_seconds,
@@ -182,7 +208,7 @@ class _Record:
         }
         if isinstance(self._task.simulation, HandsApart):
             metrics["combined"] = True
-        return EpisodeResult(self._episode(metrics), metrics)
+        return EpisodeResult(self._episode(metrics), metrics, plan)
 
     def _sums(self) -> dict[str, float]:
         rewards = {n: rows for n, rows in self._rows.items() if n.startswith("reward_")}
@@ -193,9 +219,9 @@ class _Record:
     def _episode(self, metrics: dict[str, Any]) -> Episode:
         task, scene = self._task, self._task.scene
         rows = {name: values[: self._done] for name, values in self._rows.items()}
-        goal, fingers = task.sheets.part(self._env, 0, self._done)
+        goal, fingers = task.goals.between(self._env, 0, self._done)
         xpos, xquat = body_poses(scene, rows["hand_qpos"])
-        about = {
+        constants = {
             "action_min": task.action_low,
             "action_max": task.action_high,
             "actuator_names": np.array(scene.actuator_names),
@@ -212,7 +238,7 @@ class _Record:
             "body_xquat": xquat,
             "metrics": np.array(json.dumps(metrics)),
         }
-        title = task.sheets.songs[self._env].title
+        title = task.goals.scores[self._env].title
         return Episode(
-            title, task.config.control_timestep, self._start | rows | about, drawing(scene)
+            title, task.config.control_timestep, self._start | rows | constants, drawing(scene)
         )

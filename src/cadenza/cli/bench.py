@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
-from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
+from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable, counted
 from cadenza.cli.performing import TRAIN, Again, Options, agents_in, check_all_play
@@ -113,7 +113,7 @@ def _agents(command: Bench) -> list[str]:
     agents = [name for words in command.agents for name in agents_in(words)]
     if not agents:
         raise CadenzaError("nobody plays: name at least one agent")
-    agents = list(dict.fromkeys(map(current_name, agents)))
+    agents = list(dict.fromkeys(agents))
     if PLAYBACK in agents:
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
     return agents

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from cadenza.agents.registry import PLAYBACK, current_name
+from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.output import check_writable, in_columns
 from cadenza.cli.performing import (
@@ -52,7 +52,7 @@ class Compare(Performing):
 def compare(command: Compare, again: Again[Compare]) -> None:
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
-    if PLAYBACK in map(current_name, command.agents):
+    if PLAYBACK in command.agents:
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
     check_all_play(command, command.agents)
     selections = {name: selected(command, name) for name in command.agents}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from cadenza.agents.registry import PLAYBACK, PRETRAINED, current_name
+from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Advanced, Quiet
 from cadenza.cli.output import check_writable, counted
 from cadenza.cli.own_parts import OwnParts
@@ -126,7 +126,7 @@ def _who(command: Collect) -> Demonstrator:
     from cadenza.evaluation.collecting.collect import Demonstrator
     from cadenza.performing.setup import is_policy_folder
 
-    agent = current_name(command.agent)
+    agent = command.agent
     if agent in (PLAYBACK, PRETRAINED) or is_policy_folder(agent):
         raise CadenzaError(f"--agent {agent}: does not plan, nor play any song; choose the planner")
     config = command.configs.get(agent)

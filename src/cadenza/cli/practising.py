@@ -67,7 +67,7 @@ def _practise(
     from cadenza.agents.planner.practice.practice import MOST_EFFORT
 
     practice = practising.practice
-    score, told = practice.plan.track.on_the_clock, len(practice.history)
+    score, told = practice.plan.track.delayed_score, len(practice.history)
     # Apart: the whole song is played to save its plan, which takes much longer.
     saved, plan_saved = _NowAndThen(practising.save), _NowAndThen(practising.save_plan)
     with _shown(practice, effort, minutes) as show:

@@ -9,13 +9,13 @@ import hashlib
 import json
 import os.path
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
-from cadenza.configs import files_named, identity
+from cadenza.configs import files_named
 from cadenza.files import folder_name, plain, sha256_of
 from cadenza.learning.config import TrainingConfig
 from cadenza.music.arrangement import Arrangement
@@ -56,7 +56,7 @@ class JobSpec:
 
     def as_json(self) -> dict[str, Any]:
         """Returns the same as JSON has it."""
-        content: dict[str, Any] = plain(identity(self))
+        content: dict[str, Any] = plain(asdict(self))
         return content
 
     @cached_property

@@ -22,6 +22,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cadenza.agents.agent import Progress
+from cadenza.agents.rollout import begin_episodes
 from cadenza.evaluation.jobs import Job, JobSpec
 from cadenza.evaluation.results import (
     FORMAT,
@@ -44,7 +45,8 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.performing.performance import Performance, add_page, perform
-from cadenza.performing.setup import select, set_up
+from cadenza.performing.setup import load_song, select, set_up
+from cadenza.tasks.piano_task import PianoTask
 
 
 def carry_out(
@@ -87,10 +89,10 @@ def _add_page(spec: JobSpec, folder: Path) -> None:
     """Makes the page of a finished run; one of which none can be made keeps its result."""
     try:
         check_song(spec)
-        selection = select(spec.song, "zero", arrangement=spec.arrangement)
-        with set_up(selection, spec.task, spec.scene, spec.seed) as setup:
-            goal = perform(setup, stop=lambda: True).goal  # of its first step
-        add_page(folder, goal)
+        score = load_song(spec.song, spec.arrangement)
+        with closing(PianoTask([score], spec.task, spec.scene)) as task:
+            begin_episodes(task, [spec.seed])
+            add_page(folder, task.score(0))
     except Exception:
         traceback.print_exc()
 

@@ -96,7 +96,7 @@ class Collector:
 
     def _take(self, action: Floats, env_ids: list[int] | None = None) -> Transition:
         task = self._task
-        result = task.step(self._ctrl(action, task.sheets.row, task.state), env_ids)
+        result = task.step(self._ctrl(action, task.goals.row, task.state), env_ids)
         moving = self._env_ids if env_ids is None else env_ids
         self._action[moving] = action[moving]
         self._reward[moving] = result.reward[moving]
@@ -110,14 +110,14 @@ class Collector:
             self._began[env] = self._env_rngs[env].bit_generator.state
             self._taken[env] = []
         self._task.reset([self._env_rngs[env] for env in env_ids], env_ids.tolist())
-        sheets = self._task.sheets
+        goals = self._task.goals
         for env in env_ids.tolist():
-            self._first_row[env] = self._goals.add(sheets.tracks[env])
+            self._first_row[env] = self._goals.add(goals.tracks[env])
         self._return[env_ids] = 0.0
 
     def _observe(self, env_ids: Rows) -> None:
-        sheets = self._task.sheets
-        row, first = self._first_row + sheets.row, sheets.steps_done == 0
+        goals = self._task.goals
+        row, first = self._first_row + goals.row, goals.steps_done == 0
         proprioception = self._observer.proprioception(self._task.observation())
         self._replay.observe(env_ids, proprioception[env_ids], row[env_ids], first[env_ids])
         self.observation = self._observer.observation(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cadenza.keyboards.piano import PIANO
 from cadenza.scene.kinematics import Kinematics
 from cadenza.scene.servos import servos_of
-from cadenza.tasks.music import transposes
+from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import to_range
 
@@ -75,7 +75,7 @@ def _keys_of_fingers(task: PianoTask) -> NDArray[np.bool_]:
     """(F, K) whether any score wants a key of a finger, or of whichever."""
     there = task.scene.fingers_there
     numbers = range(there.start, there.stop)
-    keys = np.full((len(numbers), task.scene.keyboard.num_keys), transposes(task.config))
+    keys = np.full((len(numbers), task.scene.keyboard.num_keys), draws_pitch(task.config))
     for track in task.tracks:
         goals = track.goals
         anyone = goals.keys & ~task.scene.has_fingers(goals.fingers)

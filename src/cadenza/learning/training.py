@@ -30,7 +30,7 @@ from cadenza.learning.replay_buffer import ReplayBuffer
 from cadenza.learning.residual import reference_of
 from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite, taking_up
 from cadenza.music.score import Score
-from cadenza.tasks.music import transposes
+from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
 
 Row = dict[str, float]
@@ -119,7 +119,7 @@ class Training:
 
     def _has_known_scores(self) -> bool:
         """Whether no other keys and fingers will be asked for."""
-        return not transposes(self.config.task)
+        return not draws_pitch(self.config.task)
 
     # The loop
 

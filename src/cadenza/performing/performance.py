@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from cadenza.agents.agent import Progress, silent
 from cadenza.agents.planner.misses import Miss, misses_of
-from cadenza.agents.planner.plan.song_plan import SongPlan
 from cadenza.agents.rollout import play_episode
 from cadenza.episode import Episode, load_episode
 from cadenza.errors import CadenzaError, CadenzaWarning
@@ -321,10 +320,7 @@ def perform(
         CadenzaError: the agent cannot play this task, or the seed is negative.
     """
     result = play_episode(setup.task, setup.agent, setup.seed, progress, stop)
-    planner = getattr(setup.agent, "planners", {}).get(0)
-    plan = getattr(planner, "plan", None)
-    plan = plan if isinstance(plan, SongPlan) else None
-    settings, played = setup.settings, result.episode.num_steps
+    plan, settings, played = result.plan, setup.settings, result.episode.num_steps
     if played < setup.num_steps:
         part = f"{played * result.episode.dt:.1f} of {setup.num_steps * result.episode.dt:.1f} s"
         ended = f"ended after {part}; all of this page is about that part"

@@ -14,6 +14,7 @@ from cadenza.agents.planner.planner import Planner
 from cadenza.agents.planner.practice.practice import Practice
 from cadenza.agents.planner.practice.practised_planner import PractisedHands, PractisedPlan
 from cadenza.agents.registry import options_name
+from cadenza.agents.rollout import begin_episodes
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.performing.performance import Performance, perform
@@ -59,8 +60,7 @@ class Practising:
         assert isinstance(setup.agent, Planner)
         self._setup, self._agent, self._path = setup, setup.agent, folder / PRACTICE
         self.performance: Performance | None = None
-        task_rng, rng = np.random.default_rng(setup.seed).spawn(2)
-        setup.task.reset([task_rng], [0])
+        (rng,) = begin_episodes(setup.task, [setup.seed])
         config, threads = replace(setup.agent.config, effort=0.0), setup.agent.threads
         self.practice = Practice(setup.task.view(), rng, config, threads, progress)
         if self._path.exists():

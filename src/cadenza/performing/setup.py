@@ -24,7 +24,6 @@ from cadenza.agents.registry import (
     PRETRAINED,
     agent_options,
     checked_agent,
-    current_name,
     make_agent,
     options_name,
 )
@@ -95,7 +94,7 @@ class Setup:
     @property
     def num_steps(self) -> int:
         """How long the episode is to be."""
-        return int(self.task.sheets.num_steps[0])
+        return int(self.task.goals.num_steps[0])
 
 
 def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
@@ -181,9 +180,9 @@ def select(
         agent = song
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
-        config = getattr(agent, "config", None)
-        return selection(name=name, agent=checked_agent(agent, name), config=config)
-    name = PLANNER if agent is None else current_name(str(agent))
+        agent = checked_agent(agent, name)
+        return selection(name=name, agent=agent, config=agent.config)
+    name = PLANNER if agent is None else str(agent)
     if (name == PLAYBACK) != (plan is not None):
         raise CadenzaError("--agent playback and --plan FILE go together: give both or neither")
     if not isinstance(plan, str | Path | None):
@@ -372,11 +371,10 @@ def _settings(
 @contextmanager
 def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
     """Has the agent use so many, and linear algebra one; closes the agent afterwards."""
-    if num_threads is not None and hasattr(agent, "num_threads"):
+    if num_threads is not None:
         agent.num_threads = num_threads
     try:
         with threadpool_limits(1):  # its last bits depend on how many threads share it
             yield
     finally:
-        if hasattr(agent, "close"):
-            agent.close()
+        agent.close()

@@ -15,8 +15,8 @@ from cadenza.scene.drawing import drawing
 from cadenza.studio.messages import JSON, ROWS, Message, row_bytes
 from cadenza.studio.tones import INSTRUMENT
 from cadenza.tasks import reward
+from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.music import draws
 from cadenza.tasks.piano_task import PianoTask
 
 Send = Callable[[Message], None]
@@ -47,7 +47,7 @@ class Live:
 
     def begin(self) -> None:
         """Tells what is to be played by whom; of what is drawn, the first step tells."""
-        if not draws(self._task.config):
+        if not draws_variation(self._task.config):
             self._begin(self._task.tracks[0])
 
     def _begin(self, track: GoalTrack) -> None:
@@ -65,7 +65,7 @@ class Live:
             scene=drawing(scene),
             goal=packed(goals.keys.astype(np.uint8)),
             pedal=packed(goals.sustain.astype(np.uint8)),
-            notes=sorted((n.pitch - self._lowest, n.start) for n in track.on_the_clock.notes),
+            notes=sorted((n.pitch - self._lowest, n.start) for n in track.delayed_score.notes),
             sound=INSTRUMENT,
         )
         self.about = message.content
@@ -75,7 +75,7 @@ class Live:
         """Tells what the step that was just taken has come to."""
         task, state = self._task, self._task.state
         if not self.about:
-            self._begin(task.sheets.tracks[0])
+            self._begin(task.goals.tracks[0])
         depth = reward.key_state(state.key_qpos[0], self._travel)
         self._depths.append(depth)
         sounding = task.sounding[0]

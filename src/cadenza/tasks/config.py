@@ -1,16 +1,12 @@
-"""What can be chosen about the task. Imports nothing heavy: the command line shows it.
-
-A new option says what was so before there was it, see `cadenza.configs.added`: else all runs that
-were kept without it would be carried out again.
-"""
+"""The options of a task. Imports nothing heavy: the command line shows them."""
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
-from cadenza.configs import added
 from cadenza.scene.config import SceneConfig
 
 Fingering = Literal["auto", "transport", "off"]
@@ -19,18 +15,39 @@ Repeats = Literal["published", "shortened"]
 
 
 Range = tuple[float, float]
-"""The least and the greatest value."""
+"""Minimum and maximum."""
 
 SAME: Range = (1.0, 1.0)
 NOISE_ON_OBSERVATIONS = "joint_noise", "slide_noise", "key_noise"  # of `DomainRandomization`
 
 
 @dataclass(frozen=True)
-class DomainRandomization:
-    """What differs from one environment to the next, and from one episode to the next.
+class RewardWeights:
+    """The weights of the terms whose sum is the reward, as in the published code."""
 
-    A range is two numbers, from the least to the greatest; each reset draws from it uniformly.
-    Factors scale what the nominal model has, each body, joint, servo or key by one of its own.
+    key_press: float = 0.5
+    """Goal keys that are down."""
+    no_wrong_key: float = 0.5
+    """No other key sounds; a part of the term "key_press", too."""
+    fingering: float = 1.0
+    """Fingers near the keys that they are to press."""
+    energy: float = 0.005
+    """Minus the power of all actuators [1/W]; the default of `TaskConfig.energy_coefficient`."""
+    sustain: float = 1.0
+    """The pedal as the score has it."""
+    forearm: float = 0.5
+    """The forearms do not touch."""
+
+
+WEIGHTS = RewardWeights()
+
+
+@dataclass(frozen=True)
+class DomainRandomization:
+    """Domain randomization, drawn for each environment and episode.
+
+    A range is two numbers, minimum and maximum; each reset draws from it uniformly. Factors scale
+    the nominal model, each body, joint, servo or key by a factor of its own.
     """
 
     mass: Range = SAME
@@ -60,12 +77,12 @@ class DomainRandomization:
     """Normal noise on the controls of the servos, drawn anew in each step: its standard deviation,
     as a fraction of half the control range. Controls stay in their range."""
     seed: int | None = None
-    """What all of this is drawn with, the same in every episode. Without it, each reset draws one
-    with the random numbers of its environment."""
+    """Seed of all of this, the same in every episode. Without it, each reset draws one with the
+    random numbers of its environment."""
 
     @property
     def is_on(self) -> bool:
-        """Whether anything differs from the nominal model."""
+        """Whether anything may differ from the nominal model."""
         return replace(self, seed=None) != DomainRandomization()
 
 
@@ -97,13 +114,13 @@ class TaskConfig:
     fingering: Fingering = "auto"
     """Fingering reward. auto: fingers from the score, or from a search for notes without any.
     transport: the assignment of fingers to keys with the shortest total distance. off: none."""
-    fingering_margin: float = field(default=0.1, metadata=added(before=0.1))
+    fingering_margin: float = 0.1
     """Distance over which the fingering reward falls to a tenth, beyond a first centimetre that
     costs nothing [m]."""
-    key_press: KeyPress = field(default="published", metadata=added(before="published"))
+    key_press: KeyPress = "published"
     """Reward for the keys to press. published: hardly any for a key before it is nearly down, and
     as much for no wrong key; graded: for every touch, less for every wrong key."""
-    energy_coefficient: float = 0.005
+    energy_coefficient: float = WEIGHTS.energy
     """Weight of the energy penalty."""
     sustain_term: bool = False
     """Add the reward for the sustain pedal, as in the published code."""
@@ -122,13 +139,20 @@ class TaskConfig:
     randomization_probability: float = 1.0
     """Probability that each randomisation of the score is applied in an episode."""
     randomization: DomainRandomization = field(default_factory=DomainRandomization)
-    """What of the simulation and its sensors differs by environment and episode."""
+    """Randomisation of the simulation and its sensors by environment and episode."""
+
+    @property
+    def lookahead_steps(self) -> int:
+        """The lookahead of the goal observation in control steps, however it is given."""
+        if self.n_seconds_lookahead is None:
+            return self.n_steps_lookahead
+        return math.ceil(round(self.n_seconds_lookahead / self.control_timestep, 9))
 
 
 def with_time_to_begin() -> TaskConfig:
-    """What is played unless something else is chosen: half a second of silence comes first.
+    """The default task for playing, which begins with half a second of silence.
 
-    From where they start, the hands cannot sound a note at time 0.
+    The hands start above the keys and cannot sound a note at time 0.
     """
     return TaskConfig(initial_buffer_time=0.5)
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from cadenza.configs import MOST_COUNT, as_config, whole_number
+from cadenza.configs import MOST_COUNT, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.files import checked
 from cadenza.music.formats.written_score import WrittenScore
@@ -27,59 +25,25 @@ from cadenza.sim.lock import Lock, one_at_a_time
 from cadenza.sim.render import Drawing, Picture
 from cadenza.tasks.config import TaskConfig
 from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.piano_task import PianoTask, Transition
+from cadenza.tasks.piano_task import EpisodeStart, PianoTask, Transition
 from cadenza.tasks.reward import RewardTerm
-from cadenza.tasks.setups import setup_named
+from cadenza.tasks.setups import configure
 
 Song = str | Path | Score | Mapping[str, Any]
 Observation = Any  # an array, or with pixels a dictionary of two
 
-_RESET_OPTIONS = {"reset_mask", "song", "score", "start", "randomization"}
-
-
-def configure(
-    options: dict[str, Any], task: TaskConfig | None = None, scene: SceneConfig | None = None
-) -> tuple[TaskConfig, SceneConfig]:
-    """Sorts keyword options into the two configurations that have them as fields.
-
-    Args:
-        options: change `task` and `scene`; "setup" names options that count unless they are given.
-        task: the defaults if not given.
-        scene: the defaults if not given.
-
-    Raises:
-        CadenzaError: no configuration has such an option, or there is no such setup.
-    """
-    if (setup := options.get("setup")) is not None:
-        options = {**setup_named(setup).options, **options}
-    options = {name: value for name, value in options.items() if name != "setup"}
-    known: dict[type, set[str]] = {
-        kind: {field.name for field in fields(kind)} for kind in (TaskConfig, SceneConfig)
-    }
-    names = set().union(*known.values())
-    if unknown := sorted(options.keys() - names):
-        close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise CadenzaError(
-            f"unknown option {', '.join(unknown)}: {hint}choose from "
-            f"{', '.join(sorted({*names, 'setup'}))}"
-        )
-
-    def chosen(kind: type) -> dict[str, Any]:
-        return {name: options[name] for name in known[kind] & options.keys()}
-
-    task = replace(as_config(task, TaskConfig), **chosen(TaskConfig))
-    return task, replace(as_config(scene, SceneConfig), **chosen(SceneConfig))
+_FIXED = ("song", "score", "start", "randomization")  # about an episode, by options of a reset
+_RESET_OPTIONS = {"reset_mask", *_FIXED}
 
 
 def load_songs(song: Song | Sequence[Song]) -> tuple[Score, ...]:
-    """One or several songs: bundled names, paths of MIDI files, or scores, also as JSON."""
+    """The scores of one or several songs: bundled names, paths of files, scores, or their JSON."""
     songs: list[Any] = [*song] if isinstance(song, list | tuple) else [song]
     return tuple(_score(s) or load_score(s) for s in songs)
 
 
 def _score(song: Any) -> Score | None:
-    """The score that `song` is itself, see `WrittenScore`; None of all that only names one."""
+    """The score, if `song` is one, also as JSON (`WrittenScore`); None if it only names one."""
     if isinstance(song, Mapping):
         return checked(song, WrittenScore, "the score").score
     return song if isinstance(song, Score) else None
@@ -198,14 +162,6 @@ class PianoVectorEnv(VectorEnv):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.observation_layout
 
-    def scale_action(self, action: NDArray[Any]) -> NDArray[np.float64]:
-        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
-        return self.task.scale_action(action)
-
-    def unscale_action(self, ctrl: NDArray[Any]) -> NDArray[np.float64]:
-        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
-        return self.task.unscale_action(ctrl)
-
     def _observation_space(self) -> spaces.Space:
         low = np.zeros(self.task.observation_size, np.float32)
         high = np.ones(self.task.observation_size, np.float32)
@@ -228,17 +184,14 @@ class PianoVectorEnv(VectorEnv):
         """Starts new episodes.
 
         Args:
-            seed: of the first environment, the others' follow; or one for each, None for those
-                that go on drawing as they did.
+            seed: the seed of the first environment, from which those of the others are counted
+                up; or one for each, None for those that keep their random generators.
             options: "reset_mask", (N,) bool, resets some of the environments only, but not at
-                first; "song", one of the environment's songs by index, by title or as it was given,
-                or a list with one for each environment, is what they play in this episode, drawn
-                where it is None; "score", a `Score`, what JSON makes of a `WrittenScore`, or a list
-                with one for each environment, is played instead, exactly as it is; "start", (J,) or
-                a list with one for each environment, is where their hands begin [m, rad], as the
-                task has it where it is None; "randomization", an int or a list with one for each
-                environment, is the number from which all that `DomainRandomization` draws follows,
-                as infos give it, drawn where it is None.
+                first. The others hold for all environments, or are lists with one for each; None
+                is drawn. "song": one of the songs by index, by title or as it was given. "score": a
+                `Score`, or a `WrittenScore` as JSON, which is played exactly as it is. "start":
+                (J,) joint positions of the hands [m, rad]. "randomization": the number from which
+                all that `DomainRandomization` draws follows, as infos have it.
 
         Raises:
             CadenzaError: a seed or an option makes no sense.
@@ -249,71 +202,62 @@ class PianoVectorEnv(VectorEnv):
             raise CadenzaError(f"reset_mask of shape {mask.shape}: give ({self.num_envs},)")
         if not (self._rngs or mask.all()):
             raise CadenzaError("reset_mask: the first reset is of all environments; leave it out")
-        songs = self._assigned(options.get("song"), options.get("score"))
-        starts = self._starts(options.get("start"))
-        seeds = self._seeds(options.get("randomization"))
+        starts = self._starts(options)
         self._seed(seed, mask)
-        self._restart(np.flatnonzero(mask), songs, starts, seeds)
+        self._restart(np.flatnonzero(mask), starts)
         self._finished = self._finished & ~mask
         return self._observe(), self._songs(mask) | self._drawn(mask)
 
-    def _assigned(self, song: Any, score: Any) -> list[int | GoalTrack | None]:
-        """(N,) indices of songs or what is played instead, None where they are drawn."""
-        songs, scores = (
-            self._each(what, given, isinstance(given, list | tuple | np.ndarray))
-            for what, given in (("songs", song), ("scores", score))
-        )
-        return [self._song(*each) for each in zip(songs, scores, strict=True)]
+    def _starts(self, options: Mapping[str, Any]) -> list[EpisodeStart]:
+        """(N,) what the options of a reset fix about the episode of each environment."""
+        given = (self._each(name, options.get(name)) for name in _FIXED)
+        joints = len(self.task.scene.hand_start)
+        return [
+            EpisodeStart(
+                self._song(song, score),
+                None if start is None else _hand_qpos(start, joints),
+                None if drawn is None else whole_number(drawn, "randomization", 0, MOST_COUNT),
+            )
+            for song, score, start, drawn in zip(*given, strict=True)
+        ]
 
     def _song(self, song: Any, score: Any) -> int | GoalTrack | None:
+        """The index of a song or the track of a score; None if neither is given."""
         if score is None:
             return None if song is None else self._index(song)
         if song is not None:
             raise CadenzaError("song and score: give one of them, as an episode plays one")
         if (played := _score(score)) is None:
             raise CadenzaError(f"score {score!r:.100}: give a Score; a song is named by song")
-        return self.task.as_written(played)
-
-    def _starts(self, start: Any) -> list[NDArray[np.float64] | None]:
-        """(N,) joint positions (J,) of the hands, None where they begin as the task has it."""
-        rows = isinstance(start, list | tuple | np.ndarray)
-        several = rows and any(each is None or np.ndim(each) for each in start)
-        joints = len(self.task.scene.hand_start)
-        starts = self._each("starts", start, several)
-        return [None if each is None else _joints(each, joints) for each in starts]
-
-    def _seeds(self, given: Any) -> list[int | None]:
-        """(N,) from which randomization follows, None where that is drawn."""
-        seeds = self._each("randomizations", given, isinstance(given, list | tuple | np.ndarray))
-        return [
-            None if each is None else whole_number(each, "randomization", 0, MOST_COUNT)
-            for each in seeds
-        ]
-
-    def _each(self, what: str, given: Any, several: bool) -> list[Any]:
-        """(N,) what is given, to all or, if `several` are, to each."""
-        values = list(given) if several else [given] * self.num_envs
-        if len(values) != self.num_envs:
-            raise CadenzaError(
-                f"{len(values)} {what} for {self.num_envs} environments: give one for each"
-            )
-        return values
+        return self.task.unchanged_track(played)
 
     def _index(self, song: Any) -> int:
         as_given = isinstance(song, str | Path) and song in self._given
         return self._given.index(song) if as_given else self.task.find_song(song)
 
+    def _each(self, name: str, given: Any) -> list[Any]:
+        """(N,) the option of each environment, given for all of them or as a list."""
+        is_list = isinstance(given, list | tuple | np.ndarray)
+        if name == "start":  # a start for all is a list, too, but of numbers
+            is_list = is_list and any(each is None or np.ndim(each) for each in given)
+        values = list(given) if is_list else [given] * self.num_envs
+        if len(values) != self.num_envs:
+            raise CadenzaError(
+                f"{len(values)} {name}s for {self.num_envs} environments: give one for each"
+            )
+        return values
+
     def _songs(self, known: NDArray[np.bool_]) -> dict[str, Any]:
-        titles = np.array([score.title for score in self.task.sheets.songs], object)
+        titles = np.array([score.title for score in self.task.goals.scores], object)
         return {"song": titles, "_song": known}
 
     def _drawn(self, fresh: NDArray[np.bool_]) -> dict[str, Any]:
-        """What randomization has drawn where episodes begin."""
+        """Infos on the draws of domain randomization for the episodes that begin."""
         drawn = {f"randomization/{name}": v.copy() for name, v in self.task.drawn.items()}
         return drawn | {f"_{name}": fresh for name in drawn}
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
-        """Seeds environments of the mask (N,); those without a seed keep what they draw from."""
+        """Seeds environments of the mask (N,); those without a seed keep their generators."""
         if seed is None and self._rngs:
             return
         for each in seed if isinstance(seed, Sequence | np.ndarray) else [seed]:
@@ -338,18 +282,12 @@ class PianoVectorEnv(VectorEnv):
         ]
 
     def _restart(
-        self,
-        env_ids: NDArray[np.intp],
-        songs: Sequence[int | GoalTrack | None] | None = None,
-        starts: Sequence[NDArray[np.float64] | None] | None = None,
-        seeds: Sequence[int | None] | None = None,
+        self, env_ids: NDArray[np.intp], starts: Sequence[EpisodeStart] | None = None
     ) -> None:
+        """Begins episodes in these environments; `starts` (N,) says what is fixed about them."""
         if len(env_ids):
-            rngs = [self._rngs[i] for i in env_ids]
-            songs, starts, seeds = (
-                [of[i] for i in env_ids] if of else None for of in (songs, starts, seeds)
-            )
-            self.task.reset(rngs, env_ids.tolist(), songs, starts, seeds)
+            rngs, fixed = [self._rngs[i] for i in env_ids], starts and [starts[i] for i in env_ids]
+            self.task.reset(rngs, env_ids.tolist(), fixed)
 
     @one_at_a_time
     def step(
@@ -369,7 +307,7 @@ class PianoVectorEnv(VectorEnv):
         if fresh.any():
             self._restart(np.flatnonzero(fresh))
             moving = np.flatnonzero(~fresh).tolist()
-        result = self.task.step(self.task.scale_action(actions), moving)
+        result = self.task.step(self.task.spec.scale_action(actions), moving)
         if moving is not None:
             result = _blanked(result, fresh)
         infos = self._infos(result, ~fresh)
@@ -474,14 +412,6 @@ class PianoEnv(gymnasium.Env):
         """Name -> slice of an observation (see `PianoTask.observation`)."""
         return self.task.observation_layout
 
-    def scale_action(self, action: NDArray[Any]) -> NDArray[np.float64]:
-        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
-        return self.task.scale_action(action)
-
-    def unscale_action(self, ctrl: NDArray[Any]) -> NDArray[np.float64]:
-        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
-        return self.task.unscale_action(ctrl)
-
     @one_at_a_time
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -524,7 +454,7 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     """The options of a reset, none by default.
 
     Raises:
-        CadenzaError: there is no such option; left alone, songs would be drawn instead.
+        CadenzaError: there is no such option. If it were ignored, songs would be drawn instead.
     """
     if unknown := sorted(set(options or ()) - _RESET_OPTIONS):
         raise CadenzaError(
@@ -533,11 +463,11 @@ def _known(options: dict[str, Any] | None) -> dict[str, Any]:
     return options or {}
 
 
-def _joints(start: Any, count: int) -> NDArray[np.float64]:
-    """(J,) where hands begin.
+def _hand_qpos(start: Any, count: int) -> NDArray[np.float64]:
+    """(J,) joint positions at the start of an episode.
 
     Raises:
-        CadenzaError: it is not so many finite numbers.
+        CadenzaError: `start` is not `count` finite numbers.
     """
     wanted = f"give a finite number for each of the hands' joints, ({count},)"
     try:
@@ -557,7 +487,7 @@ def _check_shape(what: str, given: Any, space: spaces.Space) -> None:
 
 
 def _first(infos: dict[str, Any]) -> dict[str, Any]:
-    """What `infos` says of the first environment, as plain values and arrays."""
+    """The infos of the first environment, as plain values and arrays."""
     return {
         name: values[0] if values.ndim > 1 else values[:1].tolist()[0]
         for name, values in infos.items()
@@ -572,7 +502,7 @@ def _row(observation: Observation) -> Observation:
 
 
 def _blanked(result: Transition, fresh: NDArray[np.bool_]) -> Transition:
-    """The same with nothing in the rows of environments that were reset instead of stepped."""
+    """Zeroes the rows of environments that were reset instead of stepped."""
     return Transition(
         reward=np.where(fresh, 0.0, result.reward),
         terms={name: np.where(fresh, 0.0, values) for name, values in result.terms.items()},

@@ -1,18 +1,19 @@
-"""What is to be played in an episode: made once, and passed on to all who need it."""
+"""Goals of episodes: a score as a task plays it, and the goals of N environments step by step."""
 
 from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cadenza.fingering.players import Forearm, Players, players_at
 from cadenza.fingering.search import Dropped, find_fingering
 from cadenza.fingers import NO_FINGER
-from cadenza.music.goals import Goals, score_to_goals
+from cadenza.music.goals import Goals, score_to_goals, silence
 from cadenza.music.score import Note, Score
 from cadenza.scene.scene import Scene
 from cadenza.tasks.config import TaskConfig
@@ -20,29 +21,29 @@ from cadenza.tasks.config import TaskConfig
 
 @dataclass(frozen=True, eq=False)
 class GoalTrack:
-    """A score as a task plays it: its fingers, its silence, and its goals per control step."""
+    """A score as a task plays it: its fingers, its initial silence, its goals per control step."""
 
     score: Score
     """Trimmed, stretched and transposed, without the silence before it."""
     dropped: tuple[Dropped, ...] | None
-    """Notes that no finger is there for, and why; None where fingers have not been looked for."""
+    """Notes that no finger can play, and why; None if fingers have not been looked for."""
     config: TaskConfig
-    """Of the task."""
+    """The task's options."""
     scene: Scene
     """The hands and the keys."""
     found: bool = False
-    """Whether all its fingers were found for these hands: the song gives none."""
-    _made: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
+    """Whether a search for these hands found all its fingers: the song gives none."""
+    _cached: list[weakref.ref[Goals]] = field(default_factory=list, init=False, repr=False)
 
     def __repr__(self) -> str:
         return f"GoalTrack({self.score!r}, {self.scene!r})"
 
     @property
     def rewarded_fingers(self) -> Literal["score", "found", "transport", "off"]:
-        """Whose fingers the task rewards.
+        """The source of the fingers that the task rewards.
 
-        score: those of the song, and of a search for notes that have none; found: those of a
-        search for all notes; transport: whichever are nearest to the keys; off: none.
+        score: the song, and a search for notes without fingers; found: a search for all notes;
+        transport: optimal transport from fingertips to keys; off: no fingers are rewarded.
         """
         chosen = self.config.fingering
         if chosen == "off" or not self.scene.sides:
@@ -53,32 +54,32 @@ class GoalTrack:
 
     @property
     def silent_steps(self) -> int:
-        """Control steps before the score begins."""
+        """Number of control steps before the score begins."""
         return round(self.config.initial_buffer_time / self.config.control_timestep)
 
     @property
-    def on_the_clock(self) -> Score:
-        """The score as late as the episode has it, after the silence."""
+    def delayed_score(self) -> Score:
+        """The score with the initial silence of the episode before it."""
         silence = self.silent_steps * self.config.control_timestep
         return self.score.with_initial_silence(silence) if silence else self.score
 
     def first_step(self, note: Note) -> int:
-        """On which `note` of the score begins."""
+        """The control step in which a `note` of the score begins."""
         return self.silent_steps + int(note.start * (1 / self.config.control_timestep))
 
     @property
     def goals(self) -> Goals:
-        """Goals per control step of the episode, all of it; a finger that is not there is none.
+        """Goals of every control step of the episode; fingers that the hands lack are left out.
 
-        They are made when they are first asked for, and kept as long as anybody has them.
+        They are computed when first asked for, and cached as long as anybody has them.
         """
-        goals = self._made[0]() if self._made else None
+        goals = self._cached[0]() if self._cached else None
         if goals is None:
-            goals = self._make()
-            self._made[:] = [weakref.ref(goals)]
+            goals = self._compute_goals()
+            self._cached[:] = [weakref.ref(goals)]
         return goals
 
-    def _make(self) -> Goals:
+    def _compute_goals(self) -> Goals:
         config, silent = self.config, self.silent_steps
         shorten = config.repeats == "shortened"
         scene, dt = self.scene, config.control_timestep
@@ -95,14 +96,14 @@ class GoalTrack:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        return {**vars(self), "_made": []}  # weak references cannot be pickled
+        return {**vars(self), "_cached": []}  # weak references cannot be pickled
 
-    def of(self, score: Score) -> GoalTrack:
-        """The same for another score, for which fingers have not been looked for."""
+    def with_score(self, score: Score) -> GoalTrack:
+        """The same track with another score, for which fingers have not been looked for."""
         return replace(self, score=score, dropped=None, found=False)
 
     def fingered(self, progress: Callable[[int, int], None] | None = None) -> GoalTrack:
-        """With a finger on every note that the hands can play; as it is where that was done.
+        """Finds a finger for every note that the hands can play, unless that was done before.
 
         `progress` is that of `find_fingering`.
         """
@@ -112,8 +113,8 @@ class GoalTrack:
         return replace(self, score=score, dropped=dropped, found=not self.score.has_fingering)
 
     def with_found_fingers(self) -> GoalTrack:
-        """Without the fingers that the song gives, if it gives any."""
-        return self if self.found else self.of(self.score.without_fingers())
+        """The same track without the fingers that the song gives, if it gives any."""
+        return self if self.found else self.with_score(self.score.without_fingers())
 
 
 def players_of(scene: Scene) -> Players:
@@ -122,3 +123,110 @@ def players_of(scene: Scene) -> Players:
     spacing, mount = scene.config.hand_spacing, scene.hand.body.mount
     arm = Forearm(mount.home, mount.low, mount.high) if mount else None
     return players_at(scene.hand.reach, scene.keyboard, scene.sides, spacing, slides, arm)
+
+
+class _Upcoming(NamedTuple):
+    """The next goals of N environments."""
+
+    goal: NDArray[np.bool_]
+    """(N, L + 1, K + 1) keys and pedal; past the end of an episode nothing is to be played."""
+    fingers: NDArray[np.int8]
+    """(N, K) fingers for the keys of the next step, -1 for none."""
+    fingers_wanted: NDArray[np.bool_]
+    """(N, F) which fingers have a key to press in the next step."""
+
+
+class EpisodeGoals:
+    """The goals of N environments, of which each is at its own step of its own track.
+
+    Attributes:
+        tracks: what each environment plays.
+        num_steps: (N,) control steps of its episode.
+        steps_done: (N,) control steps since its reset.
+        row: (N,) the step that comes next; after the last, as in the published system, the last.
+    """
+
+    def __init__(self, num_envs: int, lookahead: int, config: TaskConfig, scene: Scene) -> None:
+        """Args:
+        num_envs: N.
+        lookahead: L, the number of steps after the next that are observed.
+        config: the task's options.
+        scene: the hands and the keys.
+        """
+        self.tracks = [GoalTrack(Score(()), None, config, scene)] * num_envs
+        self.num_steps = np.ones(num_envs, np.intp)
+        self.steps_done = np.zeros(num_envs, np.intp)
+        self.row = np.zeros(num_envs, np.intp)
+        self._steps_seen = lookahead + 1
+        self._num_keys, self._num_fingers = scene.keyboard.num_keys, scene.fingers.count
+        self._goals = [silence(1, self._num_keys, self._num_fingers)] * num_envs
+        self._cached: _Upcoming | None = None
+
+    def begin(self, env: int, track: GoalTrack) -> None:
+        """Begins an episode of environment `env`, in which it plays `track`."""
+        self.tracks[env], self._goals[env] = track, track.goals
+        self.num_steps[env] = track.goals.num_steps
+        self.steps_done[env] = self.row[env] = 0
+        self._cached = None
+
+    def advance(self, env_ids: NDArray[np.intp] | slice) -> None:
+        """Counts a step of these environments."""
+        self.steps_done[env_ids] += 1
+        self.row = np.minimum(self.steps_done, self.num_steps - 1)
+        self._cached = None
+
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """The score of each environment."""
+        return tuple(track.score for track in self.tracks)
+
+    @property
+    def goal(self) -> NDArray[np.bool_]:
+        """(N, K + 1) keys and pedal of the next step."""
+        return self._upcoming.goal[:, 0]
+
+    @property
+    def fingers(self) -> NDArray[np.int8]:
+        """(N, K) fingers for the keys of the next step, -1 for none."""
+        return self._upcoming.fingers
+
+    @property
+    def fingers_wanted(self) -> NDArray[np.bool_]:
+        """(N, F) which fingers have a key to press in the next step."""
+        return self._upcoming.fingers_wanted
+
+    @property
+    def lookahead(self) -> NDArray[np.bool_]:
+        """(N, (L + 1) * (K + 1)) the goals of the next step and of the L steps after it."""
+        return self._upcoming.goal.reshape(len(self.row), -1)
+
+    @property
+    def _upcoming(self) -> _Upcoming:
+        """The next goals, which are gathered once a step."""
+        if self._cached is None:
+            num_envs = len(self.row)
+            goal = np.zeros((num_envs, self._steps_seen, self._num_keys + 1), bool)
+            fingers = np.empty((num_envs, self._num_keys), np.int8)
+            wanted = np.empty((num_envs, self._num_fingers), bool)
+            for env, (goals, row) in enumerate(zip(self._goals, self.row.tolist(), strict=True)):
+                keys = goals.keys[row : row + self._steps_seen]
+                goal[env, : len(keys), :-1] = keys
+                goal[env, : len(keys), -1] = goals.sustain[row : row + self._steps_seen]
+                fingers[env] = goals.fingers[row]
+                wanted[env] = goals.fingers_wanted[row]
+            self._cached = _Upcoming(goal, fingers, wanted)
+        return self._cached
+
+    def between(
+        self, env: int, first: int, last: int
+    ) -> tuple[NDArray[np.bool_], NDArray[np.int8]]:
+        """Goals of one environment in the steps from `first` to before `last`.
+
+        Returns:
+            (last - first, K + 1) keys and pedal, nothing past the end; (last - first, K) fingers.
+        """
+        steps, goals = np.arange(first, last), self._goals[env]
+        keys, fingers = goals.at(steps)
+        inside = steps < goals.num_steps
+        sustain = goals.sustain[np.minimum(steps, goals.num_steps - 1)] & inside
+        return np.column_stack([keys, sustain]), fingers

@@ -6,7 +6,6 @@ actuator units and arrays (num_envs, ...).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -22,24 +21,23 @@ from cadenza.scene.scene import Scene, build_scene
 from cadenza.sim.hands_apart import HandsApart
 from cadenza.sim.mujoco_simulation import MOST_ENVS, MujocoSimulation
 from cadenza.sim.protocol import MakeSimulation
-from cadenza.tasks import music, reward
+from cadenza.tasks import augmentation
 from cadenza.tasks.config import TaskConfig
-from cadenza.tasks.goal_track import GoalTrack
-from cadenza.tasks.optimal_transport import keys_by_transport_on_host
+from cadenza.tasks.goal_track import EpisodeGoals, GoalTrack
 from cadenza.tasks.randomization import Randomization
-from cadenza.tasks.view import TaskSpec, View
+from cadenza.tasks.reward import Outcome, Reward, RewardTerm, key_activation, key_state
+from cadenza.tasks.view import View, task_spec
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PEDAL_DOWN = 0.5  # the pedal sounds from here on
-_TOTAL = "total"
+PEDAL_DOWN = 0.5  # of the way: from here on the pedal sustains
 TOUCH_RANGE = 5.0
 """Greatest force that is observed [N]; a key is held down with about one."""
 
 
 class Transition(NamedTuple):
-    """What came of one control step; arrays over the batch (N,)."""
+    """The result of a control step; arrays over the batch (N,)."""
 
     reward: Array
     terms: dict[str, Array]
@@ -49,21 +47,18 @@ class Transition(NamedTuple):
     truncated: Mask
     """The score is over."""
     unstable: Mask
-    """The simulation became so, or a control of it or of the pedal was not a number."""
+    """The simulation diverged, or an action was not a number."""
 
 
-def _checked_terms(terms: Mapping[str, reward.RewardTerm]) -> dict[str, reward.RewardTerm]:
-    if not isinstance(terms, Mapping):
-        raise CadenzaError(f"reward_terms {terms!r:.100}: give a dictionary, name -> function")
-    for name, term in terms.items():
-        if not isinstance(name, str) or not callable(term):
-            raise CadenzaError(f"reward term {name!r:.100}: give a name and a function")
-        if name == _TOTAL:
-            raise CadenzaError(
-                f"reward term {name!r}: recordings call the sum of all terms so; "
-                "choose another name"
-            )
-    return dict(terms)
+class EpisodeStart(NamedTuple):
+    """What is fixed about an episode of one environment; what is None is drawn."""
+
+    song: int | GoalTrack | None = None
+    """The index of a song among the task's, or a track that is played as it is."""
+    hand_qpos: Array | None = None
+    """(J,) joint positions of the hands [m, rad]."""
+    randomization: int | None = None
+    """The number from which everything follows that `DomainRandomization` draws."""
 
 
 class PianoTask:
@@ -77,13 +72,13 @@ class PianoTask:
         action_low, action_high: (A,) ranges of an action in actuator units, the pedal last.
         observation_layout: name -> slice of an observation.
         observation_size: D.
-        sheets: the music that each environment plays and how far it has got.
+        goals: what each environment has to play and how far it has got.
         state: what the simulation was like after the last step, or reset.
         key_state: (N, K) how far the keys are down, 0..1.
         sounding: (N, K) which keys sound.
         wanted: (N, K) which keys should have sounded in the last step, none after reset.
         reward: (N,) of the last step, 0 after reset.
-        tracks: what is drawn from, as it is played.
+        tracks: the tracks of the songs that episodes draw from.
     """
 
     def __init__(
@@ -93,7 +88,7 @@ class PianoTask:
         scene: SceneConfig | Scene | None = None,
         num_envs: int = 1,
         num_threads: int = 1,
-        reward_terms: Mapping[str, reward.RewardTerm] | None = None,
+        reward_terms: Mapping[str, RewardTerm] | None = None,
         progress: Callable[[int, int], None] | None = None,
         make_simulation: MakeSimulation | None = None,
     ) -> None:
@@ -103,11 +98,11 @@ class PianoTask:
             scene: the scene or its options.
             num_envs: N.
             num_threads: threads that share the simulation.
-            reward_terms: name -> function of a `reward.Outcome` that returns (N,); they are added
+            reward_terms: name -> function of a `cadenza.Outcome` that returns (N,); they are added
                 to the reward, and one of the same name takes the place of the task's own.
-            progress: is told of how many notes the fingers have been looked for, and of all.
-            make_simulation: what moves hands and keys; MuJoCo if nothing else is given, one for
-                each hand if they play apart.
+            progress: is told for how many notes fingers have been looked for, and their number.
+            make_simulation: makes the physics; MuJoCo by default, one for each hand if they play
+                apart.
 
         Raises:
             CadenzaError: a score has no notes, or an option makes no sense.
@@ -136,26 +131,18 @@ class PianoTask:
         )
         keyboard = self.scene.keyboard
         self._travel, self._sounds_from = keyboard.travel, keyboard.sounds_from
-        self._press = reward.press_offset(keyboard.half_size)
-        lookahead = self._steps_lookahead()
-        self.sheets = music.Sheets(num_envs, lookahead, self.config, self.scene)
-        self.spec = TaskSpec(
-            config=self.config,
-            scene=self.scene,
-            action_low=self.scene.action_low,
-            action_high=self.scene.action_high,
-            observation_layout=self._lay_out_observation(lookahead),
-        )
+        self.goals = EpisodeGoals(num_envs, self.config.lookahead_steps, self.config, self.scene)
+        self.spec = task_spec(self.config, self.scene)
         self.action_low, self.action_high = self.spec.action_low, self.spec.action_high
         self.observation_layout = self.spec.observation_layout
         self.observation_size = self.spec.observation_size
         self._played = np.zeros((num_envs, 0, keyboard.num_keys + 1), bool)
         self.wanted = np.zeros((num_envs, keyboard.num_keys), bool)
-        self._more_terms = _checked_terms(reward_terms or {})
+        self._reward = Reward(self.config, self.scene, reward_terms)
         self._pedal, self._lost = np.zeros(num_envs), np.zeros(num_envs, bool)
         self._env_ids = np.arange(num_envs)
         self.reward = np.zeros(num_envs)
-        self._look()
+        self._read_state()
 
     # Shapes and ranges
 
@@ -163,37 +150,6 @@ class PianoTask:
     def action_size(self) -> int:
         """A: actuators and the pedal."""
         return self.spec.action_size
-
-    def scale_action(self, action: NDArray[Any]) -> Array:
-        """See `TaskSpec.scale_action`."""
-        return self.spec.scale_action(action)
-
-    def unscale_action(self, ctrl: NDArray[Any]) -> Array:
-        """See `TaskSpec.unscale_action`."""
-        return self.spec.unscale_action(ctrl)
-
-    def _steps_lookahead(self) -> int:
-        seconds = self.config.n_seconds_lookahead
-        steps = self.config.n_steps_lookahead
-        if seconds is not None:
-            steps = math.ceil(round(seconds / self.config.control_timestep, 9))
-        return steps
-
-    def _lay_out_observation(self, lookahead: int) -> dict[str, slice]:
-        keys = self.scene.keyboard.num_keys
-        sizes = {"goal": (lookahead + 1) * (keys + 1)}
-        if self.config.fingering != "off" and self.scene.sides:
-            sizes["fingering"] = self.scene.fingers.count
-        sizes |= {"key_state": keys, "pedal": 1}
-        if self.scene.sides:
-            sizes["joints"] = len(self.scene.hand_joint_names)
-        if self.scene.sides and self.scene.config.touch:
-            sizes["touch"] = len(self.scene.fingertip_sites)
-        ends = np.cumsum(list(sizes.values()))
-        return {
-            name: slice(int(end) - size, int(end))
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
 
     def _find_offset_joints(self) -> NDArray[np.intp]:
         names, most = self.scene.hand_joint_names, self.config.random_hand_position
@@ -215,107 +171,100 @@ class PianoTask:
 
     @property
     def scores(self) -> tuple[Score, ...]:
-        """The scores that are drawn from, as they are played."""
+        """The scores that episodes draw from, as the task has changed them."""
         return tuple(track.score for track in self.tracks)
 
     @property
     def drawn(self) -> Mapping[str, NDArray[Any]]:
-        """Name -> (N, ...) what was drawn for the episodes, see `Randomization.drawn`."""
+        """Name -> (N, ...) draws of domain randomization, see `Randomization.drawn`."""
         return self._randomization.drawn
 
     def draw_from(
         self, scores: Sequence[Score], progress: Callable[[int, int], None] | None = None
     ) -> None:
-        """From the next reset on, what is played is drawn from these; see the constructor."""
-        self.tracks = music.prepare(scores, self.config, self.scene, progress)
+        """Draws from these scores from the next reset on; see the constructor."""
+        self.tracks = augmentation.prepare_tracks(scores, self.config, self.scene, progress)
 
     def find_song(self, song: int | str) -> int:
         """The index among `scores` of a song, given by index or title.
 
         Raises:
-            CadenzaError: that is none of them, or several.
+            CadenzaError: there is no such song, or several have the title.
         """
-        return music.find_song(self.scores, song)
+        return augmentation.find_song(self.scores, song)
 
     def reset(
         self,
         rngs: Sequence[np.random.Generator],
         env_ids: Sequence[int],
-        songs: Sequence[int | GoalTrack | None] | None = None,
-        starts: Sequence[Array | None] | None = None,
-        seeds: Sequence[int | None] | None = None,
+        starts: Sequence[EpisodeStart] | None = None,
     ) -> None:
-        """Starts new episodes.
+        """Begins new episodes.
 
         Args:
             rngs: a generator for each of `env_ids`.
-            env_ids: which environments.
-            songs: the index of each one's song among `scores`, None where it is drawn, or what is
-                played as it is, see `as_written`; all are drawn by default.
-            starts: (J,) where each one's hands begin [m, rad], None where that is as the task has
-                it, as are all by default.
-            seeds: the number from which each one's `DomainRandomization` follows, None where it is
-                drawn, as are all by default.
+            env_ids: in which environments.
+            starts: what is fixed about each of them; nothing by default.
         """
-        start = np.tile(self.scene.hand_start, (len(env_ids), 1))
-        songs = [None] * len(env_ids) if songs is None else songs
-        starts = [None] * len(env_ids) if starts is None else starts
-        for row, (env, rng, song, given) in enumerate(
-            zip(env_ids, rngs, songs, starts, strict=True)
-        ):
-            self.sheets.put(env, self._track(song, rng))
-            if given is not None:
-                start[row] = given
+        starts = [EpisodeStart()] * len(env_ids) if starts is None else starts
+        hand_qpos = np.tile(self.scene.hand_start, (len(env_ids), 1))
+        for row, (env, rng, start) in enumerate(zip(env_ids, rngs, starts, strict=True)):
+            self.goals.begin(env, self._track(start.song, rng))
+            if start.hand_qpos is not None:
+                hand_qpos[row] = start.hand_qpos
             elif most := self.config.random_hand_position:
-                start[row, self._offset_joints] = rng.uniform(-most, most)
-        if (missing := int(self.sheets.num_steps.max()) - self._played.shape[1]) > 0:
+                hand_qpos[row, self._offset_joints] = rng.uniform(-most, most)
+        if (missing := int(self.goals.num_steps.max()) - self._played.shape[1]) > 0:
             self._played = np.pad(self._played, ((0, 0), (0, missing), (0, 0)))
-        self.wanted[list(env_ids)] = False
-        seeds = [None] * len(env_ids) if seeds is None else seeds
-        self._randomization.begin(env_ids, rngs, start, seeds)
-        self.simulation.reset(env_ids, start)
-        self._pedal[list(env_ids)], self._lost[list(env_ids)] = 0.0, False
-        self.reward[list(env_ids)] = 0.0
-        self._look()
+        reset = list(env_ids)
+        self._randomization.begin(env_ids, rngs, hand_qpos, [s.randomization for s in starts])
+        self.simulation.reset(env_ids, hand_qpos)
+        self.wanted[reset], self._lost[reset] = False, False
+        self._pedal[reset], self.reward[reset] = 0.0, 0.0
+        self._read_state()
 
     def _track(self, song: int | GoalTrack | None, rng: np.random.Generator) -> GoalTrack:
         if isinstance(song, GoalTrack):
             return song
-        return music.draw(self.tracks, self.config, self.scene.keyboard.pitches, rng, song)
+        pitches = self.scene.keyboard.pitches
+        return augmentation.draw_track(self.tracks, self.config, pitches, rng, song)
 
-    def as_written(self, score: Score) -> GoalTrack:
-        """What is played of a score to which nothing is done, see `music.as_written`."""
-        return music.as_written(score, self.config, self.scene)
+    def unchanged_track(self, score: Score) -> GoalTrack:
+        """The track of a score that is played as it is, see `augmentation.unchanged_track`."""
+        return augmentation.unchanged_track(score, self.config, self.scene)
 
-    def _look(self) -> None:
+    def _read_state(self) -> None:
         self.state = self.simulation.state
-        self.key_state = reward.key_state(self.state.key_qpos, self._travel)
-        self.sounding = reward.key_activation(self.state.key_qpos, self._sounds_from)
+        self.key_state = key_state(self.state.key_qpos, self._travel)
+        self.sounding = key_activation(self.state.key_qpos, self._sounds_from)
 
     def step(self, ctrl: Array, env_ids: Sequence[int] | None = None) -> Transition:
         """Takes one control step with actions `ctrl` (N, A) in actuator units, the pedal last.
 
         Args:
             ctrl: a row for every environment.
-            env_ids: the environments that take the step, all by default; the rows of the others
-                in the result mean nothing.
+            env_ids: the environments that take the step, all by default; rows of the others in the
+                result have no meaning.
+
+        Raises:
+            CadenzaError: a reward term of the user's is not a finite number for each environment.
         """
-        sheets = self.sheets
-        goal, fingers, row = sheets.goal, sheets.fingers, sheets.row
+        goals = self.goals
+        goal, fingers, row = goals.goal, goals.fingers, goals.row
         moving = slice(None) if env_ids is None else np.asarray(env_ids, np.intp)
         arrived = self._randomization.step(ctrl, moving)
-        self._look()
+        self._read_state()
         pedal = arrived[moving, -1]
         self._lost[moving] |= ~np.isfinite(pedal)
         self._pedal[moving] = np.fmin(np.fmax(pedal, 0.0), 1.0)  # up where it is not a number
         self.wanted[moving] = goal[moving, :-1]
-        within = self._env_ids[moving][(sheets.steps_done < sheets.num_steps)[moving]]
+        within = self._env_ids[moving][(goals.steps_done < goals.num_steps)[moving]]
         here = within, row[within]
         self._played[*here, :-1] = self.sounding[within]
         self._played[*here, -1] = self.pedal_down[within]
-        sheets.advance(moving)
+        goals.advance(moving)
 
-        terms = self._reward_terms(goal, fingers) | self._terms_given(goal, fingers, ctrl)
+        terms = self._reward.terms(self._outcome(goal, fingers, ctrl))
         terminated = unstable = self.state.unstable | self._lost
         if self.config.wrong_press_termination:
             terminated = terminated | (self.sounding > goal[:, :-1]).any(axis=1)
@@ -325,31 +274,12 @@ class PianoTask:
             reward=total,
             terms=terms,
             terminated=terminated,
-            truncated=(sheets.steps_done >= sheets.num_steps) > terminated,
+            truncated=(goals.steps_done >= goals.num_steps) > terminated,
             unstable=unstable,
         )
 
-    def _reward_terms(self, goal: Mask, fingers: NDArray[np.int8]) -> dict[str, Array]:
-        config, state, keys = self.config, self.state, goal[:, :-1]
-        graded = config.key_press == "graded"
-        key_press = reward.graded_key_press if graded else reward.key_press
-        terms = {"key_press": key_press(self.key_state, self.sounding, keys)}
-        if self.scene.sides:
-            if config.fingering != "off":
-                terms["fingering"] = self._fingering_term(keys, fingers)
-            terms["energy"] = reward.energy(
-                state.actuator_force, state.actuator_velocity, config.energy_coefficient
-            )
-        if config.sustain_term:
-            terms["sustain"] = reward.sustain(self.pedal_down, goal[:, -1])
-        if config.forearm_term:
-            terms["forearm"] = reward.forearm(state.forearm_contact)
-        return terms
-
-    def _terms_given(self, goal: Mask, fingers: NDArray[np.int8], ctrl: Array) -> dict[str, Array]:
-        if not self._more_terms:
-            return {}
-        outcome = reward.Outcome(
+    def _outcome(self, goal: Mask, fingers: NDArray[np.int8], ctrl: Array) -> Outcome:
+        return Outcome(
             state=self.state,
             key_state=self.key_state,
             sounding=self.sounding,
@@ -359,36 +289,8 @@ class PianoTask:
             fingers=fingers,
             ctrl=ctrl,
         )
-        return {n: self._reward_of(n, term(outcome)) for n, term in self._more_terms.items()}
 
-    def _reward_of(self, term: str, given: Any) -> Array:
-        """(N,) what a term of somebody else's has returned.
-
-        Raises:
-            CadenzaError: that is no reward.
-        """
-        wanted = f"give a finite number for each environment, ({self.num_envs},)"
-        try:
-            values = np.asarray(given, float)
-        except (TypeError, ValueError) as error:
-            kind = type(given).__name__
-            raise CadenzaError(f"reward term {term!r} returned {kind}: {wanted}") from error
-        if values.shape != (self.num_envs,):
-            raise CadenzaError(f"reward term {term!r} returned shape {values.shape}: {wanted}")
-        if not np.isfinite(values).all():
-            raise CadenzaError(f"reward term {term!r} returned {values}: {wanted}")
-        return values
-
-    def _fingering_term(self, keys: Mask, fingers: NDArray[np.int8]) -> Array:
-        tips, key_xpos, press = self.state.fingertip_xpos, self.state.key_xpos, self._press
-        margin = self.config.fingering_margin
-        if self.config.fingering == "transport":
-            there = self.scene.fingers_there
-            assigned = keys_by_transport_on_host(tips, key_xpos, press, keys, there)
-            return reward.transport_fingering(tips, key_xpos, press, assigned, margin)
-        return reward.score_fingering(tips, key_xpos, press, fingers, margin)
-
-    # What is seen
+    # Observations
 
     @property
     def pedal_down(self) -> Mask:
@@ -396,7 +298,7 @@ class PianoTask:
         return self._pedal >= PEDAL_DOWN
 
     def observation(self) -> NDArray[np.float32]:
-        """(N, D) what an agent sees; `observation_layout` names the parts.
+        """(N, D) observations; `observation_layout` names the parts.
 
         goal: keys and pedal of the next step and of those after it, 0 or 1; fingering: 1 for each
         finger that has a key to press next; key_state: 0 (up) to 1 (down); pedal: 0 to 1; joints:
@@ -406,9 +308,9 @@ class PianoTask:
         """
         layout = self.observation_layout
         result = np.empty((self.num_envs, self.observation_size), np.float32)
-        result[:, layout["goal"]] = self.sheets.lookahead
+        result[:, layout["goal"]] = self.goals.lookahead
         if "fingering" in layout:
-            result[:, layout["fingering"]] = self.sheets.fingers_wanted
+            result[:, layout["fingering"]] = self.goals.fingers_wanted
         result[:, layout["key_state"]] = self._randomization.observed_keys(self.key_state)
         result[:, layout["pedal"]] = self._pedal[:, None]
         if "joints" in layout:
@@ -421,33 +323,33 @@ class PianoTask:
         return result
 
     def view(self, playing: Mask | None = None) -> View:
-        """What an agent sees before the next step, which the environments take that are `playing`.
+        """The view of an agent before the next step of the environments `playing` (N,) bool.
 
-        `playing` is (N,), all by default.
+        All are playing by default.
         """
-        sheets = self.sheets
+        goals = self.goals
         return View(
             task=self.spec,
             env_ids=self._env_ids,
-            tracks=tuple(sheets.tracks),
-            num_steps=sheets.num_steps.copy(),
-            steps=sheets.steps_done.copy(),
+            tracks=tuple(goals.tracks),
+            num_steps=goals.num_steps.copy(),
+            steps=goals.steps_done.copy(),
             playing=np.ones(self.num_envs, bool) if playing is None else playing,
             state=self.state,
             observation=self.observation(),
-            fingers=sheets.fingers,
+            fingers=goals.fingers,
             reward=self.reward.copy(),
             simulation=self.simulation,
         )
 
     def score(self, env: int) -> Score:
-        """What environment `env` is to play, on the clock of its episode."""
-        return self.sheets.tracks[env].on_the_clock
+        """The score of environment `env`, after the initial silence of its episode."""
+        return self.goals.tracks[env].delayed_score
 
     def episode_metrics(self, env: int) -> dict[str, float]:
         """How well environment `env` has played its score so far (see `music.metrics`)."""
-        done = int(min(self.sheets.steps_done[env], self.sheets.num_steps[env]))
-        played, (goal, _) = self._played[env, :done], self.sheets.part(env, 0, done)
+        done = int(min(self.goals.steps_done[env], self.goals.num_steps[env]))
+        played, (goal, _) = self._played[env, :done], self.goals.between(env, 0, done)
         return playing_metrics(
             played[:, :-1],
             played[:, -1],

@@ -1,4 +1,4 @@
-"""Domain randomization: what is drawn for each environment at each reset, and what it does."""
+"""Domain randomization: draws at each reset, and their effect on actions and observations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cadenza.tasks.config import SAME, DomainRandomization
 Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
-_LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without any; of all others 0
+_LEAST_FACTOR = {"mass": 0.01}  # MuJoCo refuses bodies without mass; 0 for all others
 _MOST_FACTOR = 100.0
 _MOST_LATENCY = 1.0  # [s]
 _MOST_NOISE = {
@@ -31,19 +31,19 @@ _MOST_NOISE = {
 _LATENCY, _SEED = "latency", "seed"
 _PREFIX = "randomization."  # the field of `TaskConfig`
 _CONTROL, _OBSERVATION = "control", "observation"
-_OTHERS = (_LATENCY, _CONTROL, _OBSERVATION)  # that have a generator, beside the factors
+_OTHERS = (_LATENCY, _CONTROL, _OBSERVATION)  # draws, beside the factors, with own generators
 
 
 class Randomization:
-    """What is random about N environments beside their music and where their hands start.
+    """The randomization of the physics, actions and observations of N environments.
 
-    At each reset an environment draws one number. All that is random in its episode follows from
-    that, by a generator for each field, so that a field does not depend on what else is on.
+    At each reset an environment draws a seed. All that is random in its episode follows from that,
+    by a generator for each field, so that a field does not depend on what else is on.
 
     Attributes:
-        drawn: name -> (N, ...) what was drawn for the episode of each environment: "seed", the
-            number; "latency" [s]; and the factors of all that is scaled, see
-            `cadenza.scene.randomization.shapes`. Empty if nothing is on.
+        drawn: name -> (N, ...) draws for the episode of each environment: "seed"; "latency" [s];
+            and the factors of all that is scaled, see `cadenza.scene.randomization.shapes`. Empty
+            if nothing is on.
     """
 
     def __init__(
@@ -55,11 +55,11 @@ class Randomization:
         simulation: Simulation,
     ) -> None:
         """Args:
-            config: what is random, and how much.
-            scene: the nominal one.
+            config: the ranges and standard deviations.
+            scene: the nominal scene.
             control_timestep: time between two actions [s].
             num_envs: N.
-            simulation: of all environments.
+            simulation: the physics of all environments.
 
         Raises:
             CadenzaError: a range makes no sense, or the simulation cannot be randomized.
@@ -76,7 +76,7 @@ class Randomization:
         if config.is_on:
             self.drawn = {name: np.ones((num_envs, *s)) for name, s in self._shapes.items()}
             self.drawn[_SEED] = np.zeros(num_envs, np.int64)
-        # Of actions.
+        # Actions
         self._low, self._high = scene.action_low[:-1], scene.action_high[:-1]
         self._control_noise = config.control_noise * (self._high - self._low) / 2
         self._control_rngs: dict[int, np.random.Generator] = {}
@@ -85,11 +85,11 @@ class Randomization:
             self.drawn[_LATENCY] = np.zeros(num_envs)
             most = self._steps_of(config.latency[1]) // self._substeps
             self._sent = np.zeros((num_envs, most + 2, len(scene.action_low)))
-        # Of observations: joints, then keys.
+        # Observations: joints, then keys
         joints = np.where(sliding(scene), config.slide_noise, config.joint_noise)
         keys = np.full(scene.keyboard.num_keys, config.key_noise)
         self._noise = np.concatenate([joints, keys])
-        self._off = np.zeros((num_envs, len(self._noise)))
+        self._offset = np.zeros((num_envs, len(self._noise)))
         self._observation_rngs: dict[int, np.random.Generator] = {}
         asked = [*self._shapes, *({_LATENCY} & self.drawn.keys())]
         if asked and not isinstance(simulation, RandomizableSimulation):
@@ -105,13 +105,13 @@ class Randomization:
         start: Array,
         seeds: Sequence[int | None],
     ) -> None:
-        """Draws what holds in the episodes that begin, before their simulations are reset.
+        """Draws for episodes that begin, before their simulations are reset.
 
         Args:
-            env_ids: where they begin.
+            env_ids: the environments in which they begin.
             rngs: a generator for each of `env_ids`.
-            start: (len(env_ids), J) where the hands will be [m, rad].
-            seeds: the number from which each episode's follows, None where it is drawn.
+            start: (len(env_ids), J) joint positions of the hands after the reset [m, rad].
+            seeds: the seed of each episode, None where it is drawn.
         """
         if not self.drawn:
             return
@@ -120,9 +120,9 @@ class Randomization:
             if factors and isinstance(self._simulation, RandomizableSimulation):
                 self._simulation.randomize(env, factors)
         if _LATENCY in self.drawn:
-            self._sent[list(env_ids), :, :-1] = self._resting(start)[:, None]
+            self._sent[list(env_ids), :, :-1] = self._resting_ctrl(start)[:, None]
             self._sent[list(env_ids), :, -1] = 0.0  # the pedal is up
-        self._look(np.asarray(env_ids, np.intp))
+        self._draw_noise(np.asarray(env_ids, np.intp))
 
     def _seed(self, rng: np.random.Generator) -> int:
         seed = self._config.seed
@@ -149,11 +149,11 @@ class Randomization:
         return factors
 
     def _steps_of(self, latency: float) -> int:
-        """In physics steps, a half to the even number."""
+        """The physics steps of a latency, rounded half to even."""
         return round(latency / self._physics_timestep)
 
-    def _resting(self, start: Array) -> Array:
-        """(N, A) the controls with which servos stay where the joints are at the start."""
+    def _resting_ctrl(self, start: Array) -> Array:
+        """(N, A) the controls that keep the joints at their start."""
         if not self._scene.sides:  # keys, which are up
             return np.tile(np.clip(0.0, self._low, self._high), (len(start), 1))
         servos = servos_of(self._scene)
@@ -162,13 +162,13 @@ class Randomization:
     # In each step
 
     def step(self, ctrl: Array, moving: slice | Ids) -> Array:
-        """Has the simulation take a step with what becomes of the actions on their way.
+        """Steps the simulation with noisy and delayed actions.
 
         Action k is sent at the beginning of control step k. With n physics steps a control step and
         a latency of d of them, it arrives at physics step k n + d.
 
         Args:
-            ctrl: (N, A + 1) the actions that are sent, in actuator units, the pedal last.
+            ctrl: (N, A + 1) the actions of the agent, in actuator units, the pedal last.
             moving: the environments that take the step.
 
         Returns:
@@ -182,11 +182,11 @@ class Randomization:
             self._simulation.step(ctrl[:, :-1], env_ids, held)
         else:
             self._simulation.step(ctrl[:, :-1], env_ids)
-        self._look(moving)
+        self._draw_noise(moving)
         return ctrl
 
     def _arriving(self, ctrl: Array, moving: slice | Ids) -> tuple[Array, Held]:
-        """(N, A + 1) the actions that hold at the end of the step, and what is held before."""
+        """(N, A + 1) the actions that hold at the end of the step, and those held before."""
         sent = self._sent
         sent[moving, 1:] = sent[moving, :-1]
         sent[moving, 0] = ctrl[moving]
@@ -202,24 +202,24 @@ class Randomization:
         noisy[:, :-1] = np.clip(noisy[:, :-1], self._low, self._high)
         return noisy
 
-    def _look(self, moving: slice | Ids) -> None:
-        """Draws by how much observations are off."""
+    def _draw_noise(self, moving: slice | Ids) -> None:
+        """Draws the noise of the next observations."""
         if not self._noise.any():
             return
         for env in self._env_ids[moving].tolist():
             normal = self._observation_rngs[env].standard_normal(len(self._noise))
-            self._off[env] = self._noise * normal
+            self._offset[env] = self._noise * normal
 
     def observed_joints(self, hand_qpos: Array) -> Array:
-        """(N, J) positions as they are observed."""
+        """(N, J) joint positions with noise."""
         joints = slice(0, hand_qpos.shape[1])
-        return hand_qpos + self._off[:, joints] if self._noise[joints].any() else hand_qpos
+        return hand_qpos + self._offset[:, joints] if self._noise[joints].any() else hand_qpos
 
     def observed_keys(self, key_state: Array) -> Array:
-        """(N, K) as they are observed, 0 to 1."""
+        """(N, K) key states with noise, 0 to 1."""
         if not self._config.key_noise:
             return key_state
-        return np.clip(key_state + self._off[:, -key_state.shape[1] :], 0.0, 1.0)
+        return np.clip(key_state + self._offset[:, -key_state.shape[1] :], 0.0, 1.0)
 
 
 def _check(config: DomainRandomization, factors: Sequence[str]) -> None:

@@ -1,37 +1,42 @@
-"""The reward terms, pure functions of state and goal, over the batch.
+"""The reward: its terms as pure functions of state and goal over the batch, and their sum.
 
-They take arrays of NumPy or of a library like it, whose namespace is `xp`, and all shapes follow
-from those of the arguments, so that `jax.jit` can compile them. -1, for none, picks any value,
-which a mask then leaves out.
+The terms take arrays of NumPy or of a library like it, whose namespace is `xp`, and all shapes
+follow from those of the arguments, so that `jax.jit` can compile them. -1, for none, picks any
+value, which a mask then leaves out.
 
 The formulas are those of the paper (Zakka et al., RoboPianist, CoRL 2023, table "reward") as its
-published code computes them.
+published code computes them. The weights are in `cadenza.tasks.config.RewardWeights`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cadenza.errors import CadenzaError
+from cadenza.scene.scene import Scene
 from cadenza.sim.protocol import State
-from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.config import WEIGHTS, TaskConfig
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.integer]
 
+# The published code's: within a bound of its target, a value is rewarded in full; at the margin
+# beyond the bound, with a tenth.
 _LOG_VALUE_AT_MARGIN = math.log(0.1)
-_KEY_BOUND, _KEY_MARGIN = 0.05, 0.5
+_KEY_BOUND, _KEY_MARGIN = 0.05, 0.5  # as fractions of the way down
 _FINGER_BOUND = 0.01  # [m]
 _PRESS_AT = np.array((0.35, 0.0, 0.5))  # of half a key's size, from the centre of its box
+_TOTAL = "total"
 
 
 class Outcome(NamedTuple):
-    """What came of a control step in N environments, and what was wanted of it."""
+    """The states of N environments after a control step, its goals and actions."""
 
     state: State
     """The simulations after the step."""
@@ -80,23 +85,24 @@ def key_activation(key_qpos: Array, sounds_from: Array) -> Mask:
 
 
 def key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """Half for goal keys that are down, half for no other key sounding; arrays (N, K) to (N,)."""
+    """Goal keys that are down, and no other key sounding; arrays (N, K) to (N,)."""
     xp = state.__array_namespace__()
     down = _tolerance(xp, 1.0 - state - _KEY_BOUND, _KEY_MARGIN)
     wrong = (activation > goal).any(-1)
-    return 0.5 * (_masked_mean(xp, down, goal) + ~wrong)
+    return WEIGHTS.key_press * _masked_mean(xp, down, goal) + WEIGHTS.no_wrong_key * ~wrong
 
 
 def graded_key_press(state: Array, activation: Mask, goal: Mask) -> Array:
-    """The same, where every touch of a goal key counts and a wrong key is not as bad as silence.
+    """`key_press` graded: every touch counts, and a wrong key is not as bad as silence.
 
-    A goal key is worth half of how far it is down, and as much again once it sounds. Of the half
-    for no other key, what is lost is the share of wrong keys among goal keys and wrong ones.
+    A goal key is worth half of how far it is down, and as much again once it sounds. The part for
+    no wrong key falls by the share of wrong keys among goal keys and wrong ones.
     """
     xp = state.__array_namespace__()
     wrong = (activation > goal).sum(-1)
     share = wrong / xp.maximum(goal.sum(-1) + wrong, 1)
-    return 0.5 * (_masked_mean(xp, 0.5 * (state + activation), goal) + 1.0 - share)
+    pressed = _masked_mean(xp, 0.5 * (state + activation), goal)
+    return WEIGHTS.key_press * pressed + WEIGHTS.no_wrong_key - WEIGHTS.no_wrong_key * share
 
 
 def score_fingering(
@@ -118,7 +124,7 @@ def score_fingering(
     xp = fingertips.__array_namespace__()
     rows = xp.arange(len(fingers))[:, None]
     offset = fingertips[rows, fingers] - key_xpos - press
-    return _masked_mean(xp, _nearness(xp, offset, margin), fingers >= 0)
+    return WEIGHTS.fingering * _masked_mean(xp, _nearness(xp, offset, margin), fingers >= 0)
 
 
 def transport_fingering(
@@ -134,7 +140,7 @@ def transport_fingering(
         fingertips: (N, F, 3) [m].
         key_xpos: (N, K, 3) centres of the keys' boxes [m].
         press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
-        keys: (N, F) for the fingers, -1 for none, see `optimal_transport`.
+        keys: (N, F) for the fingers, -1 for none, see `keys_by_transport`.
         margin: over which nearness falls to a tenth, from 1 cm on [m].
     """
     xp = fingertips.__array_namespace__()
@@ -142,7 +148,34 @@ def transport_fingering(
     offset = fingertips - key_xpos[rows, keys] - press[keys]
     assigned = keys >= 0
     mean = _masked_mean(xp, _nearness(xp, offset, margin), assigned)
-    return xp.where(assigned.any(-1), mean, 1.0)
+    return WEIGHTS.fingering * xp.where(assigned.any(-1), mean, 1.0)
+
+
+def keys_by_transport(
+    fingertips: Array, key_xpos: Array, press: Array, goal: Mask, there: slice
+) -> NDArray[np.intp]:
+    """(N, F) the key of each finger, -1 for none, with the least sum of distances.
+
+    RP1M (Zhao et al., 2024) assigns fingers so. Unlike the reward terms this cannot be compiled:
+    SciPy solves one row after the other.
+
+    Args:
+        fingertips: (N, F, 3) [m].
+        key_xpos: (N, K, 3) centres of the keys' boxes [m].
+        press: (K, 3) from there to where fingers are wanted, see `press_offset` [m].
+        goal: (N, K) the keys to press.
+        there: the fingers that the hands have, of the F.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow, and most tasks do without
+
+    keys = np.full(fingertips.shape[:2], -1)
+    for row in np.flatnonzero(goal.any(axis=1)):
+        key = np.flatnonzero(goal[row])
+        points = key_xpos[row, key] + press[key]
+        offsets = fingertips[row, there][:, None] - points
+        finger, of_key = linear_sum_assignment(np.linalg.norm(offsets, axis=-1))
+        keys[row, there.start + finger] = key[of_key]
+    return keys
 
 
 def energy(force: Array, velocity: Array, coefficient: float) -> Array:
@@ -152,35 +185,119 @@ def energy(force: Array, velocity: Array, coefficient: float) -> Array:
 
 
 def sustain(pedal_down: Mask, goal: Mask) -> Array:
-    """Pedal as the score wants it; arrays (N,)."""
+    """The pedal as the score has it; arrays (N,)."""
     xp = goal.__array_namespace__()
     difference = goal.astype(float) - pedal_down.astype(float)
     beyond = xp.maximum(difference - _KEY_BOUND, -difference)
-    return _tolerance(xp, beyond, _KEY_MARGIN)
+    return WEIGHTS.sustain * _tolerance(xp, beyond, _KEY_MARGIN)
 
 
 def forearm(contact: Mask) -> Array:
-    """A half unless the forearms touch; arrays (N,)."""
-    return contact.__array_namespace__().where(contact, 0.0, 0.5)
+    """Forearms that do not touch; arrays (N,)."""
+    return contact.__array_namespace__().where(contact, 0.0, WEIGHTS.forearm)
 
 
 def _tolerance(xp: Any, beyond: Array, margin: float) -> Array:
-    """1 up to the bound, falling off as a Gaussian to 0.1 at `margin` beyond it."""
+    """1 up to the bound, then a Gaussian that falls to 0.1 at `margin` beyond it."""
     distance = xp.maximum(beyond, 0.0)
     return xp.exp(distance * distance * (_LOG_VALUE_AT_MARGIN / margin**2))
 
 
 def _nearness(xp: Any, offset: Array, margin: float) -> Array:
-    """(N, P) of fingers that are (N, P, 3) away from where they are wanted [m]."""
+    """(N, P) nearness of fingers whose offsets from their targets are (N, P, 3) [m]."""
     distance = xp.sqrt(xp.vecdot(offset, offset))
     return _tolerance(xp, distance - _FINGER_BOUND, margin)
 
 
 def _masked_mean(xp: Any, values: Array, mask: Mask) -> Array:
-    """(N,) means of the values (N, P) in the mask (N, P), 0 where there are none.
+    """(N,) means of the values (N, P) in the mask (N, P), 0 where the mask is empty.
 
-    They are added up one after the other, which zeros in between do not change. A plain sum adds
+    Values are added up one after the other, which zeros in between do not change. A plain sum adds
     in an order that depends on N and P, and so rounds otherwise.
     """
     total = xp.where(mask, values, 0.0).cumsum(-1)[:, -1]
     return total / xp.maximum(mask.sum(-1), 1)
+
+
+class Reward:
+    """The terms of a task's reward: its own, by its options, and those of the user."""
+
+    def __init__(
+        self, config: TaskConfig, scene: Scene, more_terms: Mapping[str, RewardTerm] | None
+    ) -> None:
+        """Args:
+            config: which terms there are, and their options.
+            scene: the hands and the keys.
+            more_terms: terms that are added, or take the place of the task's of the same name.
+
+        Raises:
+            CadenzaError: `more_terms` are not functions by name.
+        """
+        self._config, self._scene = config, scene
+        self._press = press_offset(scene.keyboard.half_size)
+        self._more_terms = _checked(more_terms or {})
+
+    def terms(self, outcome: Outcome) -> dict[str, Array]:
+        """Name -> (N,) each term of the reward.
+
+        Raises:
+            CadenzaError: a term of the user's is not a finite number for each environment.
+        """
+        config, state, keys = self._config, outcome.state, outcome.goal_keys
+        press_term = graded_key_press if config.key_press == "graded" else key_press
+        terms = {"key_press": press_term(outcome.key_state, outcome.sounding, keys)}
+        if self._scene.sides:
+            if config.fingering != "off":
+                terms["fingering"] = self._fingering(outcome)
+            force, velocity = state.actuator_force, state.actuator_velocity
+            terms["energy"] = energy(force, velocity, config.energy_coefficient)
+        if config.sustain_term:
+            terms["sustain"] = sustain(outcome.pedal_down, outcome.goal_sustain)
+        if config.forearm_term:
+            terms["forearm"] = forearm(state.forearm_contact)
+        num_envs = len(outcome.ctrl)
+        for name, term in self._more_terms.items():
+            terms[name] = _finite(name, term(outcome), num_envs)
+        return terms
+
+    def _fingering(self, outcome: Outcome) -> Array:
+        tips, key_xpos = outcome.state.fingertip_xpos, outcome.state.key_xpos
+        press, margin = self._press, self._config.fingering_margin
+        if self._config.fingering == "transport":
+            there = self._scene.fingers_there
+            keys = keys_by_transport(tips, key_xpos, press, outcome.goal_keys, there)
+            return transport_fingering(tips, key_xpos, press, keys, margin)
+        return score_fingering(tips, key_xpos, press, outcome.fingers, margin)
+
+
+def _checked(terms: Mapping[str, RewardTerm]) -> dict[str, RewardTerm]:
+    if not isinstance(terms, Mapping):
+        raise CadenzaError(f"reward_terms {terms!r:.100}: give a dictionary, name -> function")
+    for name, term in terms.items():
+        if not isinstance(name, str) or not callable(term):
+            raise CadenzaError(f"reward term {name!r:.100}: give a name and a function")
+        if name == _TOTAL:
+            raise CadenzaError(
+                f"reward term {name!r}: recordings call the sum of all terms so; "
+                "choose another name"
+            )
+    return dict(terms)
+
+
+def _finite(term: str, returned: Any, num_envs: int) -> Array:
+    """(N,) what a user's term has returned.
+
+    Raises:
+        CadenzaError: it is not a finite number for each environment.
+    """
+    wanted = f"give a finite number for each environment, ({num_envs},)"
+    try:
+        values = np.asarray(returned, float)
+    except (TypeError, ValueError) as error:
+        kind = type(returned).__name__
+        raise CadenzaError(f"reward term {term!r} returned {kind}: {wanted}") from error
+    if values.shape != (num_envs,):
+        raise CadenzaError(f"reward term {term!r} returned shape {values.shape}: {wanted}")
+    if not np.isfinite(values).all():
+        raise CadenzaError(f"reward term {term!r} returned {values}: {wanted}")
+    return values

@@ -1,14 +1,16 @@
-"""Setups by name: which hands sit at which keyboard, and who plays there.
+"""Setups by name, such as `--setup allegro`: hands, keyboard, task, agent and training.
 
-A setup is a set of options under one name, such as `--setup allegro`. What is given beside it wins.
+Options that are given beside a setup take precedence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from typing import Any
 
+from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.registry import Entry, Registry
 from cadenza.scene.config import SceneConfig
@@ -34,14 +36,14 @@ SETUPS = Registry(
 
 @dataclass(frozen=True, eq=False)
 class NamedSetup:
-    """What the name of a setup stands for."""
+    """A setup: options of scene, task, agent and training."""
 
     options: Mapping[str, Any] = field(default_factory=dict)
     """Fields of `SceneConfig` and `TaskConfig`; the others keep their defaults."""
     agent: str | None = None
-    """Who plays unless another agent is chosen; None for the usual one."""
+    """The default agent; None for the usual one."""
     training: Mapping[str, Any] = field(default_factory=dict)
-    """What the preset fast has otherwise here: fields of `TrainingConfig` and of its learner."""
+    """Changes to the preset fast: fields of `TrainingConfig` and of its learner."""
 
     def __post_init__(self) -> None:
         """Raises: CadenzaError: no configuration has such an option."""
@@ -83,5 +85,45 @@ ARM_ALLEGRO = NamedSetup(
 
 
 def setup_named(name: str) -> NamedSetup:
-    """Raises: CadenzaError: there is no such setup."""
+    """The setup of a name or of `module:NAME`.
+
+    Raises:
+        CadenzaError: there is no such setup.
+    """
     return SETUPS.load(name, NamedSetup)
+
+
+def configure(
+    options: dict[str, Any], task: TaskConfig | None = None, scene: SceneConfig | None = None
+) -> tuple[TaskConfig, SceneConfig]:
+    """Sorts keyword options into the configurations that have them as fields.
+
+    Args:
+        options: fields of `task` and `scene` to change; "setup" names a setup, whose options hold
+            unless they are given, too.
+        task: the task's configuration, by default `TaskConfig()`.
+        scene: the scene's configuration, by default `SceneConfig()`.
+
+    Raises:
+        CadenzaError: no configuration has such an option, or there is no such setup.
+    """
+    if (setup := options.get("setup")) is not None:
+        options = {**setup_named(setup).options, **options}
+    options = {name: value for name, value in options.items() if name != "setup"}
+    known: dict[type, set[str]] = {
+        kind: {field.name for field in fields(kind)} for kind in (TaskConfig, SceneConfig)
+    }
+    names = set().union(*known.values())
+    if unknown := sorted(options.keys() - names):
+        close = get_close_matches(unknown[0], [*names, "setup", "song"], 1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise CadenzaError(
+            f"unknown option {', '.join(unknown)}: {hint}choose from "
+            f"{', '.join(sorted({*names, 'setup'}))}"
+        )
+
+    def chosen(kind: type) -> dict[str, Any]:
+        return {name: options[name] for name in known[kind] & options.keys()}
+
+    task = replace(as_config(task, TaskConfig), **chosen(TaskConfig))
+    return task, replace(as_config(scene, SceneConfig), **chosen(SceneConfig))

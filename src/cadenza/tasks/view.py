@@ -1,4 +1,4 @@
-"""What an agent sees of a task: values, and nothing that it could change."""
+"""The view that an agent has of a task: values, and nothing that it could change."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Ids = NDArray[np.intp]
 
 
 def to_range(action: NDArray[Any], low: Array, high: Array) -> Array:
-    """From [-1, 1] to [low, high], `(..., A)`; what lies outside is clipped."""
+    """Maps [-1, 1] to [low, high], `(..., A)`; values outside are clipped."""
     value = np.asarray(action, np.float64) * ((high - low) / 2) + (low + high) / 2
     return np.minimum(np.maximum(value, low), high)
 
 
 def from_range(ctrl: NDArray[Any], low: Array, high: Array) -> Array:
-    """The inverse of `to_range`: from [low, high] to [-1, 1], `(..., A)`."""
+    """Maps [low, high] to [-1, 1], `(..., A)`: the inverse of `to_range`."""
     action = (np.asarray(ctrl, np.float64) - (low + high) / 2) / ((high - low) / 2)
     return np.minimum(np.maximum(action, -1.0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class TaskSpec:
-    """What is the same in all environments and episodes of a task."""
+    """The constants of a task: the same in all environments and episodes."""
 
     config: TaskConfig
     scene: Scene
@@ -60,12 +60,30 @@ class TaskSpec:
         return max(part.stop for part in self.observation_layout.values())
 
     def scale_action(self, action: NDArray[Any]) -> Array:
-        """Actions in [-1, 1] to actuator units, `(..., A)`; what lies outside is clipped."""
+        """Actions in actuator units from [-1, 1], `(..., A)`; values outside are clipped."""
         return to_range(action, self.action_low, self.action_high)
 
     def unscale_action(self, ctrl: NDArray[Any]) -> Array:
-        """The inverse of `scale_action`: actuator units to [-1, 1], `(..., A)`."""
+        """Actions in [-1, 1] from actuator units, `(..., A)`: the inverse of `scale_action`."""
         return from_range(ctrl, self.action_low, self.action_high)
+
+
+def task_spec(config: TaskConfig, scene: Scene) -> TaskSpec:
+    """The constants of a task in a scene; observations have the parts that the options ask for."""
+    keys = scene.keyboard.num_keys
+    sizes = {"goal": (config.lookahead_steps + 1) * (keys + 1)}
+    if config.fingering != "off" and scene.sides:
+        sizes["fingering"] = scene.fingers.count
+    sizes |= {"key_state": keys, "pedal": 1}
+    if scene.sides:
+        sizes["joints"] = len(scene.hand_joint_names)
+    if scene.sides and scene.config.touch:
+        sizes["touch"] = len(scene.fingertip_sites)
+    ends = np.cumsum(list(sizes.values())).tolist()
+    layout = {
+        name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
+    }
+    return TaskSpec(config, scene, scene.action_low, scene.action_high, layout)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +94,13 @@ class View:
     env_ids: Ids
     """(N,) their numbers."""
     tracks: tuple[GoalTrack, ...]
-    """(N,) what each is to play: score, fingers, and goals per control step."""
+    """(N,) what each has to play: score, fingers, and goals per control step."""
     num_steps: Ids
-    """(N,) control steps of its episode."""
+    """(N,) control steps of the episode."""
     steps: Ids
     """(N,) control steps since the episode began."""
     playing: Mask
-    """(N,) whether it takes the next step; of the others, no action is wanted."""
+    """(N,) whether it takes the next step; the actions of the others are ignored."""
     state: State
     """True positions and speeds of hands and keys, fingertips, forces, all (N, ...)."""
     observation: NDArray[np.float32]
@@ -100,7 +118,7 @@ class View:
 
     @property
     def scores(self) -> tuple[Score, ...]:
-        """(N,) what each is to play, as the task has changed it."""
+        """(N,) the score of each, as the task has changed it."""
         return tuple(track.score for track in self.tracks)
 
     @property
@@ -110,7 +128,7 @@ class View:
         return ahead.reshape(len(ahead), -1, self.task.scene.keyboard.num_keys + 1) > 0
 
     def of(self, row: int) -> View:
-        """That of the environment in `row` alone: N is 1."""
+        """The view of the environment in `row` alone: N is 1."""
         only = slice(row, row + 1)
         same = ("task", "state", "simulation")
         rows = {f.name: getattr(self, f.name)[only] for f in fields(self) if f.name not in same}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.planner.config import ICPConfig, PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
 from cadenza.agents.planner.plan.tracking import Follower, Tracking
@@ -104,7 +104,7 @@ def rehearsed(
     return tracking._replace(ctrl=ctrl, expected=expected)
 
 
-class PlanFollower:
+class PlanFollower(EpisodePlanner):
     """Plays what was planned.
 
     Attributes:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, PlannerPerEnv
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.baselines.box_ddp import FeedbackLaw, Model, backward_pass
 from cadenza.agents.baselines.pairs import Pairs, flattened, pairs_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, ILQGConfig
@@ -59,7 +59,7 @@ class ILQG(PlannerPerEnv["ILQGPlanner"]):
         return ILQGPlanner(view, self.config, self.threads)
 
 
-class ILQGPlanner:
+class ILQGPlanner(EpisodePlanner):
     """Plays one song.
 
     A plan is a control for each control step of the horizon, held as the task holds it; the cost is

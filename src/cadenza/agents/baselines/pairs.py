@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.agents.agent import Array
-from cadenza.tasks.optimal_transport import keys_by_transport_on_host
-from cadenza.tasks.reward import press_offset
+from cadenza.tasks.reward import keys_by_transport, press_offset
 from cadenza.tasks.view import TaskSpec
 
 Ids = NDArray[np.intp]
@@ -48,7 +47,7 @@ def pairs_of(
     """
     press, there = press_offset(task.scene.keyboard.half_size), task.scene.fingers_there
     if task.config.fingering == "transport":
-        key_of_finger = keys_by_transport_on_host(fingertips, key_xpos, press, keys, there)
+        key_of_finger = keys_by_transport(fingertips, key_xpos, press, keys, there)
         row, finger = (key_of_finger >= 0).nonzero()
         key = key_of_finger[row, finger]
     else:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from cadenza.agents.agent import Array, PlannerPerEnv
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.baselines.pairs import flattened, pairs_of
 from cadenza.agents.planner.config import PLANNING_TIMESTEPS, PredictiveSamplingConfig
 from cadenza.configs import check_ranges
@@ -40,7 +40,7 @@ class PredictiveSampling(PlannerPerEnv["SamplingPlanner"]):
         return SamplingPlanner(view, rng, self.config, self.threads)
 
 
-class SamplingPlanner:
+class SamplingPlanner(EpisodePlanner):
     """Plays one song.
 
     A plan is a cubic spline through knots over the horizon, sampled where the task will take its

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.baselines.press_optimisation import PressOptimisation, Trajectory
 from cadenza.agents.planner.config import TrackedPressesConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
@@ -44,7 +44,7 @@ class TrackedPresses(PlannerPerEnv["TrackingPlanner"]):
         return TrackingPlanner(view, self.config, self.threads, self.progress)
 
 
-class TrackingPlanner:
+class TrackingPlanner(EpisodePlanner):
     """Plays one song.
 
     Attributes:

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cadenza.agents.agent import Array, PlannerPerEnv
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv
 from cadenza.agents.control_steps import steps_in
 from cadenza.agents.generalist.config import GeneralistConfig
 from cadenza.agents.generalist.corrected_hands import CorrectedHands
@@ -120,7 +120,7 @@ class PlanPlayer(Protocol):
         """(A,) the next controls."""
 
 
-class GeneralistSong:
+class GeneralistSong(EpisodePlanner):
     """Plays one song.
 
     Attributes:
@@ -153,7 +153,7 @@ class GeneralistSong:
         return action
 
 
-class SightReader:
+class SightReader(EpisodePlanner):
     """Plays one song, of which it knows only what is in sight.
 
     In sight are the goals of the step that it decides on and of those that it looks ahead: no

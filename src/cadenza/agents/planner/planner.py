@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.song_plan import SongPlan, song_plans
 from cadenza.agents.planner.practice.practice import MOST_EFFORT, Practice
@@ -39,6 +39,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
                 "effort": (0, MOST_EFFORT),
             },
         )
+        self.keeps_fingering = self.config.fingering == "score"
 
     def begin(self, view: View, rng: np.random.Generator) -> SongPlanner | PractisedPlanner:
         """Raises:
@@ -59,7 +60,7 @@ class Planner(PlannerPerEnv["SongPlanner | PractisedPlanner"]):
         return PractisedPlanner(view, practised, config, rng, threads, progress, practice.plan)
 
 
-class SongPlanner:
+class SongPlanner(EpisodePlanner):
     """Plans and plays one song.
 
     Attributes:

@@ -145,7 +145,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     configs = {spec.agent: spec.config}
     selection = select(spec.song, spec.agent, arrangement=spec.arrangement, configs=configs)
     song = selection.score
-    if getattr(spec.config, "fingering", "found") == "found":  # so that the task has those, too
+    if not selection.agent.keeps_fingering:  # so that the task finds the same as the agent
         song = song.without_fingers()
     score, drawn = spec.variation.draw(song, spec.pitches, rng)
     selection = replace(selection, score=score)
@@ -155,7 +155,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     ):
         result = play_episode(setup.task, perturbed, seed, progress)
         kept = _is_good(result.metrics, job)
-        plan = _plan(setup, perturbed) if kept else None
+        plan = _plan(setup, result, perturbed) if kept else None
         last = setup.task.view()  # after the last step
     made = EpisodeFacts(
         format=FORMAT,
@@ -198,19 +198,18 @@ def _randomness(spec: EpisodeSpec) -> tuple[int, np.random.Generator]:
     return seed, np.random.default_rng(other)
 
 
-def _plan(setup: Setup, perturbed: PerturbedAgent) -> SongPlan:
+def _plan(setup: Setup, result: EpisodeResult, perturbed: PerturbedAgent) -> SongPlan:
     """Returns the plan of the agent, or one for the same song and start where it has none."""
-    plan = getattr(getattr(setup.agent, "planners", {}).get(0), "plan", None)
-    if isinstance(plan, SongPlan) and plan.complete:
-        return plan
+    if result.plan is not None and result.plan.complete:
+        return result.plan
     assert perturbed.start is not None
-    (track,) = setup.task.sheets.tracks
+    (track,) = setup.task.goals.tracks
     return plan_song(track, perturbed.start.hand_qpos[0])
 
 
 def _fingered_score(setup: Setup, plan: SongPlan) -> Score:
     """Returns the score with the fingers that the task rewarded; where it has none, the plan's."""
-    (track,) = setup.task.sheets.tracks
+    (track,) = setup.task.goals.tracks
     return plan.track.score if track.dropped is None else track.score
 
 

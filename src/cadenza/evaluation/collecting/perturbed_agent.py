@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,9 @@ class PerturbedAgent(Agent):
         # What is recorded is what environments take, so that they can play exactly that again.
         self.played.append(task.unscale_action(played).astype(np.float32))
         return task.scale_action(self.played[-1])[None]
+
+    def song_plan(self, env_id: int) -> Any:
+        return self._agent.song_plan(env_id)
 
     def close(self) -> None:
         """Closes the student; the agent belongs to the caller."""

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress
 from cadenza.agents.baselines.stitched.motions import Motions
 from cadenza.agents.baselines.stitched.stitching import stitched
 from cadenza.agents.planner.plan.fingertip_targets import targets_of
@@ -42,7 +42,7 @@ class Stitched(PlannerPerEnv["StitchedSong"]):
         return StitchedSong(view, self.progress)
 
 
-class StitchedSong:
+class StitchedSong(EpisodePlanner):
     """Plays one song.
 
     Attributes:

@@ -100,7 +100,7 @@ class PlannedVariant:
         """The scores of a trajectory of the whole song, and what it takes to play it."""
         scene, track, goals, _ = self.plan
         pedal, lowest = goals.sustain, scene.keyboard.lowest_pitch
-        dt, score = track.config.control_timestep, track.on_the_clock
+        dt, score = track.config.control_timestep, track.delayed_score
         scores = playing_metrics(trajectory.sounding, pedal, goals.keys, pedal, dt, score, lowest)
         practised = PractisedPlan(self.scene.tracking(trajectory), self.variant)
         return PracticeResult(practised, scores["f1"], scores["note_onset_f1"])

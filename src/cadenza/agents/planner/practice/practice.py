@@ -19,6 +19,7 @@ import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +34,6 @@ from cadenza.agents.planner.practice.hand_practice import Attempt, Change
 from cadenza.agents.planner.practice.initial_trajectories import InitialTrajectories, Limits, Parts
 from cadenza.agents.planner.practice.practised_planner import PracticeResult
 from cadenza.agents.planner.practice.trajectory import Snapshots, Trajectory, scene_before
-from cadenza.configs import identity
 from cadenza.errors import CadenzaError
 from cadenza.files import (
     ANY,
@@ -468,7 +468,7 @@ def _named(parts: Parts) -> dict[str, NDArray[Any]]:
 def _digest(plan: SongPlan, start: Array, seed: int, config: PlannerConfig) -> str:
     """A digest of all that practice begins with."""
     options = task_identity(plan.track.config, plan.track.scene.config, seed)
-    chosen = json.dumps([seed, options, identity(config)], sort_keys=True)
+    chosen = json.dumps([seed, options, asdict(config)], sort_keys=True)
     digest = hashlib.sha256(chosen.encode())
     for values in (*plan.nominal.tracking, plan.goals.keys, start):
         digest.update(values.tobytes())

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cadenza.agents.agent import Array, PlannerPerEnv, Progress, check_planned_for
+from cadenza.agents.agent import Array, EpisodePlanner, PlannerPerEnv, Progress, check_planned_for
 from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.plan.hand_goals import HandGoals
 from cadenza.agents.planner.plan.song_plan import SongPlan, plan_song
@@ -48,7 +48,7 @@ class PracticeResult(NamedTuple):
         return self.score >= other.score and self.f1 >= other.f1
 
 
-class PractisedPlanner:
+class PractisedPlanner(EpisodePlanner):
     """Plays one song as it was practised.
 
     Feedback leads the hands back to where they were in practice. Once they are pushed too far off

@@ -1,0 +1,188 @@
+"""The tracks of a task's songs, and their augmentation: random tempo and pitch of each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cadenza.errors import CadenzaError
+from cadenza.music.goals import check_pitches, check_steps
+from cadenza.music.score import NUM_KEYS, Score, check_length
+from cadenza.scene.scene import Scene
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.goal_track import GoalTrack
+
+_OCTAVE = 12  # [semitones]
+_MAXIMUM = {  # of options that are 0 or more, such as no user needs to exceed
+    "control_timestep": 60,
+    "n_steps_lookahead": 100_000,
+    "n_seconds_lookahead": 3600,
+    "initial_buffer_time": 3600,
+    "fingering_margin": 1,
+    "energy_coefficient": 1000,
+    "random_hand_position": 1,
+    "random_stretch": 0.99,
+    "random_pitch_shift": NUM_KEYS,
+    "random_octave_shift": NUM_KEYS // _OCTAVE,
+    "randomization_probability": 1,
+}
+
+
+def prepare_tracks(
+    scores: Sequence[Score],
+    config: TaskConfig,
+    scene: Scene,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[GoalTrack, ...]:
+    """Trims, stretches and transposes the scores, and fingers them for the hands of a `scene`.
+
+    `progress` is that of `find_fingering`.
+
+    Raises:
+        CadenzaError: there is no score, or one without notes, or an option makes no sense.
+    """
+    if not scores:
+        raise CadenzaError("no song to play: give at least one score")
+    for score in scores:
+        _check_notes(score)
+    _check_options(config)
+    scores = [_arranged(score, config) for score in scores]
+    _check_duration(max(score.total_time for score in scores), config)
+    for score in scores:
+        check_pitches(score, scene.keyboard.pitches)
+    tracks = [GoalTrack(score, None, config, scene) for score in scores]
+    if _observes_fingers(config, scene):
+        tracks = [track.fingered(progress) for track in tracks]
+    return tuple(tracks)
+
+
+def unchanged_track(score: Score, config: TaskConfig, scene: Scene) -> GoalTrack:
+    """The track of a score in its own tempo, key and fingering.
+
+    Fingers are looked for if it has none at all and the task observes them.
+
+    Raises:
+        CadenzaError: it has no notes, or some that the keyboard has not, or lasts too long.
+    """
+    _check_notes(score)
+    _check_duration(score.total_time, replace(config, random_stretch=0.0))
+    check_pitches(score, scene.keyboard.pitches)
+    track = GoalTrack(score, None, config, scene)
+    if not _observes_fingers(config, scene):
+        return track
+    return replace(track, dropped=()) if score.has_fingering else track.fingered()
+
+
+def _observes_fingers(config: TaskConfig, scene: Scene) -> bool:
+    return config.fingering == "auto" and len(scene.sides) > 0
+
+
+def _check_notes(score: Score) -> None:
+    if not score.notes:
+        raise CadenzaError(f"nothing to play: {score.title or 'the score'} has no notes")
+
+
+def _arranged(score: Score, config: TaskConfig) -> Score:
+    if config.trim_silence:
+        score = score.with_silence_trimmed()
+    if config.stretch != 1:
+        score = score.stretched(config.stretch)
+    return score.transposed(config.transpose) if config.transpose else score
+
+
+def _check_options(config: TaskConfig) -> None:
+    for name in ("control_timestep", "fingering_margin"):
+        if not (value := getattr(config, name)) > 0:
+            raise CadenzaError(f"{name} {value}: choose more than 0")
+    for name, most in _MAXIMUM.items():
+        value = getattr(config, name)
+        if value is not None and not 0 <= value <= most:
+            raise CadenzaError(f"{name} {value}: choose 0 to {most}")
+
+
+def _check_duration(seconds: float, config: TaskConfig) -> None:
+    """Checks that memory has room for the longest episode of a song of so many `seconds`."""
+    seconds = seconds * (1 + config.random_stretch) + config.initial_buffer_time
+    song = "with its silence and any random stretch, the song"
+    check_length(seconds, song, "; shorten the silence, or play its beginning (--first-seconds)")
+    check_steps(seconds / config.control_timestep)
+
+
+def find_song(scores: Sequence[Score], song: Any) -> int:
+    """The index of a score that is given by index or title.
+
+    Raises:
+        CadenzaError: there is no such score, or several have the title.
+    """
+    if isinstance(song, str):
+        found = [i for i, score in enumerate(scores) if score.title == song]
+    else:
+        is_number = isinstance(song, int | np.integer) and not isinstance(song, bool)
+        found = [int(song)] if is_number and 0 <= song < len(scores) else []
+    if len(found) > 1:
+        raise CadenzaError(f"song {song!r}: {len(found)} have this title; give an index: {found}")
+    if not found:
+        titles = ", ".join(repr(score.title) for score in scores)
+        raise CadenzaError(
+            f"song {song!r:.100}: choose an index from 0 to {len(scores) - 1}, or a title: "
+            f"{titles:.300}"
+        )
+    return found[0]
+
+
+def draws_pitch(config: TaskConfig) -> bool:
+    """Whether `draw_track` may transpose: episodes may need other keys and fingers than songs."""
+    return bool(config.random_pitch_shift or config.random_octave_shift)
+
+
+def draws_variation(config: TaskConfig) -> bool:
+    """Whether `draw_track` may change the pitch or the tempo of a song."""
+    return draws_pitch(config) or bool(config.random_stretch)
+
+
+def draw_track(
+    tracks: Sequence[GoalTrack],
+    config: TaskConfig,
+    pitches: range,
+    rng: np.random.Generator,
+    song: int | None = None,
+) -> GoalTrack:
+    """Draws a song, its tempo and its transposition for an episode, on keys of these `pitches`.
+
+    Only what `song`, an index, and the configuration leave open takes numbers from `rng`. Fingers
+    that were found for the song are found anew if it is transposed: other keys are black then.
+    """
+    if song is None:
+        song = int(rng.integers(len(tracks))) if len(tracks) > 1 else 0
+    track, score = tracks[song], tracks[song].score
+    if config.random_stretch and _is_applied(config, rng):
+        score = score.stretched(1.0 + rng.uniform(-config.random_stretch, config.random_stretch))
+    stretched = score
+    if config.random_pitch_shift and _is_applied(config, rng):
+        score = _randomly_transposed(score, config.random_pitch_shift, 1, pitches, rng)
+    if config.random_octave_shift and _is_applied(config, rng):
+        score = _randomly_transposed(score, config.random_octave_shift, _OCTAVE, pitches, rng)
+    if score is track.score:
+        return track
+    if not track.found:
+        return track.with_score(score)
+    if score is stretched:
+        return replace(track, score=score)
+    return track.with_score(score.without_fingers()).fingered()
+
+
+def _is_applied(config: TaskConfig, rng: np.random.Generator) -> bool:
+    return rng.uniform() < config.randomization_probability
+
+
+def _randomly_transposed(
+    score: Score, most: int, semitones: int, pitches: range, rng: np.random.Generator
+) -> Score:
+    """Transposes by up to `most` steps of `semitones` either way, within the keyboard."""
+    used = [note.pitch for note in score.notes]
+    down = min(most, (min(used) - pitches[0]) // semitones)
+    up = min(most, (pitches[-1] - max(used)) // semitones)
+    return score.transposed(semitones * int(rng.integers(-down, up + 1)))
