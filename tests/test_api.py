@@ -16,7 +16,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 import cadenza
-from cadenza import Note, SceneConfig, Score, TaskConfig
+from cadenza import DomainRandomization, Note, SceneConfig, Score, TaskConfig, TrainingConfig
 from cadenza.agents.planner.plan.nominal_trajectory import NominalTrajectory
 from cadenza.agents.registry import make_agent
 from cadenza.cli import main
@@ -266,3 +266,16 @@ def test_what_a_prompt_shows_is_a_short_line() -> None:
         assert len(repr(value)) <= 160
         assert "\n" not in repr(value)
     assert plan._repr_html_() == performance._repr_html_()
+
+
+def test_options_show_what_is_not_the_default() -> None:
+    for kind in (TaskConfig, SceneConfig, TrainingConfig, DomainRandomization):
+        assert repr(kind()) == f"{kind.__name__}()"
+    task = TaskConfig(stretch=2.0, randomization=DomainRandomization(mass=(0.9, 1.1)))
+    changed = "randomization=DomainRandomization(mass=(0.9, 1.1))"
+    assert repr(task) == f"TaskConfig(stretch=2.0, {changed})"
+
+
+def test_songs_show_as_short_lines() -> None:
+    for song in (*cadenza.songs(), *cadenza.open_library("bundled").songs):
+        assert len(repr(song)) < 250

@@ -66,6 +66,14 @@ def _nested(value: Any, kind: type[T], name: str) -> T:
     return _plain(value, kind, f"{name}.")
 
 
+def in_short(config: Any) -> str:
+    """A `__repr__` for a dataclass of options: those that are not the default."""
+    default = type(config)()
+    values = ((each.name, getattr(config, each.name)) for each in fields(config))
+    changed = (f"{name}={value!r}" for name, value in values if value != getattr(default, name))
+    return f"{type(config).__name__}({', '.join(changed)})"
+
+
 def names_file() -> Mapping[str, Any]:
     """The metadata of a field that is the path of a file."""
     return {_FILE: True}

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import errno
+import io
+import os
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cadenza.cli import main
+from cadenza.errors import CadenzaError
 from cadenza.music.formats.midi import write_midi
+from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.folder import import_folder
 from cadenza.music.libraries.index import write_index
 from cadenza.music.libraries.library import libraries, load_score, open_library
@@ -200,3 +207,50 @@ def test_progress_is_told_and_difficulty_kept(folder: Path) -> None:
     assert told == [(done, 7) for done in range(7)]
     grades = {song.title: song.difficulty for song in open_library("mine").songs}
     assert (grades["Ode to Joy"], grades["First"]) == (13.0, 0.67)
+
+
+def test_folders_within_each_other_without_end(tmp_path: Path) -> None:
+    write_midi(TUNE, tmp_path / "tune.mid")
+    place = os.open(tmp_path, os.O_RDONLY)
+    for _ in range(1_500):  # one by one, since no path is as long
+        os.mkdir("d", dir_fd=place)
+        inner = os.open("d", os.O_RDONLY, dir_fd=place)
+        os.close(place)
+        place = inner
+    os.close(place)
+    assert [Path(song.name).name for song in open_library(tmp_path).songs] == ["tune.mid"]
+
+
+def test_a_line_for_each_file_whatever_it_is_called(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "a\nb\x1b[31m.mid").write_bytes(b"nothing")
+    with pytest.raises(SystemExit):
+        main(["import", "midi", str(folder), "--name", "mine"])
+    said = capsys.readouterr().err
+    assert "a\\nb\\x1b[31m.mid: not a MIDI file" in said
+    assert "\x1b" not in said
+
+
+def test_titles_without_end_are_listed_in_short(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "song.mid").touch()
+    (tmp_path / "index.csv").write_text(f"file,title,composer\nsong,{'t' * 400},{'c' * 400}\n")
+    main(["songs", str(tmp_path)])
+    assert max(map(len, capsys.readouterr().out.splitlines())) < 400
+
+
+def test_a_file_that_has_nothing_to_read_yet(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Waiting(io.BytesIO):
+        def read(self, size: int | None = -1, /) -> Any:  # as of the kernel's log
+            return None
+
+    @contextmanager
+    def opened(_: Path) -> Iterator[io.BytesIO]:
+        yield Waiting()
+
+    monkeypatch.setattr("cadenza.music.formats.reading.opened", opened)
+    monkeypatch.setattr("cadenza.music.formats.source.opened", opened)
+    with pytest.raises(CadenzaError, match="is empty"):
+        read_score(folder / "joy.mid")

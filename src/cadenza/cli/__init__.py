@@ -239,7 +239,7 @@ def _warnings_in_a_line() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         if issubclass(category, CadenzaWarning):
-            print(message, file=sys.stderr)
+            print(_on_one_line(str(message)), file=sys.stderr)
         else:
             show(message, category, filename, lineno, file, line)
 
@@ -259,13 +259,16 @@ def _open_closed_streams() -> None:
             setattr(sys, name, open(os.devnull, mode, errors="backslashreplace"))  # noqa: SIM115 - as long as we run
 
 
+def _on_one_line(message: str) -> str:
+    """Whatever characters the name of a file in it has."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+
+
 def _exit(status: int, message: str = "") -> NoReturn:
     """Says why, and drops what cannot be written, of which Python would complain at its end."""
     with suppress(OSError):
         if message:
-            # Of one line, whatever characters the name of a file in it has.
-            line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-            print(f"cadenza: {line}", file=sys.stderr)
+            print(f"cadenza: {_on_one_line(message)}", file=sys.stderr)
     for stream in sys.stdout, sys.stderr:
         try:
             stream.flush()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from cadenza.configs import MOST_COUNT, check_ranges
+from cadenza.configs import MOST_COUNT, check_ranges, in_short
 from cadenza.learning.algorithms.cloning.config import CloningConfig
 from cadenza.learning.learner import DROQ, LearnerConfig, Preset, learner_config
 from cadenza.scene.config import SceneConfig
@@ -51,6 +51,8 @@ class TrainingConfig:
     """Environment steps between logged metrics."""
     seed: int = 0
     """Random seed."""
+
+    __repr__ = in_short
 
     def updates_by(self, step: int) -> int:
         """Updates that a run makes until it has done so many steps."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from cadenza.configs import in_short
 from cadenza.errors import CadenzaError
 from cadenza.registry import module_of
 
@@ -51,6 +52,8 @@ class SceneConfig:
     physics: Physics = "published"
     """The published dynamics, or faster ones for training: twice the physics timestep, no dry
     friction in joints. See docs/speed.md for the difference."""
+
+    __repr__ = in_short
 
 
 def named_by_module(config: SceneConfig) -> dict[str, str]:

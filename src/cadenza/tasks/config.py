@@ -7,6 +7,7 @@ import math
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
+from cadenza.configs import in_short
 from cadenza.scene.config import SceneConfig
 
 Fingering = Literal["auto", "transport", "off"]
@@ -80,6 +81,8 @@ class DomainRandomization:
     """Seed of all of this, the same in every episode. Without it, each reset draws one with the
     random numbers of its environment."""
 
+    __repr__ = in_short
+
     @property
     def is_on(self) -> bool:
         """Whether anything may differ from the nominal model."""
@@ -147,6 +150,8 @@ class TaskConfig:
         if self.n_seconds_lookahead is None:
             return self.n_steps_lookahead
         return math.ceil(round(self.n_seconds_lookahead / self.control_timestep, 9))
+
+    __repr__ = in_short
 
 
 def with_time_to_begin() -> TaskConfig:

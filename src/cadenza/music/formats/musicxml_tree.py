@@ -123,7 +123,9 @@ def _name_of_document(archive: ZipFile) -> str:
         named = re.search(r"""full-path\s*=\s*["']([^"']+)""", contents)
         if named is None:
             raise CadenzaError("its table of contents names no document")
-        return html.unescape(named[1])
+        if (name := html.unescape(named[1])) not in names:
+            raise CadenzaError(f"its table of contents names {name!r:.100}, which is not in it")
+        return name
     documents = [name for name in names if name.lower().endswith((".xml", ".musicxml"))]
     if len(documents) != 1:
         raise CadenzaError(f"{len(documents)} documents and no table of contents {_CONTENTS}")

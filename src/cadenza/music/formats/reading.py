@@ -82,6 +82,6 @@ def _beginning(path: Path) -> bytes:
     """A few bytes; none of what cannot be read, of which the one that reads it says why."""
     try:
         with opened(path) as file:
-            return file.read(4)
+            return file.read(4) or b""  # of the kernel's log there may be nothing yet
     except (OSError, ValueError):
         return b""

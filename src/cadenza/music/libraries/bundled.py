@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Literal
@@ -34,7 +34,7 @@ class Piece:
     name: str
     title: str
     composer: str
-    source: str
+    source: str = field(repr=False)
     difficulty: Literal["easy", "intermediate", "hard"]
     grade: float
     seconds: float

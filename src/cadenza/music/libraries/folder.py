@@ -20,6 +20,7 @@ from cadenza.music.libraries.index import INDEX, Facts, read_index
 from cadenza.music.libraries.songs import Library, Song
 from cadenza.music.score import check_length
 
+_DEEPEST = 64  # folders within each other; the walk would recurse into any number of them
 _LONGEST = 120  # bytes of the name of a piece
 
 
@@ -126,6 +127,8 @@ def music_files(folder: Path) -> list[Path]:
 def _music_files(folder: Path) -> Iterator[Path]:
     for place, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
+        if len(Path(place).relative_to(folder).parts) == _DEEPEST:
+            folders.clear()
         for name in files:
             path = Path(place, name)
             if path.suffix.lower() in MUSIC and not name.startswith("."):

@@ -26,7 +26,7 @@ class Song:
     read: Read = field(repr=False, compare=False)
     title: str = ""
     composer: str = ""
-    source: str = ""
+    source: str = field(default="", repr=False)
     split: str = ""
     seconds: float | None = None
     notes: int | None = None
