@@ -106,7 +106,7 @@ def test_an_episode_is_played_again_to_a_page(
         (("check", "songs"), "holds no demonstrations"),
         (("play", "songs", "0"), "holds no demonstrations"),
         (("export", "songs", "-o", "new"), "holds no demonstrations"),
-        (("export", "songs"), "output is missing"),
+        (("export", "songs"), "--output is missing; see cadenza dataset export --help"),
         (("colect",), "cadenza dataset colect: choose from collect, info"),
         ((), "cadenza dataset: choose from collect, info"),
     ],

@@ -190,7 +190,7 @@ def test_ctrl_c_leaves_a_checkpoint_and_says_how_to_go_on(tune: Path, tmp_path: 
 
 @contextmanager
 def at_once(_: str) -> Iterator[Callable[[], bool]]:
-    """In place of `asked_to_stop`."""
+    """In place of `stop_on_signal`."""
     yield lambda: True
 
 
@@ -237,7 +237,7 @@ def test_a_run_that_is_stopped_at_once_can_go_on(
         if when == "while it is made":
             patch.setattr(training, "reference_of", interrupted)
         else:
-            patch.setattr(train, "asked_to_stop", at_once)
+            patch.setattr(train, "stop_on_signal", at_once)
         with pytest.raises(SystemExit) as stop:
             main(["train", str(tune), "-o", str(folder), *SMALL, "--residual"])
     assert stop.value.code == 130
@@ -254,7 +254,7 @@ def test_a_run_with_a_hand_of_ones_own_goes_on_where_that_is_given_again(
     monkeypatch.setattr(sys, "path", [*sys.path, ""])
     Path("own_hand.py").write_text("from cadenza.hands.shadow import SHADOW as MINE")
     hand = ["--hand", "own_hand:MINE"]
-    monkeypatch.setattr(train, "asked_to_stop", at_once)
+    monkeypatch.setattr(train, "stop_on_signal", at_once)
     go_on = ["train", "--resume", "run", *hand]
     for begin_or_go_on in ["train", str(tune), "-o", "run", *SMALL, *hand], go_on:
         with pytest.raises(SystemExit):

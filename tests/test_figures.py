@@ -56,7 +56,7 @@ ALLOWED = {
     ("tasks/config.py", 10): "steps of the lookahead",
 }
 COINCIDENCES = {
-    ("cli/practising.py", 0.999): "almost a step",
+    ("cli/practice.py", 0.999): "almost a step",
     ("learning/algorithms/droq/hyperparameters.py", 0.999): "Adam's decay of squares",
 }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import shutil
-import warnings
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -14,9 +13,7 @@ import pytest
 from rl_examples import melody
 
 from cadenza.agents.rollout import play_episode
-from cadenza.cli import main
-from cadenza.cli.renamed import OPTIONS, with_new_names
-from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.errors import CadenzaWarning
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import load_policy
@@ -89,40 +86,3 @@ def test_its_policy_plays(run: RunFolder) -> None:
         learnt = load_policy(run.path / "best")
     with closing(PianoTask([learnt.score], learnt.task, learnt.scene)) as task:
         assert play_episode(task, learnt.agent).metrics["f1"] == best
-
-
-def test_old_options_are_taken_with_a_notice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = ["train", "Joy", "--seed_steps=7", "--keep-zero-inputs", "--num-steps", "3"]
-    renewed = ["train", "Joy", "--learning-starts=7", "--no-prune-inputs", "--num-steps", "3"]
-    assert with_new_names(given) == renewed
-    said = capsys.readouterr().err.splitlines()
-    assert said == [
-        "--seed_steps is now --learning-starts; the next version takes only that",
-        "--keep-zero-inputs is now --no-prune-inputs; the next version takes only that",
-    ]
-    asked_for = list[TrainingConfig]()
-
-    def begin(config: TrainingConfig, *_: object) -> None:
-        asked_for.append(config)
-        raise CadenzaError("enough")
-
-    monkeypatch.setattr("cadenza.learning.training.begin", begin)
-    song, folder = "CMajorScaleOneHand", str(tmp_path / "run")
-    with pytest.raises(SystemExit):
-        main(["train", song, "-o", folder, "--actor-average", "0.5", "--keep-zero-inputs"])
-    (config,) = asked_for
-    assert isinstance(config.learner, DroQConfig)
-    assert (config.learner.actor_ema, config.prune_inputs) == (0.5, False)
-
-
-def test_every_old_option_has_an_option_of_today(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "bench"):
-        with pytest.raises(SystemExit):
-            main([command, "--help-all"])
-    shown = capsys.readouterr().out
-    for new in OPTIONS.values():
-        assert new in shown, new
-    with warnings.catch_warnings(action="error"):
-        assert with_new_names(list(OPTIONS.values())) == list(OPTIONS.values())

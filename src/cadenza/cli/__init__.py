@@ -1,4 +1,4 @@
-"""The command line: a module a sub-command, or two that belong together.
+"""The command line: a module a command, or two that belong together.
 
 What is heavy to import is imported by the function that needs it, so that --help is quick.
 """
@@ -7,22 +7,19 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from io import TextIOWrapper
-from itertools import pairwise
-from typing import Any, NoReturn, TextIO, get_args
+from typing import Any, NoReturn, get_args
 
 from cadenza.cli import (
-    about,
     bench,
     clone,
     compare,
     dataset,
     etude,
     importing,
+    info,
     plan,
     play,
     practice,
@@ -32,19 +29,17 @@ from cadenza.cli import (
     train,
 )
 from cadenza.cli.arguments import (
+    Chosen,
     Shell,
     about_in_a_line,
+    choose,
     help_or_completion,
-    option_parts,
     parse,
     similar,
-    with_numbers_apart,
 )
-from cadenza.cli.performing import Options, with_options_of_agents
-from cadenza.cli.progress import QUIET
-from cadenza.cli.renamed import with_new_names
-from cadenza.cli.setups import with_options_of_setup
-from cadenza.errors import CadenzaError, CadenzaWarning, explained, lacks_memory
+from cadenza.cli.console import open_closed_streams, quietly, warnings_in_a_line
+from cadenza.cli.options import Options, reader, with_options_of_agents
+from cadenza.errors import CadenzaError, explained, lacks_memory
 from cadenza.learning.learner import LEARNERS
 from cadenza.registry import module_of
 
@@ -63,7 +58,7 @@ _COMMANDS: dict[str, _Command | dict[str, _Command]] = {
     "songs": (songs.Songs, songs.songs),
     "libraries": (songs.Libraries, songs.libraries),
     "import": (importing.Import, importing.run),
-    "info": (about.Info, about.info),
+    "info": (info.Info, info.info),
     "etude": (etude.Etude, etude.etude),
     "dataset": {
         "collect": (dataset.Collect, dataset.collect),
@@ -80,7 +75,7 @@ _ABOUT = {"dataset": "Record demonstrations to learn from, and use them"}
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs the command line; exits 0 when done, 2 on wrong input, 130 when interrupted."""
-    _open_closed_streams()
+    open_closed_streams()
     if isinstance(sys.stdout, TextIOWrapper):  # as stderr: names of files need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -101,72 +96,51 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> None:
-    arguments = with_new_names(arguments)
-    name, *rest = arguments or [""]
+    name, *words = arguments or [""]
     if name not in _COMMANDS:
         _run_without_command(arguments)
         return
-    if any(":" in word for word in rest) and "" not in sys.path:
-        sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
-    chosen = _COMMANDS[name]
-    if isinstance(chosen, dict):
-        if not rest or rest[0] not in chosen:
-            _run_without_one_of(name, chosen, rest)
+    command = _COMMANDS[name]
+    if isinstance(command, dict):
+        if not words or words[0] not in command:
+            _run_without_one_of(name, command, words)
             return
-        name, chosen, rest = f"{name} {rest[0]}", chosen[rest[0]], rest[1:]
-    kind, run = chosen
-    rest = with_options_of_setup(kind, with_numbers_apart(rest))
-    _check_output(rest)
-    _load_chosen(rest)
+        name, command, words = f"{name} {words[0]}", command[words[0]], words[1:]
+    _run_command(*command, f"cadenza {name}", words)
+
+
+def _run_command(kind: type, run: Callable[..., None], prog: str, words: list[str]) -> None:
+    if any(":" in word for word in words) and "" not in sys.path:
+        sys.path.append("")  # `module:Name` of an agent or a hand may lie in the working folder
+    chosen = choose(kind, prog, words)
+    _import_parts(chosen)
+    read: list[Callable[..., Any]] = []
     if issubclass(kind, Options):
-        kind = with_options_of_agents(kind, rest)
-    default = train.Train(training=train.begins_with(arguments)) if name == "train" else None
-    read = partial(parse, kind, f"cadenza {name}", rest)
-    command = read(default)
-    with _warnings_in_a_line(), _quietly(getattr(command, "quiet", False)):
-        if isinstance(command, Options):  # and may read its options over other defaults
-            run(command, read)
-        else:
-            run(command)
+        read = [reader(kind, prog, words, chosen)]
+        command = read[0]()
+    else:
+        default = train.default(chosen) if kind is train.Train else None
+        command = parse(kind, prog, words, default, chosen)
+    with warnings_in_a_line(), quietly(getattr(command, "quiet", False)):
+        run(command, *read)
 
 
-def _check_output(words: Sequence[str]) -> None:
-    """Raises: CadenzaError: it is given without a name, which would be the working folder."""
-    for option, name in pairwise(option_parts(words)):
-        if option in ("-o", "--output", "--folder", "--runs") and not name:
-            raise CadenzaError(f"{option}: the name is empty; give one, or . for this folder")
+def _import_parts(chosen: Chosen) -> None:
+    """Imports the hand, the keyboard and the learner of a command line; no file does.
 
+    Raises:
+        CadenzaError: there is no such thing.
+    """
+    if chosen.hand is not None:
+        from cadenza.hands.registry import hand_named
 
-def _load_chosen(words: Sequence[str]) -> None:
-    """Loads what is given as `module:NAME` and files may name: those can have nothing imported."""
-    parts = option_parts(words)
-    for option, name in pairwise(parts):
-        if module_of(name) is None:
-            continue
-        if option == "--hand":
-            from cadenza.hands.registry import hand_named
+        hand_named(chosen.hand)
+    if chosen.keyboard is not None:
+        from cadenza.keyboards.registry import keyboard_named
 
-            hand_named(name)
-        elif option == "--keyboard":
-            from cadenza.keyboards.registry import keyboard_named
-
-            keyboard_named(name)
-        elif option == "--learner":
-            LEARNERS.load(name, type)
-
-
-@contextmanager
-def _quietly(quiet: bool) -> Iterator[None]:
-    """Shows no progress and no results if it is to be `quiet`."""
-    if not quiet:
-        yield
-        return
-    token = QUIET.set(True)
-    try:
-        with open(os.devnull, "w", errors="backslashreplace") as nowhere, redirect_stdout(nowhere):
-            yield
-    finally:
-        QUIET.reset(token)
+        keyboard_named(chosen.keyboard)
+    if chosen.learner is not None and module_of(chosen.learner) is not None:
+        LEARNERS.load(chosen.learner, type)
 
 
 def _run_without_command(arguments: list[str]) -> None:
@@ -176,9 +150,9 @@ def _run_without_command(arguments: list[str]) -> None:
 
             print(f"cadenza {version('cadenza')}")
         case ["-h" | "--help" | "--help-all", *_]:
-            _about_all(["--help"])
+            _help_or_completion(["--help"])
         case ["--completion", shell] if shell in get_args(Shell):
-            _about_all(arguments)
+            _help_or_completion(arguments)
         case ["--completion", *_]:
             raise CadenzaError(f"--completion: choose from {', '.join(get_args(Shell))}")
         case []:
@@ -201,7 +175,7 @@ def _run_without_one_of(name: str, commands: dict[str, _Command], words: list[st
     raise CadenzaError(f"cadenza {given}: choose from {', '.join(commands)}")
 
 
-def _about_all(arguments: list[str]) -> None:
+def _help_or_completion(arguments: list[str]) -> None:
     help_or_completion(
         _kinds(_COMMANDS),
         _ABOUT,
@@ -213,7 +187,7 @@ def _about_all(arguments: list[str]) -> None:
 
 
 def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
-    """Name -> what it is read as, or several of them."""
+    """Name -> the type with all its options that a command is read as, or several of them."""
     return {
         name: _kinds(command) if isinstance(command, dict) else _with_all_options(command[0])
         for name, command in commands.items()
@@ -221,42 +195,7 @@ def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_all_options(kind: type) -> type:
-    return with_options_of_agents(kind, []) if issubclass(kind, Options) else kind
-
-
-@contextmanager
-def _warnings_in_a_line() -> Iterator[None]:
-    """Ours are for whoever typed the command, not for whoever wrote it."""
-
-    show = warnings.showwarning
-
-    def print_ours(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        if issubclass(category, CadenzaWarning):
-            print(_on_one_line(str(message)), file=sys.stderr)
-        else:
-            show(message, category, filename, lineno, file, line)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("default", CadenzaWarning)  # each once
-        warnings.showwarning = print_ours
-        yield
-
-
-def _open_closed_streams() -> None:
-    """Where the caller has closed stdin, stdout or stderr, nothing is read and what is said lost.
-
-    They are opened in this order, so that no file of ours is taken for one of them.
-    """
-    for name, mode in ("stdin", "r"), ("stdout", "w"), ("stderr", "w"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, errors="backslashreplace"))  # noqa: SIM115 - as long as we run
+    return with_options_of_agents(kind) if issubclass(kind, Options) else kind
 
 
 def _on_one_line(message: str) -> str:

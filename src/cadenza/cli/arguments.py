@@ -1,19 +1,26 @@
-"""How the command line is read: options from the fields of dataclasses, their help, plain errors.
+"""How tyro reads the command line: options from the fields of dataclasses, help, plain errors.
 
 Every field is an option, and always accepted. --help shows what most need, --help-all the rest:
 of a command's own dataclass all fields but those marked `Advanced[...]`; of the configurations in
 it (task, scene, planners, learner) only those named in `COMMON`.
+
+tyro is called twice. The first call finds the options that decide which others there are, and what
+these begin with (`choose`); the second reads the whole command (`parse`).
 """
 
 from __future__ import annotations
 
 import difflib
 import inspect
+import io
 import re
+import shlex
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, make_dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass, is_dataclass, make_dataclass, replace
+from itertools import groupby, takewhile
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
     Annotated,
@@ -21,14 +28,16 @@ from typing import (
     Literal,
     TypeVar,
     Union,
+    cast,
     get_args,
     get_origin,
-    get_type_hints,
 )
 
 import tyro
 from tyro.constructors import (
     ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
     StructConstructorSpec,
     StructFieldSpec,
     StructTypeInfo,
@@ -37,14 +46,10 @@ from tyro.constructors import (
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation
 from cadenza.learning.config import ImitationConfig, TrainingConfig
+from cadenza.learning.learner import Preset
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import DomainRandomization, TaskConfig
-
-try:
-    from tyro import _errors as errors
-except ImportError:  # it may go in any version of tyro
-    errors = None  # type: ignore[assignment]
 
 T = TypeVar("T")
 Command = TypeVar("Command")
@@ -80,34 +85,81 @@ _GROUPS: dict[type, str] = {DomainRandomization: "randomization"}
 """Configurations within others whose options have a prefix nevertheless."""
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """The options that decide which others there are, and what these begin with."""
+
+    help: Annotated[_Flag, tyro.conf.arg(aliases=["-h"])] = False
+    help_all: _Flag = False
+    agent: str | None = None
+    agents: tuple[str, ...] = ()
+    setup: str | None = None
+    hand: str | None = None
+    keyboard: str | None = None
+    learner: str | None = None
+    preset: Preset = "fast"
+    residual: bool = False
+    resume: Path | None = None
+
+
+def choose(kind: type, prog: str, words: Sequence[str]) -> Chosen:
+    """Finds in the words of a command line what the options of the command depend on.
+
+    Args:
+        kind: what the command is read as.
+        prog: the program and the command, as in "cadenza play".
+        words: the words after them.
+
+    Raises:
+        CadenzaError: such an option has no value, or there is no option of a name in `words`.
+    """
+    with _registry(_read) as registry, _errors_in_a_line(kind, prog, words):
+        chosen, _ = tyro.cli(
+            Chosen,
+            prog=prog,
+            args=words,
+            registry=registry,
+            add_help=False,
+            return_unknown_args=True,
+        )
+    return chosen
+
+
 def parse(
-    kind: type[Command], prog: str, arguments: Sequence[str], default: Command | None = None
+    kind: type[Command],
+    prog: str,
+    words: Sequence[str],
+    default: Command | None,
+    chosen: Chosen,
 ) -> Command:
     """Reads a command of the type `kind`, or prints its help and exits.
 
     Args:
-        prog: what stands before the arguments, as in "cadenza play".
+        kind: the dataclass of the command.
+        prog: the program and the command, as in "cadenza play".
+        words: the words after them.
         default: where the options begin, if not with the defaults of `kind`.
+        chosen: says whether help is asked for, and how much of it.
 
     Raises:
         CadenzaError: something is missing, unknown or cannot be read.
     """
-    words = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    asked = {"-h", "--help", "--help-all"}.intersection(words)
-    options = _registry(
-        [kind],
-        short=bool(asked) and "--help-all" not in asked,
-        left_out=getattr(kind, "refused", ()) if asked else (),
-    )
-    with _plain_errors(kind, default, prog, words), options as registry:
-        return tyro.cli(
+    asked = chosen.help or chosen.help_all
+    rule = _listed([kind], not chosen.help_all, getattr(kind, "refused", ())) if asked else _read
+    with _registry(rule) as registry, _errors_in_a_line(kind, prog, words, default):
+        command, unknown = tyro.cli(
             kind,
             prog=prog,
             description=_about(kind),
-            args=["--help"] if asked else arguments,
+            args=["--help"] if asked else words,
             default=tyro.MISSING_NONPROP if default is None else default,
             registry=registry,
+            return_unknown_args=True,
         )
+        if unknown:
+            what = "there is no option" if unknown[0][0] == "-" else "one argument too many:"
+            raise CadenzaError(f"{what} {unknown[0]}; see {prog} --help")
+    return command
 
 
 def help_or_completion(
@@ -137,7 +189,7 @@ def help_or_completion(
     )
     if arguments[0] == "--completion":
         arguments = ["--tyro-write-completion", *arguments[1:], "-"]
-    with _registry([*_all(commands)], short=False) as registry:
+    with _registry(_listed([*_all(commands)])) as registry:
         tyro.cli(overall, prog=prog, description=description, args=arguments, registry=registry)
 
 
@@ -175,6 +227,225 @@ def _about(kind: type) -> str:
     return "" if sys.flags.optimize > 1 else inspect.getdoc(kind) or ""
 
 
+# Options
+
+_NUMBERS = {int: "whole number", float: "number"}
+_BETWEEN_NUMBERS = re.compile(r",|(?<=\d)x(?=\d)")
+_HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
+
+
+StructRule = Callable[[StructTypeInfo, StructConstructorSpec], StructConstructorSpec]
+
+
+@contextmanager
+def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
+    """Yields how tyro makes options of the fields of dataclasses: as it does, changed by a `rule`.
+
+    It does so within the block only. Under `python -O`, tyro's registries stay in force once they
+    were used, and one would change the options of the next command line, too.
+    """
+    registry = ConstructorRegistry()
+    asking = False
+
+    def by_tyro(own_rule: Callable[[Any], Any], info: Any) -> Any:
+        nonlocal asking
+        asking = True
+        try:
+            return own_rule(info)
+        finally:
+            asking = False
+
+    @registry.primitive_rule
+    def value(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+        if asking or rule is not _read or (wanted := _wanted(info.type)) is None:
+            return None
+        return _read_value(by_tyro(ConstructorRegistry.get_primitive_spec, info), info.type, wanted)
+
+    @registry.struct_rule
+    def options(info: StructTypeInfo) -> StructConstructorSpec | None:
+        if asking or not is_dataclass(info.type):
+            return None
+        return rule(info, by_tyro(ConstructorRegistry.get_struct_spec, info))
+
+    try:
+        yield registry
+    finally:
+        asking = True
+
+
+def _read(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
+    """The options of a dataclass that is read, without their help, which takes tyro time."""
+    group = _GROUPS.get(info.type)
+    fields = (replace(_option(field, group), helptext="") for field in spec.fields)
+    return replace(spec, fields=tuple(fields))
+
+
+def _listed(
+    commands: Collection[type], short: bool = False, refused: Collection[str] = ()
+) -> StructRule:
+    """The options of a dataclass with their help, but for those `refused`.
+
+    Of the dataclasses of whole `commands`, if `short`, only what most need.
+    """
+
+    def rule(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
+        group = _GROUPS.get(info.type)
+        fields = [_option(field, group) for field in spec.fields if field.name not in refused]
+        if info.type not in commands:
+            return replace(spec, fields=tuple(fields))
+        leaves = list(_leaves(info.type, fields))
+        common = [field for owner, field, _ in leaves if _is_common(field, owner, info.type)]
+        if len(common) == len(leaves):
+            return replace(spec, fields=tuple(fields))
+        return replace(spec, fields=(_option(_HELP_ALL), *(common if short else fields)))
+
+    return rule
+
+
+def _is_common(field: StructFieldSpec, owner: type, command: type) -> bool:
+    """Whether most need the option."""
+    own = owner is command and _ADVANCED not in _parts(field.type)
+    return own or field.name in COMMON.get(owner, ())
+
+
+def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:
+    """The field with our help, and with its group in its name."""
+    kind, *marks = _parts(field.type)
+    if is_dataclass(kind):
+        return field
+    behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
+    name = f"{group}.{field.name}" if group else None
+    ours = tyro.conf.arg(name=name, metavar=_metavar(kind), help_behavior_hint=behaviour)
+    return replace(
+        field,
+        type=Annotated[(kind, ours, *marks)],  # type: ignore[arg-type]
+        helptext=lambda: _unwrapped(field.helptext),
+    )
+
+
+def _leaves(
+    owner: type, fields: Sequence[StructFieldSpec], prefix: str | None = ""
+) -> Iterator[tuple[type, StructFieldSpec, str]]:
+    """The options of `owner`, and then those of its configurations.
+
+    Args:
+        owner: a dataclass.
+        fields: its fields as tyro has them.
+        prefix: what its options begin with; None where those of its configurations have none, too.
+
+    Yields:
+        Whose each option is, its field and its name, as in "--randomization.mass".
+    """
+    nested: list[tuple[Any, Any, str | None]] = []
+    for field in fields:
+        kind, *marks = _parts(field.type)
+        option = field.name.replace("_", "-")
+        if is_dataclass(kind):
+            bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
+            within = None if bare else f"{prefix}{option}"
+            within = _GROUPS.get(cast(type, kind), within)
+            nested.append((kind, field.default, within and f"{within}."))
+        else:
+            yield owner, field, f"--{prefix or ''}{option}"
+    for kind, default, within in nested:
+        info = StructTypeInfo.make(kind, default, in_union_context=False)
+        spec: Any = ConstructorRegistry.get_struct_spec(info)
+        yield from _leaves(info.type, spec.fields, within)
+
+
+def _option_names(kind: type, default: Any) -> Iterator[str]:
+    """The names of all options of a command."""
+    default = tyro.MISSING_NONPROP if default is None else default
+    info = StructTypeInfo.make(kind, default, in_union_context=False)
+    spec: Any = ConstructorRegistry.get_struct_spec(info)
+    for _, field, name in _leaves(kind, spec.fields):
+        value, *marks = _parts(field.type)
+        if tyro.conf.Positional not in marks:
+            yield name
+            if value is bool:
+                yield f"--no-{name[2:]}"
+
+
+def _parts(hint: Any) -> tuple[Any, ...]:
+    """A type, and the marks on it."""
+    return get_args(hint) if get_origin(hint) is Annotated else (hint,)
+
+
+def _unwrapped(helptext: Any) -> str:
+    """Without the line breaks of the source."""
+    text = helptext() if callable(helptext) else helptext
+    return " ".join((text or "").split())
+
+
+def _default_hint(default: str) -> str:
+    if default in ("None", ""):
+        return ""
+    return f"(default: {({'True': 'yes', 'False': 'no'}).get(default, default)})"
+
+
+def _single(kind: Any) -> Any:
+    """The type of a value, or of each of several: int for int | None and tuple[int, ...]."""
+    kinds = [k for k in get_args(kind) if k not in (NoneType, ...)]
+    match get_origin(kind):
+        case origin if origin in (Union, UnionType) and len(kinds) == 1:
+            return _single(kinds[0])
+        case origin if origin is tuple and len({*kinds}) == 1:
+            return _single(kinds[0])
+    return kind
+
+
+def _metavar(kind: Any) -> str | None:
+    """PATH for Path | None, {a,b} ... for any number of choices; None for what tyro says."""
+    single = _single(kind)
+    several = " ..." * (... in get_args(kind))
+    if get_origin(single) is Literal:
+        return "{" + ",".join(map(str, get_args(single))) + "}" + several
+    if single is kind or (get_origin(kind) is tuple and not several):
+        return None
+    return f"{single.__name__.upper()}{several}"
+
+
+def _wanted(kind: Any) -> str | None:
+    """What to give for a value of this type; None where anything is taken."""
+    single = _single(kind)
+    if get_origin(single) is Literal:
+        return f"choose from {', '.join(map(str, get_args(single)))}"
+    if single is Path:
+        return "give a name, or . for this folder"
+    if single not in _NUMBERS:
+        return None
+    if get_origin(kind) is not tuple:
+        return f"give a {_NUMBERS[single]}"
+    count = "" if ... in get_args(kind) else f"{len(get_args(kind))} "
+    return f"give {count}{_NUMBERS[single]}s"
+
+
+def _read_value(
+    spec: PrimitiveConstructorSpec[Any], kind: Any, wanted: str
+) -> PrimitiveConstructorSpec[Any]:
+    """Reads what `spec` does, and says what is `wanted` in place of what cannot be read.
+
+    Several whole numbers may stand in one word: 1,2 or 640x360.
+    """
+    numbers = get_origin(kind) is tuple and _single(kind) is int
+
+    def read(words: list[str]) -> Any:
+        given = words
+        if numbers:
+            given = [n for word in words for n in _BETWEEN_NUMBERS.split(word) if n]
+        try:
+            if "" in words or (isinstance(spec.nargs, int) and len(given) != spec.nargs):
+                raise ValueError
+            return spec.instance_from_str(given)
+        except ValueError:
+            raise ValueError(f"{shlex.join(words)}: {wanted}") from None
+
+    nargs = "*" if numbers else spec.nargs
+    return replace(spec, instance_from_str=read, choices=None, nargs=nargs)
+
+
+# Errors
+
 _MEANT = (
     ("tempo bpm speed rate slow slower fast faster", "--stretch", "2 plays half as fast"),
     ("out folder dir save", "--output", "a folder for the results"),
@@ -197,6 +468,59 @@ _MEANT = (
 )
 """Names that people try, the option that does what they want, and what it takes."""
 
+_WORDING = (
+    (r"Missing from .*?: (.*) \(required\)", r"\1 is missing"),
+    (r" \(required\) (.*) is missing", r" and \1 are missing"),
+    (r"-\w \w+, (--[\w-]+) \w+ is missing", r"\1 is missing"),
+    (r"Missing value for argument '(.*?)'.*", r"\1 needs a value"),
+    (r"Error parsing (\S+): ", r"\1 "),
+)
+"""What tyro says, and how it is said in a line; what it says otherwise is said in its words."""
+
+
+@contextmanager
+def _errors_in_a_line(
+    kind: type, prog: str, words: Sequence[str], default: Any = None
+) -> Iterator[None]:
+    """Raises what is wrong with a command line as a CadenzaError, where tyro prints a box."""
+    box = io.StringIO()
+    try:
+        with redirect_stderr(box):
+            yield
+    except SystemExit as end:
+        if end.code in (0, None):  # it has printed help
+            raise
+        _check_names(kind, prog, words, default)
+        raise CadenzaError(f"{_in_a_line(box.getvalue())}; see {prog} --help") from None
+    except CadenzaError:
+        _check_names(kind, prog, words, default)
+        raise
+
+
+def _check_names(kind: type, prog: str, words: Sequence[str], default: Any) -> None:
+    """Raises: CadenzaError: there is no option of a name in `words`; it says what may be meant."""
+    known = ["--help", "--help-all", *_option_names(kind, default)]
+    for word in takewhile(lambda word: word != "--", words):
+        name = word.split("=")[0].replace("_", "-")
+        if re.match("--?[a-z]", name) and name not in (*known, "-h", "-o", "-q"):
+            hint = _meant(name, known) or similar(name, known)
+            raise CadenzaError(
+                f"there is no option {name}{hint or f'; {prog} --help-all lists them'}"
+            )
+
+
+def _in_a_line(box: str) -> str:
+    """What tyro says in a box below its title, up to the rule below which it says how to get help.
+
+    It draws boxes of lines or, where the terminal has no such characters, rules of hyphens only.
+    """
+    lines = (line.strip("│ ") for line in box.splitlines()[1:])
+    parts = groupby(lines, key=lambda line: line.strip("─╰╯-") != "")
+    said = next((" ".join(part) for has_text, part in parts if has_text), "")
+    for pattern, wording in _WORDING:
+        said = re.sub(pattern, wording, said)
+    return said.rstrip(".")
+
 
 def _meant(word: str, known: Collection[str]) -> str:
     """What to do instead of giving an option that there is not; empty where that is unclear."""
@@ -215,227 +539,3 @@ def similar(word: str, known: Sequence[str]) -> str:
     close = [name for name in known if name.endswith("." + word.lstrip("-"))]
     close = close or [bare[each] for each in difflib.get_close_matches(word.lstrip("-"), bare, 1)]
     return f"; did you mean {' or '.join(close)}?" if close else ""
-
-
-# Options
-
-_HELP_ALL = StructFieldSpec("help_all", _Flag, False, "show all options and exit")
-
-
-@contextmanager
-def _registry(
-    commands: Collection[type], short: bool, left_out: Collection[str] = ()
-) -> Iterator[ConstructorRegistry]:
-    """How tyro makes options of the fields of `commands` and of their configurations.
-
-    It does so within the block only. Under `python -O`, tyro's registries stay in force once they
-    were used, and one would change the options of the next command line, too.
-    """
-    registry = ConstructorRegistry()
-    asking = False
-
-    @registry.struct_rule
-    def described(info: StructTypeInfo) -> StructConstructorSpec | None:
-        nonlocal asking
-        if asking or not is_dataclass(info.type):
-            return None
-        asking = True  # tyro for its own rule, of which we change the fields
-        try:
-            spec: Any = ConstructorRegistry.get_struct_spec(info)
-        finally:
-            asking = False
-        group = _GROUPS.get(info.type)
-        fields = [_option(field, group) for field in spec.fields if field.name not in left_out]
-        if info.type not in commands:
-            return replace(spec, fields=tuple(fields))
-        leaves = list(_leaves(info.type, fields))
-        common = [
-            field
-            for owner, field in leaves
-            if (field.name in COMMON.get(owner, ()))
-            or (owner is info.type and _ADVANCED not in _parts(field.type))
-        ]
-        if len(common) == len(leaves):
-            return replace(spec, fields=tuple(fields))
-
-        def instantiate(**values: Any) -> Any:
-            del values[_HELP_ALL.name]
-            return spec.instantiate(**values)
-
-        options = common if short else fields
-        return StructConstructorSpec(instantiate, (_option(_HELP_ALL), *options))
-
-    try:
-        yield registry
-    finally:
-        asking = True
-
-
-def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:
-    """With our help, and with its group in its name."""
-    kind, *marks = _parts(field.type)
-    if is_dataclass(kind):
-        return field
-    behaviour = "" if tyro.conf.FlagCreatePairsOff in marks else _default_hint
-    name = f"{group}.{field.name}" if group else None
-    ours = tyro.conf.arg(name=name, metavar=_metavar(kind), help_behavior_hint=behaviour)
-    return replace(
-        field,
-        type=Annotated[(kind, ours, *marks)],  # type: ignore[arg-type]
-        helptext=lambda: _unwrapped(field.helptext),
-    )
-
-
-def _leaves(
-    owner: type, fields: Sequence[StructFieldSpec]
-) -> Iterator[tuple[type, StructFieldSpec]]:
-    """The options of `owner`, and then those of its configurations, each with whose it is."""
-    nested: list[tuple[Any, Any]] = []
-    for field in fields:
-        kind, *_ = _parts(field.type)
-        if is_dataclass(kind):
-            nested.append((kind, field.default))
-        else:
-            yield owner, field
-    for kind, default in nested:
-        info = StructTypeInfo.make(kind, default, in_union_context=False)
-        spec: Any = ConstructorRegistry.get_struct_spec(info)
-        yield from _leaves(kind, spec.fields)
-
-
-def _parts(hint: Any) -> tuple[Any, ...]:
-    """A type, and the marks on it."""
-    return get_args(hint) if get_origin(hint) is Annotated else (hint,)
-
-
-def _unwrapped(helptext: Any) -> str:
-    """Without the line breaks of the source."""
-    text = helptext() if callable(helptext) else helptext
-    return " ".join((text or "").split())
-
-
-def _default_hint(default: str) -> str:
-    if default in ("None", ""):
-        return ""
-    return f"(default: {({'True': 'yes', 'False': 'no'}).get(default, default)})"
-
-
-def _metavar(kind: Any) -> str | None:
-    """PATH for Path | None, {a,b} ... for any number of choices; None for what tyro says."""
-    kinds = [k for k in get_args(kind) if k not in (NoneType, ...)]
-    match get_origin(kind):
-        case origin if origin in (Union, UnionType) and len(kinds) == 1:
-            return _metavar(kinds[0]) or kinds[0].__name__.upper()
-        case origin if origin is tuple and ... in get_args(kind):
-            return f"{_metavar(kinds[0]) or kinds[0].__name__.upper()} ..."
-        case origin if origin is Literal:
-            return "{" + ",".join(map(str, kinds)) + "}"
-    return None
-
-
-# Errors
-
-
-@contextmanager
-def _plain_errors(kind: type, default: Any, prog: str, arguments: Sequence[str]) -> Iterator[None]:
-    """Raises what tyro finds wrong as a CadenzaError of a line; it prints a box if it cannot."""
-
-    if errors is None:
-        yield
-        return
-
-    def raise_error(event: errors.ParseErrorEvent) -> None:
-        if (what := _what_is_wrong(event, kind, default, prog, arguments)) is not None:
-            raise CadenzaError(what)
-
-    with errors.on_parse_error(raise_error):
-        yield
-
-
-def _what_is_wrong(
-    event: errors.ParseErrorEvent, kind: type, default: Any, prog: str, arguments: Sequence[str]
-) -> str | None:
-    """In a line; None where tyro should say it."""
-    known = ["--help", "--help-all", *option_names(kind, default=default)]
-    names = [word.split("=")[0].replace("_", "-") for word in arguments]
-    unknown = [name for name in names if name.startswith("--") and name not in known]
-    match event:
-        case errors.UnrecognizedArgs() | errors.MissingArgs() | errors.BadValue() if unknown:
-            hint = _meant(unknown[0], known) or similar(unknown[0], known)
-            return f"there is no option {unknown[0]}{hint or f'; {prog} --help-all lists them'}"
-        case errors.UnrecognizedArgs(tokens=tokens):
-            about = "there is no option" if tokens[0].startswith("-") else "one argument too many:"
-            return f"{about} {tokens[0]}{_meant(tokens[0], known) or f'; see {prog} --help'}"
-        case errors.MissingArgs(missing_arguments=missing):
-            names, verb = [_name(m.arg) for m in missing], "is" if len(missing) == 1 else "are"
-            return f"{' and '.join(names)} {verb} missing; see {prog} --help"
-        case errors.BadValue(argument=argument):
-            return f"{_name(argument)} needs a value; see {prog} --help"
-        case errors.InvalidChoice(argument=argument, value=value, choices=choices):
-            # tyro names those of an option that may be left out in any order, and None.
-            named = sorted({*choices} - {"None"}, key=str(argument.lowered.metavar).find)
-            return f"{_name(argument)} {value}: choose from {', '.join(named)}"
-        case errors.InstantiationFailure(argument=argument, message=message) if argument:
-            metavar, *_ = str(argument.lowered.metavar).split()
-            wanted = {"INT": "a whole number", "FLOAT": "a number"}.get(metavar, metavar)
-            given = re.findall("'([^']*)'", message)[-1:]
-            return f"{' '.join([_name(argument), *given])}: give {wanted}"
-    return None
-
-
-def _name(argument: Any) -> str:
-    return argument.lowered.metavar if argument.is_positional() else argument.display_name()
-
-
-_OF_NUMBERS = ("--tracks", "--video-size")
-
-
-def with_numbers_apart(words: Sequence[str]) -> list[str]:
-    """With `--tracks 1,2` as `--tracks 1 2`, and `--video-size 640x360` as two numbers, too."""
-    parted: list[str] = []
-    option = ""
-    for word in words:
-        if word.startswith("-"):
-            option = word.partition("=")[0].replace("_", "-")
-        joined = option in _OF_NUMBERS and re.fullmatch(r"(--[\w-]+=)?\d+([,x]\d*)+", word)
-        parted += filter(None, re.split("[=,x]", word)) if joined else (word,)
-    return parted
-
-
-def option_parts(words: Sequence[str]) -> list[str]:
-    """The words of a command line, where `--name=value` is two."""
-    return [
-        part
-        for word in words
-        for part in (word.split("=", 1) if word.startswith("--") else (word,))
-    ]
-
-
-def words_of(name: str, value: Any) -> list[str]:
-    """What gives an option this value on a command line."""
-    option = name.replace("_", "-")
-    if isinstance(value, bool):
-        return [f"--{'' if value else 'no-'}{option}"]
-    values = value if isinstance(value, tuple) else (value,)
-    return [f"--{option}", *map(str, values)]
-
-
-def option_names(kind: Any, prefix: str | None = "", default: Any = None) -> Iterator[str]:
-    """The names of all options of a command; with the prefix None also those nested have none.
-
-    As for tyro, a `default` of a subclass brings the options of that.
-    """
-    kind = kind if default is None else type(default)
-    hints = get_type_hints(kind, include_extras=True)
-    for name in (each.name for each in fields(kind)):
-        field, *marks = _parts(hints[name])
-        option = name.replace("_", "-")
-        if is_dataclass(field):
-            bare = prefix is None or tyro.conf.OmitArgPrefixes in marks
-            within = None if bare else f"{prefix}{option}."
-            within = f"{_GROUPS[field]}." if field in _GROUPS else within
-            yield from option_names(field, within, getattr(default, name, None))
-        elif tyro.conf.Positional not in marks:
-            yield f"--{prefix or ''}{option}"
-            if field is bool:
-                yield f"--{prefix or ''}no-{option}"

@@ -15,10 +15,10 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.output import check_writable, counted
-from cadenza.cli.performing import TRAIN, Again, Options, agents_in, check_all_play
-from cadenza.cli.stopping import asked_to_stop
-from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
+from cadenza.cli.console import counted, stop_on_signal
+from cadenza.cli.options import TRAIN, Options, Read, check_all_play, split_agents
+from cadenza.cli.runs import check_executor, executor_of, shown, tell_what_is_left
+from cadenza.cli.saving import check_writable
 from cadenza.configs import MOST_SEED, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
 from cadenza.learning.config import preset
@@ -68,7 +68,7 @@ class Bench(Options):
     quiet: Quiet = False
 
 
-def run(command: Bench, again: Again[Bench]) -> None:
+def run(command: Bench, read: Read[Bench]) -> None:
     from cadenza.evaluation.bench import bench
     from cadenza.evaluation.jobs import bench_jobs
     from cadenza.evaluation.results import write_plan
@@ -78,7 +78,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     agents, seeds = _agents(command), _seeds(command.seeds)
     check_all_play(command, agents)
     check_executor(command)
-    who = _contenders(command, again, agents)
+    who = _contenders(command, read, agents)
     library = open_library(command.songs)
     if (runs := len(library.songs) * len(agents) * len(seeds)) > _MOST_RUNS:
         parts = (library.songs, "song"), (agents, "agent"), (seeds, "seed")
@@ -97,7 +97,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
     with (
         closing(executor_of(command, carry_out)) as executor,
         shown(_result) as table,
-        asked_to_stop(what_comes) as stop,
+        stop_on_signal(what_comes) as stop,
     ):
         stop()  # from now on
 
@@ -110,7 +110,7 @@ def run(command: Bench, again: Again[Bench]) -> None:
 
 
 def _agents(command: Bench) -> list[str]:
-    agents = [name for words in command.agents for name in agents_in(words)]
+    agents = split_agents(command.agents)
     if not agents:
         raise CadenzaError("nobody plays: name at least one agent")
     agents = list(dict.fromkeys(agents))
@@ -142,36 +142,34 @@ def _seeds(parts: Sequence[str]) -> list[int]:
 
 
 def _contenders(
-    command: Bench, again: Again[Bench], agents: Sequence[str]
+    command: Bench, read: Read[Bench], agents: Sequence[str]
 ) -> Callable[[str], list[Contender]]:
     """Song -> who plays it, each with the options of the command, over what it was made with."""
-    fixed = {name: _contender(command, again, name) for name in agents if name != PRETRAINED}
+    fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
     def who(song: str) -> list[Contender]:
-        found = (
-            fixed[name] if name in fixed else _pretrained(command, again, song) for name in agents
-        )
+        found = (fixed[name] if name in fixed else _pretrained(read, song) for name in agents)
         return [contender for contender in found if contender is not None]
 
     return who
 
 
-def _contender(command: Bench, again: Again[Bench], agent: str) -> Contender:
+def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
     from cadenza.agents.registry import make_agent
     from cadenza.evaluation.jobs import Contender, digest_of_files
     from cadenza.performing.setup import is_policy_folder
 
     if agent.startswith(TRAIN):
-        return _trained(command, again, agent)
+        return _trained(command, read, agent)
     if is_policy_folder(agent):
         folder = Path(agent)
-        return _with_policy(command, again, str(folder), folder)
+        return _with_policy(read, str(folder), folder)
     config = command.configs.get(agent)
     make_agent(agent, config)  # who is not there is told before anyone plays
     return Contender(agent, command.task, command.scene, config, digest_of_files(config))
 
 
-def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | None:
+def _pretrained(read: Read[Bench], song: str) -> Contender | None:
     """None where no policy comes with the song."""
     from cadenza.learning.pretrained import pretrained_folder
 
@@ -181,22 +179,22 @@ def _pretrained(command: Bench, again: Again[Bench], song: str) -> Contender | N
         what = f"{song}: left out for {PRETRAINED}, no policy comes with it"
         warnings.warn(what, CadenzaWarning, stacklevel=2)
         return None
-    return _with_policy(command, again, PRETRAINED, folder)
+    return _with_policy(read, PRETRAINED, folder)
 
 
-def _with_policy(command: Bench, again: Again[Bench], agent: str, folder: Path) -> Contender:
+def _with_policy(read: Read[Bench], agent: str, folder: Path) -> Contender:
     from cadenza.evaluation.jobs import Contender
     from cadenza.files import sha256_of
     from cadenza.learning.policy_folder import load_policy
     from cadenza.learning.sealed_folder import MANIFEST
 
     learnt = load_policy(folder)
-    own = again(replace(command, task=learnt.task, scene=learnt.scene))
+    own = read(task=learnt.task, scene=learnt.scene)
     digest = sha256_of(folder / MANIFEST)[:12]
     return Contender(agent, own.task, own.scene, agent_digest=digest)
 
 
-def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
+def _trained(command: Bench, read: Read[Bench], agent: str) -> Contender:
     from cadenza.evaluation.jobs import Contender
     from cadenza.learning.config import check
 
@@ -208,7 +206,7 @@ def _trained(command: Bench, again: Again[Bench], agent: str) -> Contender:
     if agent not in presets:
         raise CadenzaError(f"no agent {agent!r}: choose from {', '.join(presets)}")
     begun = preset(*presets[agent])
-    own = again(replace(command, task=begun.task, scene=begun.scene))
+    own = read(task=begun.task, scene=begun.scene)
     steps = begun.num_steps if command.num_steps is None else command.num_steps
     config = replace(begun, task=own.task, scene=own.scene, num_steps=steps)
     check(config)

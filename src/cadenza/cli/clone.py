@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.output import check_writable
-from cadenza.cli.own_parts import OwnParts
+from cadenza.cli.console import stop_on_signal
+from cadenza.cli.options import RecordedParts
 from cadenza.cli.progress import progress
-from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.saving import check_writable
 from cadenza.errors import CadenzaError
 from cadenza.learning.config import ImitationConfig
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Clone(OwnParts):
+class Clone(RecordedParts):
     """Train one policy for many songs on demonstrations, by behaviour cloning.
 
     Ctrl-C stops it. The same command continues it.
@@ -42,7 +42,6 @@ def clone(command: Clone) -> None:
     from cadenza.files import locked
     from cadenza.learning.imitation import Imitation
 
-    command.import_them()
     check_writable(command.output)
     with locked(command.output) as ours:
         if not ours:
@@ -58,7 +57,7 @@ def clone(command: Clone) -> None:
 def _train(run: Imitation) -> None:
     """Until all is done, or until someone asks to stop."""
     first, began = run.update, time.perf_counter()
-    with progress("cloning", "updates", 30.0) as advance, asked_to_stop("a checkpoint") as stop:
+    with progress("cloning", "updates", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
         def goes_on() -> bool:

@@ -13,17 +13,16 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.output import check_writable, in_columns
-from cadenza.cli.performing import (
-    Again,
+from cadenza.cli.console import in_columns
+from cadenza.cli.options import (
     Performing,
+    Read,
     check_all_play,
-    default_folder,
     selected,
     setting_up,
-    with_defaults_of,
 )
 from cadenza.cli.progress import stages
+from cadenza.cli.saving import check_writable, default_folder
 from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 
@@ -49,7 +48,7 @@ class Compare(Performing):
     quiet: Quiet = False
 
 
-def compare(command: Compare, again: Again[Compare]) -> None:
+def compare(command: Compare, read: Read[Compare]) -> None:
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in command.agents:
@@ -57,7 +56,8 @@ def compare(command: Compare, again: Again[Compare]) -> None:
     check_all_play(command, command.agents)
     selections = {name: selected(command, name) for name in command.agents}
     commands = {
-        name: with_defaults_of(command, selection, again) for name, selection in selections.items()
+        name: read(task=selection.task, scene=selection.scene)
+        for name, selection in selections.items()
     }
     for name, selection in selections.items():
         with setting_up(selection, commands[name]):

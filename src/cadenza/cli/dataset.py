@@ -13,12 +13,11 @@ import tyro
 
 from cadenza.agents.registry import PLAYBACK, PRETRAINED
 from cadenza.cli.arguments import Advanced, Quiet
-from cadenza.cli.output import check_writable, counted
-from cadenza.cli.own_parts import OwnParts
-from cadenza.cli.performing import Again, Options, check_all_play
+from cadenza.cli.console import counted, stop_on_signal
+from cadenza.cli.options import Options, Read, RecordedParts, check_all_play
 from cadenza.cli.progress import progress, stages
-from cadenza.cli.stopping import asked_to_stop
-from cadenza.cli.under_way import check_executor, executor_of, shown, tell_what_is_left
+from cadenza.cli.runs import check_executor, executor_of, shown, tell_what_is_left
+from cadenza.cli.saving import check_writable
 from cadenza.configs import check_ranges, whole_number
 from cadenza.errors import CadenzaError
 from cadenza.evaluation.collecting.variation import Variation, varied
@@ -68,7 +67,7 @@ class Collect(Options):
     refused = ("wrong_press_termination",)
 
 
-def collect(command: Collect, _again: Again[Collect]) -> None:
+def collect(command: Collect, _: Read[Collect]) -> None:
     from cadenza.evaluation.bench import bench
     from cadenza.evaluation.collecting.collect import episodes, is_complete, record
     from cadenza.evaluation.results import write_plan
@@ -84,7 +83,7 @@ def collect(command: Collect, _again: Again[Collect]) -> None:
     with (
         closing(executor_of(command, record)) as executor,
         shown(_how_it_went) as table,
-        asked_to_stop("ending the episodes under way") as stop,
+        stop_on_signal("ending the episodes under way") as stop,
     ):
         stop()  # from now on
 
@@ -179,7 +178,7 @@ def info(command: DatasetInfo) -> None:
 
 
 @dataclass(frozen=True)
-class DatasetCheck(OwnParts):
+class DatasetCheck(RecordedParts):
     """Look for damage in a folder of demonstrations, and play some episodes again.
 
     Example: cadenza dataset check demonstrations
@@ -198,7 +197,6 @@ def check(command: DatasetCheck) -> None:
 
     from cadenza.demonstrations.checking import problems
 
-    command.import_them()
     whole_number(command.replays, "replays", 0, _MOST_EPISODES)
     found = 0
     with progress("checking", "episodes") as advance:
@@ -211,7 +209,7 @@ def check(command: DatasetCheck) -> None:
 
 
 @dataclass(frozen=True)
-class DatasetPlay(OwnParts):
+class DatasetPlay(RecordedParts):
     """Play a recorded episode again, and write a report page with sound, scores and MIDI.
 
     Example: cadenza dataset play demonstrations 0
@@ -230,12 +228,11 @@ class DatasetPlay(OwnParts):
 
 
 def play(command: DatasetPlay) -> None:
-    from cadenza.cli.play import keep
+    from cadenza.cli.saving import save
     from cadenza.demonstrations.dataset import kept
     from cadenza.performing.performance import check_replaceable
     from cadenza.performing.replaying import play_again
 
-    command.import_them()
     episodes = kept(command.folder)
     number = whole_number(command.number, "episode", 0, max(len(episodes) - 1, 0))
     if not episodes:
@@ -246,11 +243,11 @@ def play(command: DatasetPlay) -> None:
     with stages("playing") as told:
         performance = play_again(episodes[number], told)
     print(f"{episodes[number].facts.song}, {episodes[number].folder.name}")
-    keep(performance, folder, command.video)
+    save(performance, folder, command.video)
 
 
 @dataclass(frozen=True)
-class DatasetExport(OwnParts):
+class DatasetExport(RecordedParts):
     """Write demonstrations for other libraries: Minari, or LeRobot v3.
 
     Example: cadenza dataset export demonstrations --format lerobot -o lerobot
@@ -276,7 +273,6 @@ def export(command: DatasetExport) -> None:
     from cadenza.demonstrations.minari_export import NAME, write_minari
     from cadenza.sim.render import Picture
 
-    command.import_them()
     pictures = [Picture(*command.video_size, name) for name in dict.fromkeys(command.video_cameras)]
     if pictures and command.format != "lerobot":
         raise CadenzaError("--video-cameras: only LeRobot holds videos; add --format lerobot")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from cadenza.cli.output import check_name, check_writable
+from cadenza.cli.saving import check_name, check_writable
 from cadenza.music.etudes import DRILLS, KINDS
 
 

@@ -5,24 +5,27 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from cadenza.agents.registry import PLANNER, PLAYBACK
-from cadenza.cli.arguments import Quiet, words_of
+from cadenza.cli.arguments import Quiet
 from cadenza.cli.estimate import tell_how_long
-from cadenza.cli.output import check_name, check_writable
-from cadenza.cli.performing import (
-    Again,
+from cadenza.cli.options import (
     Performing,
-    default_folder,
-    print_scores,
-    print_what_was_lost,
+    Read,
     selected,
     setting_up,
 )
 from cadenza.cli.progress import stages
+from cadenza.cli.saving import (
+    check_name,
+    check_writable,
+    default_folder,
+    print_losses,
+    print_scores,
+)
 from cadenza.files import TENSORS
 from cadenza.music.arrangement import Arrangement
 from cadenza.scene.config import SceneConfig
@@ -43,10 +46,10 @@ class PlanCommand(Performing):
     """Random seed."""
     quiet: Quiet = False
 
-    of_ours = (PLANNER,)
+    agents_with_options = (PLANNER,)
 
 
-def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
+def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     from cadenza.performing.planning import fingering_of, make_plan
 
     if command.output is not None:
@@ -60,7 +63,7 @@ def run(command: PlanCommand, _: Again[PlanCommand]) -> None:
             planned = make_plan(setup, progress)
     planned.save(path)
     print_scores(planned.performance)
-    print_what_was_lost(planned.performance)
+    print_losses(planned.performance)
     print(f"\nFingering in {fingering_of(path)}. To see and hear the plan:")
     print(shlex.join(["cadenza", "play", command.song, *_to_replay(command, path)]))
 
@@ -78,5 +81,14 @@ def _to_replay(command: PlanCommand, path: Path) -> list[str]:
         usual = dict(flat(asdict(default)))
         for name, value in flat(asdict(options)):
             if value != usual[name]:
-                flags += words_of(name, value)
+                flags += _as_option(name, value)
     return [*flags, *(["--seed", str(command.seed)] if command.seed else [])]
+
+
+def _as_option(name: str, value: Any) -> list[str]:
+    """Returns the words that give an option this value on a command line."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return [f"--{'' if value else 'no-'}{option}"]
+    values = value if isinstance(value, tuple) else (value,)
+    return [f"--{option}", *map(str, values)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,30 +13,24 @@ import tyro
 
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Advanced, Quiet
+from cadenza.cli.console import stop_on_signal
 from cadenza.cli.estimate import tell_how_long
-from cadenza.cli.output import check_writable
-from cadenza.cli.performing import (
+from cadenza.cli.options import (
     AGENTS_HELP,
-    Again,
     Performing,
+    Read,
     check_all_play,
-    default_folder,
-    print_scores,
-    print_what_was_lost,
     selected,
     setting_up,
-    with_defaults_of,
 )
-from cadenza.cli.practising import practised
+from cadenza.cli.practice import practised
 from cadenza.cli.progress import stages
-from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.cli.studio import need_server
 from cadenza.files import folder_name
 
 if TYPE_CHECKING:
-    from cadenza.performing.performance import Performance
     from cadenza.performing.setup import Selection, Setup
-    from cadenza.sim.render import Picture
     from cadenza.studio.showing import Showing
 
 
@@ -68,20 +62,19 @@ class PlayCommand(Performing):
     quiet: Quiet = False
 
 
-def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
+def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
     from cadenza.sim.render import Picture
 
     picture = Picture(*command.video_size, command.video_camera)
     selection = selected(command, command.agent, command.plan)
     check_all_play(command, _who_plays(selection))
-    # tyro would call a flag that is on already --no-watch.
-    command = with_defaults_of(replace(command, watch=False), selection, again)
+    command = read(task=selection.task, scene=selection.scene)
     folder = command.output or default_folder(selection) / _name_of(selection.name)
     if command.watch:
         need_server()
     with ExitStack() as kept:
-        with asked_to_stop("writing the results") as stop:
+        with stop_on_signal("writing the results") as stop:
             with setting_up(selection, command, command.seed) as setup:
                 check_writable(folder)
                 check_replaceable(folder, command.song)
@@ -93,7 +86,7 @@ def run(command: PlayCommand, again: Again[PlayCommand]) -> None:
                     performance = perform(setup, following, stop)
             if page:
                 page.played(performance)
-            keep(performance, folder, command.video, picture, command.loudness)
+            save(performance, folder, command.video, picture, command.loudness)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")
@@ -125,7 +118,7 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
         yield setup, False
         return
     with ExitStack() as kept:
-        with asked_to_stop("this passage") as stop:
+        with stop_on_signal("this passage") as stop:
             effort = setup.agent.config.effort
             practising = kept.enter_context(practised(setup, folder, effort, stop=stop))
             stopped = stop()
@@ -142,18 +135,3 @@ def _shown(setup: Setup) -> AbstractContextManager[Showing]:
 def _name_of(agent: str) -> str:
     """As a folder's: of a policy the last two names, since those in all runs are called best."""
     return folder_name("-".join(Path(agent).parts[-2:]))
-
-
-def keep(
-    performance: Performance,
-    folder: Path,
-    video: bool,
-    picture: Picture | None = None,
-    loudness: Literal["struck", "score"] = "struck",
-) -> None:
-    """Writes the results of a performance, and says how it went."""
-    with stages("playing") as progress:
-        performance.save(folder, video, progress, picture, loudness)
-    print_scores(performance)
-    print_what_was_lost(performance)
-    print(f"\nOpen {folder / 'report.html'}")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from cadenza.cli.arguments import Quiet
-from cadenza.cli.output import check_name, check_writable, in_columns
+from cadenza.cli.console import in_columns
+from cadenza.cli.saving import check_name, check_writable
 
 if TYPE_CHECKING:
     from cadenza.report.bench_summary import BenchSummary

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cadenza.cli.arguments import Advanced
-from cadenza.cli.output import check_writable
+from cadenza.cli.saving import check_writable
 from cadenza.configs import whole_number
 from cadenza.errors import CadenzaError
 

@@ -6,21 +6,19 @@ import re
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import tyro
 
-from cadenza.cli.arguments import Advanced, Quiet, option_parts
-from cadenza.cli.output import check_name, check_writable
-from cadenza.cli.play import keep
+from cadenza.cli.arguments import Advanced, Chosen, Quiet
+from cadenza.cli.console import stop_on_signal
+from cadenza.cli.options import SETUP_HELP
 from cadenza.cli.progress import QUIET, progress, stages
-from cadenza.cli.setups import SETUP_HELP
-from cadenza.cli.stopping import asked_to_stop
+from cadenza.cli.saving import check_name, check_writable, save
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, plain, read_json
 from cadenza.learning.config import TrainingConfig, preset
@@ -28,8 +26,9 @@ from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.registry import module_of
-from cadenza.scene.config import named_by_module
-from cadenza.tasks.setups import setup_named
+from cadenza.scene.config import SceneConfig, named_by_module
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
     from cadenza.learning.run_folder import RunFolder
@@ -89,23 +88,23 @@ class Curves:
     """Learner of the runs, if it was given as module:NAME."""
 
 
-def begins_with(arguments: Sequence[str]) -> TrainingConfig:
-    """What the options of training change, and --help shows: a run's own, or those of a preset.
+def default(chosen: Chosen) -> Train:
+    """Returns the command with what its options change: a run's training, or that of a preset.
 
     Raises:
         CadenzaError: there is no such run, learner or setup.
     """
-    words = option_parts(arguments)
-    following = dict(pairwise(words))
-    if words[:1] == ["train"] and "--resume" in following:
+    setup = NamedSetup() if chosen.setup is None else setup_named(chosen.setup)
+    if chosen.resume is not None:
         from cadenza.learning.run_folder import RunFolder
 
-        return RunFolder(Path(following["--resume"])).description()[0]
-    name = following.get("--preset", "fast")
-    known: Any = name if name in get_args(Preset) else "fast"  # a wrong one is refused later
-    setup = following.get("--setup")
-    otherwise = None if setup is None else setup_named(setup).training
-    return preset(known, "--residual" in arguments, following.get("--learner", DROQ), otherwise)
+        training, _ = RunFolder(chosen.resume).description()
+    else:
+        learner = chosen.learner or DROQ
+        training = preset(chosen.preset, chosen.residual, learner, setup.training)
+    task = replace(training.task, **setup.of(TaskConfig))
+    scene = replace(training.scene, **setup.of(SceneConfig))
+    return Train(training=replace(training, task=task, scene=scene))
 
 
 def train(command: Train) -> None:
@@ -160,7 +159,7 @@ def _train(command: Train, folder: Path) -> None:
         if finished:
             with stages("playing") as tell:
                 performance = play(folder / "best", progress=tell)
-            keep(performance, folder / "best_played", command.video)
+            save(performance, folder / "best_played", command.video)
         if run.rows():
             _write_curves(folder, score.title, config)
             print(f"Learning curves in {folder / 'report.html'}")
@@ -208,7 +207,7 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
     renew = _sparingly(lambda: _write_curves(run.path, song, training.config, going_on=True))
     scores = ""
-    with progress("learning", "steps", 30.0) as advance, asked_to_stop("a checkpoint") as stop:
+    with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
 
         def goes_on() -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from cadenza.agents.registry import AGENTS
-from cadenza.cli.output import counted
+from cadenza.cli.console import counted
 from cadenza.errors import CadenzaError
 from cadenza.learning.learner import LEARNERS
 from cadenza.music.arrangement import Arrangement

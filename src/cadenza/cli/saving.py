@@ -1,0 +1,126 @@
+"""Where results are written, and what is printed of how well a song was played."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cadenza.cli.console import counted
+from cadenza.cli.progress import stages
+from cadenza.errors import CadenzaError
+from cadenza.files import folder_name
+
+if TYPE_CHECKING:
+    from cadenza.performing.performance import Performance
+    from cadenza.performing.setup import Selection
+    from cadenza.sim.render import Picture
+
+_REWARDED = {
+    "score": "; the score's fingers are rewarded",
+    "found": "; fingers that a search found are rewarded",
+    "transport": "; the nearest fingers are rewarded",
+}
+
+
+def check_name(path: Path, suffix: str, what: str) -> None:
+    """Checks the name of an output file before anything is made for it.
+
+    Raises:
+        CadenzaError: it has another ending than `suffix`, or is a folder; `what` says why.
+    """
+    if path.suffix != suffix:
+        raise CadenzaError(f"{path}: {what}; choose a name with that ending")
+    if path.is_dir():
+        raise CadenzaError(f"{path}: is a folder; choose another name")
+
+
+def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) -> None:
+    """Checks that results can be written to a folder before anything is played for it.
+
+    Args:
+        folder: it is made, with this `mode`, if it is not there.
+        option: chooses another folder, as the error says.
+
+    Raises:
+        CadenzaError: they cannot.
+    """
+    import tempfile
+
+    try:
+        folder.mkdir(mode, parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise CadenzaError(
+            f"{folder}: results cannot be written there ({error.strerror}); "
+            f"choose another folder with {option}"
+        ) from error
+
+
+def default_folder(selection: Selection) -> Path:
+    """Returns the folder where the results of a song are written by default."""
+    from cadenza.music.formats.reading import name_without_ending
+    from cadenza.performing.setup import is_own_folder
+
+    song = selection.song
+    name = selection.score.title if is_own_folder(song) else name_without_ending(song)
+    return Path("played") / folder_name(name)
+
+
+def save(
+    performance: Performance,
+    folder: Path,
+    video: bool,
+    picture: Picture | None = None,
+    loudness: Literal["struck", "score"] = "struck",
+) -> None:
+    """Writes the results of a performance, and prints how well it was played."""
+    with stages("playing") as progress:
+        performance.save(folder, video, progress, picture, loudness)
+    print_scores(performance)
+    print_losses(performance)
+    print(f"\nOpen {folder / 'report.html'}")
+
+
+def print_scores(performance: Performance) -> None:
+    """Prints how well a song was played, and how long that took."""
+    metrics = performance.metrics
+    print(
+        f"F1 {metrics['f1']:.3f}  precision {metrics['precision']:.3f}  "
+        f"recall {metrics['recall']:.3f}  note onsets F1 {metrics['note_onset_f1']:.3f}"
+    )
+    print(
+        f"{performance.seconds:.1f} s of music in {counted(metrics['steps'], 'step')}; "
+        f"planning took {metrics['planning_seconds']:.1f} s, "
+        f"simulation {metrics['playing_seconds']:.1f} s"
+    )
+    print(_return_summary(metrics))
+    if metrics["unstable"]:
+        print("the simulation became unstable and the episode ended early", file=sys.stderr)
+
+
+def _return_summary(metrics: Mapping[str, Any]) -> str:
+    """Returns the return and its terms as text, and whose fingers were rewarded."""
+    terms = {
+        name.removeprefix("reward/").replace("_", " "): value
+        for name, value in metrics.items()
+        if name.startswith("reward/")
+    }
+    told = ", ".join(f"{name} {value:.1f}" for name, value in terms.items())
+    fingers = _REWARDED.get(metrics["rewarded_fingers"], "")
+    return f"return {metrics['return']:.1f}: {told}{fingers}"
+
+
+def print_losses(performance: Performance) -> None:
+    """Prints how many notes were missed, and why, if there was a plan."""
+    from collections import Counter
+
+    from cadenza.agents.planner.misses import summary
+
+    if performance.track is None or performance.misses is None:
+        return
+    print(*summary(performance.misses, performance.episode), sep="\n")
+    reasons = Counter(reason for _, reason in performance.track.dropped or ())
+    for reason, count in reasons.most_common():
+        print(f"no finger for {counted(count, 'note')}: {reason}")
