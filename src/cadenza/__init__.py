@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cadenza.music.score import Note, PedalEvent, Score
     from cadenza.performing.performance import Performance, play
     from cadenza.performing.planning import Plan, plan
-    from cadenza.performing.setup import load_song
+    from cadenza.performing.source import load_song
     from cadenza.performing.training import train
     from cadenza.scene.config import SceneConfig
     from cadenza.tasks.config import DomainRandomization, TaskConfig
@@ -84,7 +84,7 @@ _MODULES = {
     "music.libraries.bundled": ("Piece", "songs"),
     "music.libraries.library": ("open_library",),
     "music.libraries.songs": ("Library", "Song"),
-    "performing.setup": ("load_song",),
+    "performing.source": ("load_song",),
     "performing.performance": ("Performance", "play"),
     "performing.planning": ("Plan", "plan"),
     "performing.training": ("train",),

@@ -18,7 +18,6 @@ from cadenza.cli.options import (
     Performing,
     Read,
     check_all_play,
-    selected,
     setting_up,
 )
 from cadenza.cli.progress import stages
@@ -49,12 +48,16 @@ class Compare(Performing):
 
 
 def compare(command: Compare, read: Read[Compare]) -> None:
+    from cadenza.performing.setup import select
+    from cadenza.performing.source import resolve
+
     if not command.agents or not command.seeds:
         raise CadenzaError("nothing to compare: name at least one agent and one seed")
     if PLAYBACK in command.agents:
         raise CadenzaError(f"{PLAYBACK} plays a single file: name other agents")
     check_all_play(command, command.agents)
-    selections = {name: selected(command, name) for name in command.agents}
+    source = resolve(command.song, command.arrangement)
+    selections = {name: select(source, name, configs=command.configs) for name in command.agents}
     commands = {
         name: read(task=selection.task, scene=selection.scene)
         for name, selection in selections.items()

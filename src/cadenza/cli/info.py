@@ -46,7 +46,7 @@ def info(command: Info) -> None:
 
 def _score(song: str, arrangement: Arrangement) -> Score:
     if os.path.isdir(song):  # heavy, so only where it may be what has learnt or practised a song
-        from cadenza.performing.setup import is_own_folder, load_song
+        from cadenza.performing.source import is_own_folder, load_song
 
         if is_own_folder(song):
             return load_song(song, arrangement)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from keyword import iskeyword
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import tyro
@@ -173,15 +172,6 @@ def check_all_play(command: Options, agents: Collection[str]) -> None:
         if given and agent not in agents:
             option = f"{command.options[agent]}.{given[0]}".replace("_", "-")
             raise CadenzaError(f"--{option}: {agent} does not play; leave it out, or have it play")
-
-
-def selected(command: Performing, agent: str | None, plan: Path | None = None) -> Selection:
-    """The song of a command, and whoever plays it with the options of the command."""
-    from cadenza.performing.setup import select
-
-    return select(
-        command.song, agent, arrangement=command.arrangement, configs=command.configs, plan=plan
-    )
 
 
 @contextmanager

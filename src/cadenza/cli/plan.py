@@ -15,7 +15,6 @@ from cadenza.cli.estimate import tell_how_long
 from cadenza.cli.options import (
     Performing,
     Read,
-    selected,
     setting_up,
 )
 from cadenza.cli.progress import stages
@@ -51,10 +50,13 @@ class PlanCommand(Performing):
 
 def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
     from cadenza.performing.planning import fingering_of, make_plan
+    from cadenza.performing.setup import select
+    from cadenza.performing.source import resolve
 
     if command.output is not None:
         check_name(command.output, TENSORS, f"a plan is a {TENSORS} file")
-    selection = selected(command, PLANNER)
+    source = resolve(command.song, command.arrangement)
+    selection = select(source, PLANNER, configs=command.configs)
     path = command.output or default_folder(selection) / f"plan{TENSORS}"
     with setting_up(selection, command, command.seed) as setup:
         check_writable(path.parent)

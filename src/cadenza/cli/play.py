@@ -20,7 +20,6 @@ from cadenza.cli.options import (
     Performing,
     Read,
     check_all_play,
-    selected,
     setting_up,
 )
 from cadenza.cli.practice import practised
@@ -64,10 +63,13 @@ class PlayCommand(Performing):
 
 def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
     from cadenza.performing.performance import check_replaceable, perform
+    from cadenza.performing.setup import select
+    from cadenza.performing.source import resolve
     from cadenza.sim.render import Picture
 
     picture = Picture(*command.video_size, command.video_camera)
-    selection = selected(command, command.agent, command.plan)
+    source = resolve(command.song, command.arrangement)
+    selection = select(source, command.agent, configs=command.configs, plan=command.plan)
     check_all_play(command, _who_plays(selection))
     command = read(task=selection.task, scene=selection.scene)
     folder = command.output or default_folder(selection) / _name_of(selection.name)

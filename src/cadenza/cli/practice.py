@@ -15,7 +15,7 @@ import tyro
 from cadenza.agents.registry import PLANNER
 from cadenza.cli.arguments import Quiet
 from cadenza.cli.console import stop_on_signal
-from cadenza.cli.options import Performing, Read, selected, setting_up
+from cadenza.cli.options import Performing, Read, setting_up
 from cadenza.cli.progress import Advance, progress, stages
 from cadenza.cli.saving import check_writable, default_folder, save
 from cadenza.errors import CadenzaError
@@ -65,10 +65,16 @@ class PracticeCommand(Performing):
 def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
     from cadenza.agents.planner.config import ENOUGH
     from cadenza.performing.performance import check_replaceable
+    from cadenza.performing.setup import select
+    from cadenza.performing.source import resolve
 
-    command = _continued(command, read)
+    source, folder = resolve(command.song, command.arrangement), Path(command.song)
+    elsewhere = command.output is not None and command.output.resolve() != folder.resolve()
+    if source.practised is not None and not elsewhere:
+        command = _continued(folder, command, read)
+        source = resolve(command.song, command.arrangement)
     _check(command)
-    selection = selected(command, PLANNER)
+    selection = select(source, PLANNER, configs=command.configs)
     folder = command.output or default_folder(selection) / "practised"
     check_writable(folder)
     check_replaceable(folder, command.song)
@@ -86,18 +92,18 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
         raise KeyboardInterrupt
 
 
-def _continued(command: PracticeCommand, read: Read[PracticeCommand]) -> PracticeCommand:
-    """As was practised in the folder that is given as the song, unless another is to be begun."""
-    from cadenza.agents.planner.config import PlannerConfig
-    from cadenza.performing.setup import PRACTISED_HOW, practised_plan
+def _continued(
+    folder: Path, command: PracticeCommand, read: Read[PracticeCommand]
+) -> PracticeCommand:
+    """The command with the song and the options of what was practised in `folder`.
 
-    folder = Path(command.song)
-    elsewhere = command.output is not None and command.output.resolve() != folder.resolve()
-    if elsewhere or practised_plan(command.song) is None:
-        return command
+    Raises:
+        CadenzaError: the folder does not say how it was practised, or that cannot be read.
+    """
+    from cadenza.agents.planner.config import PlannerConfig
+    from cadenza.performing.source import PRACTISED_HOW
+
     where = folder / PRACTISED_HOW
-    if not where.exists():
-        where = folder / "settings.json"  # of folders that earlier versions made
     settings = read_json(where, dict[str, Any]) if where.exists() else {}
     kinds = {"seed": int, "arrangement": Arrangement, "task": TaskConfig, "scene": SceneConfig}
     kinds |= {"song": str, command.options[PLANNER]: PlannerConfig}

@@ -60,12 +60,7 @@ def check_writable(folder: Path, option: str = "--output", mode: int = 0o777) ->
 
 def default_folder(selection: Selection) -> Path:
     """Returns the folder where the results of a song are written by default."""
-    from cadenza.music.formats.reading import name_without_ending
-    from cadenza.performing.setup import is_own_folder
-
-    song = selection.song
-    name = selection.score.title if is_own_folder(song) else name_without_ending(song)
-    return Path("played") / folder_name(name)
+    return Path("played") / folder_name(selection.source.short_name)
 
 
 def save(

@@ -136,7 +136,7 @@ def _train(command: Train, folder: Path) -> None:
     from cadenza.learning.run_folder import RunFolder
     from cadenza.learning.training import Training, begin
     from cadenza.performing.performance import play
-    from cadenza.performing.setup import load_song
+    from cadenza.performing.source import load_song
     from cadenza.report.scalars import need_wandb
 
     run = RunFolder(folder)

@@ -26,7 +26,8 @@ from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
 from cadenza.performing.parts import parts_of
-from cadenza.performing.setup import Setup, SomeAgent, Song, select, set_up
+from cadenza.performing.setup import Setup, SomeAgent, select, set_up
+from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
 from cadenza.report.performance_page import performance_page
 from cadenza.report.sound import SAMPLE_RATE, Sound, encode_mp3, synthesize

@@ -20,7 +20,8 @@ from cadenza.fingers import Finger, Fingers
 from cadenza.music.formats.fingering_file import SUFFIX, write_fingering
 from cadenza.music.score import Score
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.setup import Setup, Song, select, set_up
+from cadenza.performing.setup import Setup, select, set_up
+from cadenza.performing.source import Song
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 

@@ -19,13 +19,8 @@ from cadenza.errors import CadenzaError
 from cadenza.files import write_json
 from cadenza.performing.performance import Performance, perform
 from cadenza.performing.planning import plan_of
-from cadenza.performing.setup import (
-    PRACTICE,
-    PRACTISED,
-    PRACTISED_HOW,
-    Setup,
-    is_own_folder,
-)
+from cadenza.performing.setup import Setup
+from cadenza.performing.source import PRACTICE, PRACTISED, PRACTISED_HOW, is_own_folder
 
 
 def check_is_practice(folder: Path) -> None:

@@ -29,26 +29,19 @@ from cadenza.agents.registry import (
 )
 from cadenza.configs import MOST_SEED, as_config, whole_number
 from cadenza.errors import CadenzaError, CadenzaWarning
-from cadenza.files import TENSORS
-from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
+from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.pretrained import pretrained_folder
-from cadenza.learning.sealed_folder import MANIFEST
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.goals import held_pedal_changes, merged_notes
-from cadenza.music.libraries.bundled import songs
-from cadenza.music.libraries.library import check_is_name
 from cadenza.music.score import Score
-from cadenza.scene.config import SceneConfig, check_modules
+from cadenza.performing.source import PRACTICE, PRACTISED, Song, Source, resolve
+from cadenza.scene.config import SceneConfig
 from cadenza.sim.threads import MOST_THREADS
 from cadenza.tasks.config import TaskConfig, task_identity, with_time_to_begin
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.setups import NamedSetup
 
-PRACTISED = f"plan{TENSORS}"  # what the folder of a song that was practised holds
-PRACTICE = f"practice{TENSORS}"  # how far it has been practised
-PRACTISED_HOW = "practice.json"  # and in what task and scene
-Song = str | Path | Score
 SomeAgent = str | Path | Agent
 
 
@@ -56,8 +49,7 @@ SomeAgent = str | Path | Agent
 class Selection:
     """A song and who is to play it."""
 
-    song: str
-    score: Score
+    source: Source
     name: str
     """The agent's."""
     agent: Agent
@@ -69,7 +61,15 @@ class Selection:
     """The same; for a plan, with the physics that it was made in."""
     learnt: LearntPolicy | None = None
     plan: SavedPlan | None = None
-    arrangement: Arrangement = field(default_factory=Arrangement)
+
+    @property
+    def score(self) -> Score:
+        """The song that is to be played."""
+        return self.source.score
+
+    def with_score(self, score: Score) -> Selection:
+        """The same with another score of the song."""
+        return replace(self, source=replace(self.source, score=score))
 
     def at(self, named: NamedSetup) -> Selection:
         """The same with the task and the scene of a named setup."""
@@ -97,55 +97,8 @@ class Setup:
         return int(self.task.goals.num_steps[0])
 
 
-def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
-    """The score that a name or a path stands for; what was repaired in it is a warning.
-
-    Args:
-        song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
-            folder of a policy or of a practised song, which hold theirs. A folder of the same name
-            as a bundled song wants a path with a separator, such as ``./OdeToJoy``.
-        arrangement: which notes of it; all by default.
-
-    Raises:
-        CadenzaError: there is no such song, or it cannot be read.
-    """
-    check_is_name(song)
-    arrangement = as_config(arrangement, Arrangement)
-    if is_own_folder(song):
-        if arrangement.chosen:
-            raise CadenzaError(
-                f"{song}: plays its song as it was trained or practised; leave out --tracks, "
-                "--reduce and --first-seconds"
-            )
-        practised = practised_plan(song)
-        score = load_policy(Path(song)).score if practised is None else practised.score
-        if score is None:
-            raise CadenzaError(
-                f"{song}: plays any song; name one: cadenza play SONG --agent {song}"
-            )
-        return score
-    score = arrangement.score(str(song))
-    for remark in score.remarks:
-        warnings.warn(f"{song}: {remark}", CadenzaWarning, stacklevel=2)
-    if len(score.tracks) > 2 and not arrangement.chosen:
-        warnings.warn(
-            f"{song}: all {len(score.tracks)} tracks are played at once; if that is too much for "
-            'two hands, use --reduce melody-bass, or --tracks with some that "cadenza info" lists',
-            CadenzaWarning,
-            stacklevel=2,
-        )
-    return score
-
-
-def is_own_folder(song: str | Path) -> bool:
-    """Whether a song is named by the folder of a policy or of a practised song, which has it."""
-    text = str(song)
-    bundled = text.lower() in {piece.name.lower() for piece in songs()}
-    return os.path.isdir(song) and not (bundled and isinstance(song, str))
-
-
 def select(
-    song: Song,
+    song: Song | Source,
     agent: SomeAgent | None = None,
     *,
     arrangement: Arrangement | None = None,
@@ -155,29 +108,24 @@ def select(
     """Loads a song and whoever is to play it.
 
     Args:
-        song: see `load_song`, or a score.
+        song: see `cadenza.load_song`; a score; or what `resolve` has made of it.
         agent: a name of `cadenza.agents.registry`, the folder of a policy, `module:Class`, or an
             agent. Where there is none, the policy or the practised plan plays whose folder is the
             song, or the planner.
-        arrangement: which notes of a song that is not a score yet.
+        arrangement: which notes of a song that is a name or a path.
         configs: agent's name -> its options, see `make_agent`.
         plan: the file whose actions "playback" plays.
 
     Raises:
         CadenzaError: the song or the agent is not there, or cannot be used.
     """
-    arrangement = arrangement or Arrangement()
-    score = song if isinstance(song, Score) else load_song(song, arrangement)
-    title = score.title if isinstance(song, Score) else str(song)
-    practised = None if isinstance(song, Score) else practised_plan(song)
-    if practised is not None:
-        arrangement = practised.config(Arrangement)
-    selection = partial(Selection, song=title, score=score, arrangement=arrangement)
-    if agent is None and not isinstance(song, Score) and is_own_folder(song):
-        if plan is None and practised is not None:
-            task, scene = practised.config(TaskConfig), practised.config(SceneConfig)
-            return _played_back(partial(selection, task=task, scene=scene), practised, configs)
-        agent = song
+    source = song if isinstance(song, Source) else resolve(song, arrangement)
+    selection = partial(Selection, source)
+    if agent is None and plan is None and (own := source.practised) is not None:
+        task, scene = own.config(TaskConfig), own.config(SceneConfig)
+        return _played_back(partial(selection, task=task, scene=scene), own, configs)
+    if agent is None and source.policy is not None:
+        agent = source.name
     if not isinstance(agent, str | Path | None):
         name = type(agent).__name__
         agent = checked_agent(agent, name)
@@ -191,7 +139,7 @@ def select(
         saved = load_plan(Path(plan))
         scene = replace(SceneConfig(), **saved.physics)
         return _played_back(partial(selection, scene=scene), saved, configs)
-    if (learnt := _policy(name, title)) is not None:
+    if (learnt := _policy(name, source)) is not None:
         return _with_policy(selection(name=name, agent=learnt.agent), learnt)
     config, options = (configs or {}).get(name), agent_options(name)
     config = config if options is None else as_config(config, options)
@@ -216,10 +164,12 @@ def _played_back(
     return selection(name=PLAYBACK, agent=PractisedHands(plan.practised, config), plan=plan)
 
 
-def _policy(agent: str, song: str) -> LearntPolicy | None:
+def _policy(agent: str, source: Source) -> LearntPolicy | None:
     """The policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
-        return load_policy(pretrained_folder(song))
+        return load_policy(pretrained_folder(source.name))
+    if agent == source.name and source.policy is not None:
+        return source.policy
     if not is_policy_folder(agent):
         return None
     if any((Path(agent) / name).is_file() for name in (PRACTISED, PRACTICE)):
@@ -228,32 +178,6 @@ def _policy(agent: str, song: str) -> LearntPolicy | None:
             "without an agent"
         )
     return load_policy(Path(agent))
-
-
-def practised_plan(song: str | Path) -> SavedPlan | None:
-    """The plan in the folder of a song that was practised; None if `song` is no such folder.
-
-    Raises:
-        CadenzaError: practice was killed before it had a plan, or `song` is another folder.
-    """
-    folder = Path(song)
-    if not is_own_folder(song):
-        return None
-    if (folder / PRACTISED).is_file():
-        saved = load_plan(folder / PRACTISED)
-        if saved.practised is None or saved.score is None:
-            raise CadenzaError(f"{saved.path}: holds no song that was practised; use another copy")
-        check_modules(saved.config(SceneConfig), saved.path)
-        return saved
-    if (folder / PRACTICE).is_file():
-        raise CadenzaError(
-            f"{song}: practice has not played the song to the end yet; run the same command again "
-            "that practised there"
-        )
-    if not (folder / MANIFEST).is_file():
-        check_is_no_run(folder)
-        raise CadenzaError(f"{song}: is a folder, but not of a policy or of practice; give a file")
-    return None
 
 
 def is_policy_folder(agent: str) -> bool:
@@ -269,11 +193,12 @@ def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
             what += " in another arrangement, or a part of it"
         if learnt.residual:
             raise CadenzaError(f"{what}, with residual learning, so it can play nothing else")
-        warnings.warn(f"{what}, not {selection.song}", CadenzaWarning, stacklevel=4)
+        warnings.warn(f"{what}, not {selection.source.name}", CadenzaWarning, stacklevel=4)
     # Plans are made for fingers that are found, and demonstrations of any song have such.
     found = learnt.residual or learnt.score is None
     score = selection.score.without_fingers() if found else selection.score
-    return replace(selection, score=score, task=learnt.task, scene=learnt.scene, learnt=learnt)
+    selection = selection.with_score(score)
+    return replace(selection, task=learnt.task, scene=learnt.scene, learnt=learnt)
 
 
 @contextmanager
@@ -303,7 +228,7 @@ def set_up(
     seed = whole_number(seed, "seed", 0, MOST_SEED)
     if num_threads is not None:
         num_threads = whole_number(num_threads, "num_threads", 1, MOST_THREADS)
-    options = task_identity(task, scene, seed, **asdict(selection.arrangement))
+    options = task_identity(task, scene, seed, **asdict(selection.source.arrangement))
     if selection.plan is not None:
         _check_plan(selection.plan, options, made_in=selection.scene, played_in=scene)
     settings = _settings(selection, task, scene, seed)
@@ -314,7 +239,7 @@ def set_up(
     ):
         lost = list(_lost_on_steps(piano_task.tracks[0]))
         for loss in lost:
-            warnings.warn(f"{selection.song}: {loss}", CadenzaWarning, stacklevel=4)
+            warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
         if remarks := [*selection.score.remarks, *lost]:
             settings["remarks"] = remarks
         if selection.learnt is not None:
@@ -355,11 +280,11 @@ def _settings(
 ) -> dict[str, Any]:
     """See `Setup.settings`."""
     settings: dict[str, Any] = {
-        "song": selection.song,
+        "song": selection.source.name,
         "agent": selection.name,
         "seed": seed,
         "plan": None if selection.plan is None else str(selection.plan.path),
-        "arrangement": asdict(selection.arrangement),
+        "arrangement": asdict(selection.source.arrangement),
         "task": asdict(task),
         "scene": asdict(scene),
     }

@@ -12,7 +12,7 @@ from cadenza.learning.config import TrainingConfig, preset
 from cadenza.learning.run_folder import RunFolder
 from cadenza.learning.training import begin
 from cadenza.music.score import Score
-from cadenza.performing.setup import Song, load_song
+from cadenza.performing.source import Song, load_song
 
 
 def train(

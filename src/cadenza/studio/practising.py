@@ -18,7 +18,7 @@ from cadenza.agents.planner.config import ENOUGH
 from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, locked, parsed_json
 from cadenza.performing.practising import Practising
-from cadenza.performing.setup import PRACTICE, PRACTISED
+from cadenza.performing.source import PRACTICE, PRACTISED
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.live import Send, as_json
 from cadenza.studio.messages import Message

@@ -148,7 +148,7 @@ def _record(job: EpisodeJob, folder: Path, num_threads: int, progress: Progress)
     if not selection.agent.keeps_fingering:  # so that the task finds the same as the agent
         song = song.without_fingers()
     score, drawn = spec.variation.draw(song, spec.pitches, rng)
-    selection = replace(selection, score=score)
+    selection = selection.with_score(score)
     with (
         set_up(selection, spec.task, spec.scene, seed, progress, num_threads) as setup,
         closing(_perturbed_agent(setup, drawn["noise"], spec)) as perturbed,

@@ -1,0 +1,134 @@
+"""What a word stands for that names a song: a piece, a file, a policy or practice of a song."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cadenza.agents.playback import SavedPlan, load_plan
+from cadenza.configs import as_config
+from cadenza.errors import CadenzaError, CadenzaWarning
+from cadenza.files import TENSORS
+from cadenza.learning.policy_folder import LearntPolicy, check_is_no_run, load_policy
+from cadenza.learning.sealed_folder import MANIFEST
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.formats.reading import name_without_ending
+from cadenza.music.libraries.bundled import songs
+from cadenza.music.libraries.library import check_is_name
+from cadenza.music.score import Score
+from cadenza.scene.config import SceneConfig, check_modules
+
+PRACTISED = f"plan{TENSORS}"  # what the folder of a song that was practised holds
+PRACTICE = f"practice{TENSORS}"  # how far it has been practised
+PRACTISED_HOW = "practice.json"  # and in what task and scene
+Song = str | Path | Score
+
+
+@dataclass(frozen=True)
+class Source:
+    """A song, and what else the word stands for that names it; made once by `resolve`."""
+
+    name: str
+    """The word, or the title of a score."""
+    score: Score
+    arrangement: Arrangement = field(default_factory=Arrangement)
+    """Which notes of the song the score has."""
+    policy: LearntPolicy | None = None
+    """What has learnt the song, if the word is the folder of a policy."""
+    practised: SavedPlan | None = None
+    """The plan that practice made, if the word is the folder of a practised song."""
+
+    @property
+    def short_name(self) -> str:
+        """The name of the piece without folders and endings."""
+        own_folder = self.policy is not None or self.practised is not None
+        return self.score.title if own_folder else name_without_ending(self.name)
+
+
+def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
+    """Loads what a word stands for that names a song; what was repaired in it is a warning.
+
+    Args:
+        song: see `load_song`, or a score.
+        arrangement: which notes of it; all by default.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read; it is the folder of a policy that
+            plays any song, or of practice that was killed before it had a plan.
+    """
+    arrangement = as_config(arrangement, Arrangement)
+    if isinstance(song, Score):
+        return Source(song.title, song, arrangement)
+    check_is_name(song)
+    if is_own_folder(song):
+        return _own_song(Path(song), str(song), arrangement)
+    source = Source(str(song), arrangement.score(str(song)), arrangement)
+    _warn_of_repairs(source)
+    return source
+
+
+def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
+    """The score that a name or a path stands for; what was repaired in it is a warning.
+
+    Args:
+        song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
+            folder of a policy or of a practised song, which hold theirs. A folder of the same name
+            as a bundled song wants a path with a separator, such as ``./OdeToJoy``.
+        arrangement: which notes of it; all by default.
+
+    Raises:
+        CadenzaError: there is no such song, or it cannot be read.
+    """
+    check_is_name(song)
+    return resolve(song, arrangement).score
+
+
+def is_own_folder(song: str | Path) -> bool:
+    """Whether a song is named by the folder of a policy or of a practised song, which has it."""
+    text = str(song)
+    bundled = text.lower() in {piece.name.lower() for piece in songs()}
+    return os.path.isdir(song) and not (bundled and isinstance(song, str))
+
+
+def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
+    """The song of a policy or of practice."""
+    if arrangement.chosen:
+        raise CadenzaError(
+            f"{name}: plays its song as it was trained or practised; leave out --tracks, "
+            "--reduce and --first-seconds"
+        )
+    if (path := folder / PRACTISED).is_file():
+        plan = load_plan(path)
+        if plan.practised is None or plan.score is None:
+            raise CadenzaError(f"{path}: holds no song that was practised; use another copy")
+        check_modules(plan.config(SceneConfig), path)
+        return Source(name, plan.score, plan.config(Arrangement), practised=plan)
+    if (folder / PRACTICE).is_file():
+        raise CadenzaError(
+            f"{name}: practice has not played the song to the end yet; run the same command again "
+            "that practised there"
+        )
+    if not (folder / MANIFEST).is_file():
+        check_is_no_run(folder)
+        raise CadenzaError(f"{name}: is a folder, but not of a policy or of practice; give a file")
+    policy = load_policy(folder)
+    if policy.score is None:
+        raise CadenzaError(f"{name}: plays any song; name one: cadenza play SONG --agent {name}")
+    return Source(name, policy.score, policy=policy)
+
+
+def _warn_of_repairs(source: Source) -> None:
+    """Warns of what was repaired in a score, and of many tracks at once."""
+    score = source.score
+    for remark in score.remarks:
+        warnings.warn(f"{source.name}: {remark}", CadenzaWarning, stacklevel=4)
+    if len(score.tracks) > 2 and not source.arrangement.chosen:
+        warnings.warn(
+            f"{source.name}: all {len(score.tracks)} tracks are played at once; if that is too "
+            "much for two hands, use --reduce melody-bass, or --tracks with some that "
+            '"cadenza info" lists',
+            CadenzaWarning,
+            stacklevel=4,
+        )
