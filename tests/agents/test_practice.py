@@ -466,7 +466,7 @@ def folder_of(tmp_path: Path, *options: str) -> Path:
     usual = (
         "--no-video",
         "-q",
-        "--threads",
+        "--num-threads",
         "1",
         "--initial-buffer-time",
         "0.4",
@@ -585,7 +585,7 @@ def test_the_planner_practises_in_the_folder_of_what_it_plays(
     said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("effort")]
     write_midi(HARD, tmp_path / "hard.mid")
     effort = ["--planner.method", "none", "--planner.effort", "0.01"]
-    usual = ["--no-video", "-q", "--threads", "1", "--initial-buffer-time", "0.4"]
+    usual = ["--no-video", "-q", "--num-threads", "1", "--initial-buffer-time", "0.4"]
     to = ["-o", str(tmp_path / "played")]
     main(["play", str(tmp_path / "hard.mid"), *usual, *effort, *to])
     assert [line for line in capsys.readouterr().out.splitlines() if line in said] == said

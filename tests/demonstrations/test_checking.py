@@ -38,7 +38,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import sha256_of
 from cadenza.learning.config import ImitationConfig
 from cadenza.learning.imitation import Imitation
-from cadenza.performing.replaying import play_again
+from cadenza.performing.replaying import replay_episode
 from cadenza.tasks.piano_task import PianoTask
 
 
@@ -189,7 +189,7 @@ def test_changed_files_are_refused_by_learners_exports_and_players(copied: Path,
         Imitation(ImitationConfig(held_out=0), copied, copied / "clone")
     if name != PLAN:
         with pytest.raises(CadenzaError, match="its checksum is another"):
-            play_again(kept(copied)[0])
+            replay_episode(kept(copied)[0])
 
 
 def test_a_copied_episode_is_noticed(copied: Path) -> None:
@@ -211,7 +211,7 @@ def test_a_score_that_is_too_short(copied: Path) -> None:
     with pytest.raises(CadenzaError, match="steps, the episode"):
         open_dataset(copied).batch(np.array([0]))
     with pytest.raises(CadenzaError, match="steps, the episode"):
-        play_again(kept(copied)[0])
+        replay_episode(kept(copied)[0])
 
 
 def test_no_file_makes_it_import_a_module(
@@ -232,7 +232,7 @@ def test_no_file_makes_it_import_a_module(
     assert "no file makes Cadenza import a module; give --hand stranger:HAND if you trust" in line
     for refuses in (
         lambda: open_dataset(copied),
-        lambda: play_again(kept(copied)[0]),
+        lambda: replay_episode(kept(copied)[0]),
         lambda: Imitation(ImitationConfig(), copied, tmp_path / "run"),
     ):
         with pytest.raises(CadenzaError, match="no file makes Cadenza import a module"):

@@ -20,7 +20,7 @@ from cadenza.fingers import Side
 from cadenza.hands.arm_allegro import ARM_ALLEGRO, SPEED, TORQUE
 from cadenza.hands.body import prefix
 from cadenza.music.score import Note, Score
-from cadenza.performing.parts import parts_of
+from cadenza.performing.hand_episodes import hand_episodes
 from cadenza.performing.performance import Performance, play
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.kinematics import Kinematics
@@ -153,7 +153,7 @@ def test_two_recordings_are_combined() -> None:
     performance = play(DUET, agent, task=task, scene=SceneConfig(hand="arm-allegro", hands="apart"))
     assert performance.metrics["combined"] is True
     episode = performance.episode
-    parts = parts_of(episode, performance.scene)
+    parts = hand_episodes(episode, performance.scene)
     assert list(parts) == ["right", "left"]
     sounding = [part["key_activation"] for part in parts.values()]
     assert all(each.any() for each in sounding)

@@ -187,7 +187,7 @@ def _help_or_completion(arguments: list[str]) -> None:
 
 
 def _kinds(commands: Mapping[str, Any]) -> dict[str, Any]:
-    """Name -> the type with all its options that a command is read as, or several of them."""
+    """Returns name -> the dataclass of a command with all its options, or such a mapping."""
     return {
         name: _kinds(command) if isinstance(command, dict) else _with_all_options(command[0])
         for name, command in commands.items()
@@ -204,7 +204,7 @@ def _on_one_line(message: str) -> str:
 
 
 def _exit(status: int, message: str = "") -> NoReturn:
-    """Says why, and drops what cannot be written, of which Python would complain at its end."""
+    """Prints why, and exits; drops output that cannot be written, of which Python complains."""
     with suppress(OSError):
         if message:
             print(f"cadenza: {_on_one_line(message)}", file=sys.stderr)

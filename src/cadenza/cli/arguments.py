@@ -207,7 +207,7 @@ def _all(commands: Mapping[str, Any]) -> Iterator[type]:
 
 
 def _subcommand(name: str, kind: Any, about: Mapping[str, str]) -> Any:
-    """With the first line of what the help of the command says."""
+    """Returns the type of a command, or of several, with a line of help."""
     if isinstance(kind, Mapping):
         several: Any = Annotated[_any_of(kind, {}), tyro.conf.OmitSubcommandPrefixes]
         line = f"{about[name]}: {', '.join(kind)}."
@@ -223,7 +223,7 @@ def about_in_a_line(kind: type) -> str:
 
 
 def _about(kind: type) -> str:
-    """Empty under `python -OO`, where a dataclass has a list of its fields for a docstring."""
+    """Returns the docstring; empty under `python -OO`, where it is a list of the fields."""
     return "" if sys.flags.optimize > 1 else inspect.getdoc(kind) or ""
 
 
@@ -239,7 +239,7 @@ StructRule = Callable[[StructTypeInfo, StructConstructorSpec], StructConstructor
 
 @contextmanager
 def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
-    """Yields how tyro makes options of the fields of dataclasses: as it does, changed by a `rule`.
+    """Yields a registry by which tyro makes options of dataclasses, changed by a `rule`.
 
     It does so within the block only. Under `python -O`, tyro's registries stay in force once they
     were used, and one would change the options of the next command line, too.
@@ -274,7 +274,7 @@ def _registry(rule: StructRule) -> Iterator[ConstructorRegistry]:
 
 
 def _read(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
-    """The options of a dataclass that is read, without their help, which takes tyro time."""
+    """Rule for reading: without help texts, which take tyro time to find."""
     group = _GROUPS.get(info.type)
     fields = (replace(_option(field, group), helptext="") for field in spec.fields)
     return replace(spec, fields=tuple(fields))
@@ -283,9 +283,9 @@ def _read(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructo
 def _listed(
     commands: Collection[type], short: bool = False, refused: Collection[str] = ()
 ) -> StructRule:
-    """The options of a dataclass with their help, but for those `refused`.
+    """Returns the rule for help and completion, which lists all options but those `refused`.
 
-    Of the dataclasses of whole `commands`, if `short`, only what most need.
+    Of the dataclasses of whole `commands`, if `short`, it lists only the common ones.
     """
 
     def rule(info: StructTypeInfo, spec: StructConstructorSpec) -> StructConstructorSpec:
@@ -303,13 +303,13 @@ def _listed(
 
 
 def _is_common(field: StructFieldSpec, owner: type, command: type) -> bool:
-    """Whether most need the option."""
+    """Whether --help shows the option."""
     own = owner is command and _ADVANCED not in _parts(field.type)
     return own or field.name in COMMON.get(owner, ())
 
 
 def _option(field: StructFieldSpec, group: str | None = None) -> StructFieldSpec:
-    """The field with our help, and with its group in its name."""
+    """Returns the field with our help, and with its group in its name."""
     kind, *marks = _parts(field.type)
     if is_dataclass(kind):
         return field
@@ -367,12 +367,12 @@ def _option_names(kind: type, default: Any) -> Iterator[str]:
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:
-    """A type, and the marks on it."""
+    """Returns a type, and the marks on it."""
     return get_args(hint) if get_origin(hint) is Annotated else (hint,)
 
 
 def _unwrapped(helptext: Any) -> str:
-    """Without the line breaks of the source."""
+    """Returns a docstring as one line."""
     text = helptext() if callable(helptext) else helptext
     return " ".join((text or "").split())
 
@@ -406,7 +406,7 @@ def _metavar(kind: Any) -> str | None:
 
 
 def _wanted(kind: Any) -> str | None:
-    """What to give for a value of this type; None where anything is taken."""
+    """Returns what an error tells to give for this type; None where any text will do."""
     single = _single(kind)
     if get_origin(single) is Literal:
         return f"choose from {', '.join(map(str, get_args(single)))}"
@@ -423,7 +423,7 @@ def _wanted(kind: Any) -> str | None:
 def _read_value(
     spec: PrimitiveConstructorSpec[Any], kind: Any, wanted: str
 ) -> PrimitiveConstructorSpec[Any]:
-    """Reads what `spec` does, and says what is `wanted` in place of what cannot be read.
+    """Returns `spec` with errors that say what is `wanted`.
 
     Several whole numbers may stand in one word: 1,2 or 640x360.
     """
@@ -510,7 +510,7 @@ def _check_names(kind: type, prog: str, words: Sequence[str], default: Any) -> N
 
 
 def _in_a_line(box: str) -> str:
-    """What tyro says in a box below its title, up to the rule below which it says how to get help.
+    """Returns an error of tyro as one line: the text of its box between the title and a rule.
 
     It draws boxes of lines or, where the terminal has no such characters, rules of hyphens only.
     """
@@ -523,7 +523,7 @@ def _in_a_line(box: str) -> str:
 
 
 def _meant(word: str, known: Collection[str]) -> str:
-    """What to do instead of giving an option that there is not; empty where that is unclear."""
+    """Returns a hint from `_MEANT` for an unknown option; empty if there is none."""
     bare = word.lstrip("-")
     if any(name == f"{word}s" or name.endswith(f".{bare}") for name in known):
         return ""
@@ -534,7 +534,7 @@ def _meant(word: str, known: Collection[str]) -> str:
 
 
 def similar(word: str, known: Sequence[str]) -> str:
-    """Asks whether one of `known` was meant; empty where none is like `word`."""
+    """Returns a question whether one of `known` was meant; empty if none is like `word`."""
     bare = {name.lstrip("-"): name for name in known}
     close = [name for name in known if name.endswith("." + word.lstrip("-"))]
     close = close or [bare[each] for each in difflib.get_close_matches(word.lstrip("-"), bare, 1)]

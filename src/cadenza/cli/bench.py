@@ -144,7 +144,7 @@ def _seeds(parts: Sequence[str]) -> list[int]:
 def _contenders(
     command: Bench, read: Read[Bench], agents: Sequence[str]
 ) -> Callable[[str], list[Contender]]:
-    """Song -> who plays it, each with the options of the command, over what it was made with."""
+    """Returns song -> who plays it, each with the command's options over those it was made with."""
     fixed = {name: _contender(command, read, name) for name in agents if name != PRETRAINED}
 
     def who(song: str) -> list[Contender]:
@@ -170,7 +170,7 @@ def _contender(command: Bench, read: Read[Bench], agent: str) -> Contender:
 
 
 def _pretrained(read: Read[Bench], song: str) -> Contender | None:
-    """None where no policy comes with the song."""
+    """Returns the policy that comes with the song; None, with a warning, if there is none."""
     from cadenza.learning.pretrained import pretrained_folder
 
     try:

@@ -55,7 +55,7 @@ def clone(command: Clone) -> None:
 
 
 def _train(run: Imitation) -> None:
-    """Until all is done, or until someone asks to stop."""
+    """Trains until the last update, or until a signal."""
     first, began = run.update, time.perf_counter()
     with progress("cloning", "updates", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on

@@ -78,10 +78,10 @@ def compare(command: Compare, read: Read[Compare]) -> None:
             runs.append(_run(name, selections[name], commands[name], seed))
     finally:  # also of what was stopped, or has failed
         if runs:
-            _tell(folder, runs, remarks, command)
+            _write(folder, runs, remarks, command)
 
 
-def _tell(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
+def _write(folder: Path, runs: list[Run], remarks: list[str], command: Compare) -> None:
     """Writes the files, and prints the table."""
     from cadenza.report.comparison_page import comparison_page, means
     from cadenza.report.html_pages import write_page
@@ -111,7 +111,7 @@ def _run(name: str, selection: Selection, command: Compare, seed: int) -> Run:
 
 
 def in_text(runs: Sequence[Run]) -> str:
-    """The table of means, for a terminal."""
+    """Returns the table of means as text."""
     from cadenza.report.comparison_page import COLUMNS, means, metric_text
 
     rows = [["", *(title for title, _ in COLUMNS.values())]]
@@ -121,7 +121,7 @@ def in_text(runs: Sequence[Run]) -> str:
 
 
 def _differing(own: Compare, command: Compare) -> str:
-    """Options with which an agent plays something else, or in another scene, than the command."""
+    """Returns the options of task and scene that an agent has otherwise than the command."""
     from cadenza.tasks.config import task_identity
 
     options, others = (task_identity(each.task, each.scene, seed=0) for each in (own, command))

@@ -231,7 +231,7 @@ def play(command: DatasetPlay) -> None:
     from cadenza.cli.saving import save
     from cadenza.demonstrations.dataset import kept
     from cadenza.performing.performance import check_replaceable
-    from cadenza.performing.replaying import play_again
+    from cadenza.performing.replaying import replay_episode
 
     episodes = kept(command.folder)
     number = whole_number(command.number, "episode", 0, max(len(episodes) - 1, 0))
@@ -241,7 +241,7 @@ def play(command: DatasetPlay) -> None:
     check_writable(folder)
     check_replaceable(folder)
     with stages("playing") as told:
-        performance = play_again(episodes[number], told)
+        performance = replay_episode(episodes[number], told)
     print(f"{episodes[number].facts.song}, {episodes[number].folder.name}")
     save(performance, folder, command.video)
 

@@ -21,7 +21,7 @@ _LEAST, _MOST = 0.6, 1.8
 
 
 def tell_how_long(setup: Setup) -> None:
-    """Says on stderr about how long the planner will take, where that is long."""
+    """Prints on stderr about how long the planner will take, if that is long."""
     from cadenza.agents.planner.planner import Planner
     from cadenza.agents.planner.practice.practice import EFFORT
 
@@ -41,7 +41,7 @@ def tell_how_long(setup: Setup) -> None:
 
 
 def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
-    """What a control step of hands that are still takes on this machine now [s]."""
+    """Measures how long a control step of resting hands takes on this machine now [s]."""
     import numpy as np
 
     from cadenza.sim.mujoco_simulation import MujocoSimulation
@@ -56,7 +56,7 @@ def seconds_of_a_step(scene: Scene, control_timestep: float) -> float:
 
 
 def _in_words(least: float, most: float) -> str:
-    """Such as "40 to 120 s" or "6 to 18 min"."""
+    """Returns a range of seconds as text, such as "40 to 120 s" or "6 to 18 min"."""
     if most < 180:
         return f"{round(least, -1):.0f} to {round(most, -1):.0f} s"
     return f"{max(least / 60, 1):.0f} to {most / 60:.0f} min"

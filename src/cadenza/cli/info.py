@@ -116,7 +116,7 @@ def _about_fingering(score: Score) -> str:
 
 
 def usual_players() -> Players:
-    """The hands that play unless others are chosen."""
+    """Returns the hands of the default scene, by their reach."""
     from cadenza.fingering.players import players_at
     from cadenza.fingers import SIDES
     from cadenza.hands.registry import hand_named

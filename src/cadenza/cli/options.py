@@ -82,7 +82,7 @@ class RecordedParts:
 
 
 def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen) -> Read[Command]:
-    """Returns what reads a command line over defaults, and those of the chosen setup over them.
+    """Returns a function that reads the command line over defaults and the chosen setup.
 
     Raises:
         CadenzaError: there is no such setup or agent, or the options of an agent are called like
@@ -105,18 +105,16 @@ def reader(kind: type[Command], prog: str, words: Sequence[str], chosen: Chosen)
 
 
 def _with_setup(command: Command, setup: NamedSetup) -> Command:
-    """The command with what `setup` has in place of its own defaults."""
-    task = replace(command.task, **setup.of(TaskConfig))
-    scene = replace(command.scene, **setup.of(SceneConfig))
+    """Returns the command with the options and the agent of `setup` in place of its own."""
     player: dict[str, Any] = (
         {} if setup.agent is None else {"agent": setup.agent, "agents": (setup.agent,)}
     )
     named = {each.name: player[each.name] for each in fields(command) if each.name in player}
-    return replace(command, task=task, scene=scene, **named)
+    return replace(setup.applied_to(command), **named)
 
 
 def with_options_of_agents(kind: type[Command], named: Sequence[str] = ()) -> type[Command]:
-    """`kind` with a field more for the options of each of our agents, and of those `named`.
+    """Returns `kind` with a field for the options of each of our agents, and of those `named`.
 
     Raises:
         CadenzaError: there is no such agent, or its options are called like something else.
@@ -149,7 +147,7 @@ def with_options_of_agents(kind: type[Command], named: Sequence[str] = ()) -> ty
 
 
 def split_agents(words: Sequence[str]) -> list[str]:
-    """The agents in "planner,zero". The folder of a policy may have commas in its name."""
+    """Returns the agents in words such as "planner,zero"; a policy's folder may have commas."""
     return [
         name
         for word in words

@@ -71,7 +71,7 @@ def run(command: PlanCommand, _: Read[PlanCommand]) -> None:
 
 
 def _to_replay(command: PlanCommand, path: Path) -> list[str]:
-    """The options with which "cadenza play" replays what `command` has planned."""
+    """Returns the options with which "cadenza play" replays what `command` has planned."""
     from cadenza.configs import flat
 
     flags = ["--agent", PLAYBACK, "--plan", str(path)]

@@ -104,7 +104,7 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
 
 
 def _who_plays(selection: Selection) -> set[str]:
-    """Whose options count: where what was practised is played, the planner searches."""
+    """Returns the agents whose options count; the planner's do for a song that was practised."""
     from cadenza.agents.planner.practice.practised_planner import PractisedHands
 
     searches = isinstance(selection.agent, PractisedHands)
@@ -113,7 +113,7 @@ def _who_plays(selection: Selection) -> set[str]:
 
 @contextmanager
 def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
-    """Has the planner practise in the folder first, if it is to; and whether Ctrl-C stopped it."""
+    """Yields the setup to play, practised if the planner is to, and whether Ctrl-C stopped that."""
     from cadenza.agents.planner.planner import Planner
 
     if not isinstance(setup.agent, Planner) or not setup.agent.config.effort:
@@ -128,12 +128,12 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
 
 
 def _shown(setup: Setup) -> AbstractContextManager[Showing]:
-    """A page to watch it on."""
+    """Opens a page that shows the hands while they play."""
     from cadenza.studio.showing import shown
 
     return shown(setup, setup.score.title)
 
 
 def _name_of(agent: str) -> str:
-    """As a folder's: of a policy the last two names, since those in all runs are called best."""
+    """Returns the name of an agent's folder; for a policy the last two parts, as in run-best."""
     return folder_name("-".join(Path(agent).parts[-2:]))

@@ -95,7 +95,7 @@ def run(command: PracticeCommand, read: Read[PracticeCommand]) -> None:
 def _continued(
     folder: Path, command: PracticeCommand, read: Read[PracticeCommand]
 ) -> PracticeCommand:
-    """The command with the song and the options of what was practised in `folder`.
+    """Returns the command with the song and the options of what was practised in `folder`.
 
     Raises:
         CadenzaError: the folder does not say how it was practised, or that cannot be read.
@@ -153,7 +153,7 @@ def practised(
     *,
     stop: Callable[[], bool],
 ) -> Iterator[Practising]:
-    """Practises in a folder, which others keep out of for the block.
+    """Practises in a folder, which is locked for the block.
 
     Args:
         setup: of the planner.
@@ -184,13 +184,13 @@ def practised(
 def _practise(
     practising: Practising, effort: float, minutes: float | None, stop: Callable[[], bool]
 ) -> None:
-    """Until the effort has been made, or the time is over, or `stop`; keeps it now and then."""
+    """Practises until the effort is made, the time is over, or `stop`; saves it now and then."""
     from cadenza.agents.planner.practice.practice import MOST_EFFORT
 
     practice = practising.practice
-    score, told = practice.plan.track.on_the_clock, len(practice.history)
+    score, told = practice.plan.track.delayed_score, len(practice.history)
     # Apart: the whole song is played to save its plan, which takes much longer.
-    saved, plan_saved = _NowAndThen(practising.save), _NowAndThen(practising.save_plan)
+    saved, plan_saved = _RateLimited(practising.save), _RateLimited(practising.save_plan)
     with _shown(practice, effort, minutes) as show:
 
         def goes_on() -> bool:
@@ -199,10 +199,10 @@ def _practise(
             for row in practice.history[told:]:
                 print("effort {:.2g}: F1 {:.3f}, note onsets F1 {:.3f}".format(*row))
             told = len(practice.history)
-            time_left = show(_where(practice, score))
-            saved.again(at_once=played_first)
+            time_left = show(_remark(practice, score))
+            saved.call_if_due(at_once=played_first)
             if practice.history:
-                plan_saved.again(at_once=played_first)
+                plan_saved.call_if_due(at_once=played_first)
             return not stop() and time_left
 
         practice.run(effort if minutes is None else MOST_EFFORT, goes_on)
@@ -213,14 +213,14 @@ def _practise(
         print(f"not yet right: {_places(practice, score, left)}")
 
 
-class _NowAndThen:
-    """Something that is done again and again, in a twentieth of the time at most."""
+class _RateLimited:
+    """Calls a function now and then, for at most a twentieth of the time."""
 
     def __init__(self, do: Callable[[], None]) -> None:
         self._do, self._done, self._took = do, time.monotonic(), 0.0
 
-    def again(self, at_once: bool) -> None:
-        """Does it if it is time to, or anyway."""
+    def call_if_due(self, at_once: bool) -> None:
+        """Calls the function if it is due, or at once."""
         began = time.monotonic()
         if at_once or began - self._done > max(_BETWEEN, 20 * self._took):
             self._do()
@@ -232,7 +232,7 @@ class _NowAndThen:
 def _shown(
     practice: Practice, effort: float, minutes: float | None
 ) -> Iterator[Callable[[str], bool]]:
-    """What to call with a remark to show how far practice is; it says whether any time is left.
+    """Yields a function that shows the progress with a remark, and returns whether time is left.
 
     The first take, which counts for no effort, and what is finished after the effort are shown by
     themselves: what they take says nothing of how long the rest will take.
@@ -243,7 +243,7 @@ def _shown(
 
         def show(remark: str) -> bool:
             nonlocal stage, advance
-            now, unit, done, total = _how_far(practice, effort, minutes, time.monotonic() - began)
+            now, unit, done, total = _progress(practice, effort, minutes, time.monotonic() - began)
             if now != stage:
                 shown.close()
                 stage, advance = now, shown.enter_context(progress(now, unit))
@@ -253,18 +253,18 @@ def _shown(
         yield show
 
 
-def _how_far(
+def _progress(
     practice: Practice, effort: float, minutes: float | None, seconds: float
 ) -> tuple[str, str, float, float]:
-    """What is being done, in which unit, how much is done and of how much, after `seconds`."""
+    """Returns the stage, its unit, how much of it is done, and how much it is, after `seconds`."""
     if minutes is not None:
         return "practising", "s", seconds, 60 * minutes
     stage, done, total = practice.progress(effort)
     return stage, "%" if stage == "practising" else "steps", done, total
 
 
-def _where(practice: Practice, score: Score) -> str:
-    """What is worked on of a score, and what remains."""
+def _remark(practice: Practice, score: Score) -> str:
+    """Returns what stands beside the progress: the scores, what is practised, what is left."""
     passages = len(practice.passages_with_loss())
     so_far = ""
     if practice.history:
@@ -275,6 +275,6 @@ def _where(practice: Practice, score: Score) -> str:
 
 
 def _places(practice: Practice, score: Score, steps: Iterable[int]) -> str:
-    """Such as "bars 3, 7-9"."""
+    """Returns control steps as bars or times of the score, such as "bars 3, 7-9"."""
     dt = practice.plan.track.config.control_timestep
     return describe_times(score, [dt * (step + _LATE) for step in steps])

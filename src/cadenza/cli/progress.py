@@ -28,10 +28,10 @@ _UNITS = {  # of stages that do not count steps
 
 
 class Advance(Protocol):
-    """What a stage of work calls as it gets on."""
+    """The function that a stage of work calls to show its progress."""
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:
-        """Units done and in all; time is counted from the first call."""
+        """Shows how many of `total` units are done; time is counted from the first call."""
 
 
 @contextmanager

@@ -26,8 +26,7 @@ from cadenza.learning.learner import DROQ, Preset, name_of
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.formats.reading import name_without_ending
 from cadenza.registry import module_of
-from cadenza.scene.config import SceneConfig, named_by_module
-from cadenza.tasks.config import TaskConfig
+from cadenza.scene.config import named_by_module
 from cadenza.tasks.setups import NamedSetup, setup_named
 
 if TYPE_CHECKING:
@@ -102,9 +101,7 @@ def default(chosen: Chosen) -> Train:
     else:
         learner = chosen.learner or DROQ
         training = preset(chosen.preset, chosen.residual, learner, setup.training)
-    task = replace(training.task, **setup.of(TaskConfig))
-    scene = replace(training.scene, **setup.of(SceneConfig))
-    return Train(training=replace(training, task=task, scene=scene))
+    return Train(training=setup.applied_to(training))
 
 
 def train(command: Train) -> None:
@@ -145,11 +142,11 @@ def _train(command: Train, folder: Path) -> None:
     if command.song is not None:
         score = load_song(command.song, command.arrangement)
         check_writable(folder)
-    with run.locked(), _saying_how_to_go_on(folder, command.training):
+    with run.locked(), _prints_how_to_resume(folder, command.training):
         if command.song is not None:
             config = command.training
             training = begin(config, score, run)
-            _tell_how_long(command)
+            _print_when_it_plays_well(command)
         else:
             run.set_end(command.training)
             config, score = run.settings()
@@ -167,8 +164,8 @@ def _train(command: Train, folder: Path) -> None:
             raise KeyboardInterrupt
 
 
-def _tell_how_long(command: Train) -> None:
-    """Says on stderr when it will play well, which is long before the end, by docs/learning.md."""
+def _print_when_it_plays_well(command: Train) -> None:
+    """Prints after how many steps a short tune plays well, by docs/learning.md."""
     config = command.training
     usual = (command.preset, command.setup, command.learner) == ("fast", None, Train.learner)
     if QUIET.get() or not usual or config.num_steps <= _PLAYS_WELL[config.residual]:
@@ -183,8 +180,8 @@ def _tell_how_long(command: Train) -> None:
 
 
 @contextmanager
-def _saying_how_to_go_on(folder: Path, config: TrainingConfig) -> Iterator[None]:
-    """Whenever it is interrupted."""
+def _prints_how_to_resume(folder: Path, config: TrainingConfig) -> Iterator[None]:
+    """Prints the command that resumes the run when it is interrupted."""
     again = ["cadenza", "train", "--resume", str(folder)]
     for option, name in named_by_module(config.scene).items():
         again += [f"--{option}", name]
@@ -198,14 +195,14 @@ def _saying_how_to_go_on(folder: Path, config: TrainingConfig) -> Iterator[None]
 
 
 def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> bool:
-    """Trains until all is done, and then is true, or until someone asks to stop."""
+    """Trains until the last step, or until a signal; returns whether the last step was reached."""
     from cadenza.report.scalars import Scalars, TensorBoard, WeightsAndBiases
 
     shown: list[Scalars] = [TensorBoard(run.path / "tensorboard", training.step)]
     if command.wandb:
         settings = asdict(training.config)
         shown.append(WeightsAndBiases(command.wandb, run.path, run.id, settings))
-    renew = _sparingly(lambda: _write_curves(run.path, song, training.config, going_on=True))
+    renew = _rate_limited(lambda: _write_curves(run.path, song, training.config, going_on=True))
     scores = ""
     with progress("learning", "steps", 30.0) as advance, stop_on_signal("a checkpoint") as stop:
         stop()  # from now on
@@ -232,22 +229,22 @@ def _train_on(training: Training, command: Train, run: RunFolder, song: str) -> 
     return training.step >= training.config.num_steps
 
 
-def _sparingly(do: Callable[[], None]) -> Callable[[], None]:
-    """Does it at most every ten seconds, and for at most a hundredth of the time."""
+def _rate_limited(do: Callable[[], None]) -> Callable[[], None]:
+    """Returns what does it at most every ten seconds, and for at most a hundredth of the time."""
     again = 0.0
 
-    def perhaps() -> None:
+    def do_if_due() -> None:
         nonlocal again
         began = time.monotonic()
         if began >= again:
             do()
             again = began + max(10.0, 100 * (time.monotonic() - began))
 
-    return perhaps
+    return do_if_due
 
 
 def _write_curves(folder: Path, song: str, config: TrainingConfig, going_on: bool = False) -> None:
-    """The page of a run."""
+    """Writes the page of a run."""
     from cadenza.report.html_pages import write_page
     from cadenza.report.training_page import training_page
 
@@ -268,7 +265,7 @@ def curves(command: Curves) -> None:
     check_name(command.output, ".html", "curves are a .html page")
     check_writable(command.output.parent)
     drawn = [_curve(folder) for folder in command.runs]
-    told = [_what_and_how(folder) for folder in command.runs]
+    told = [_title_and_settings(folder) for folder in command.runs]
     shared = set.intersection(*map(set, told))
     tasks = [", ".join(part for part in parts if part not in shared) for parts in told]
     apart = [replace(curve, task=task) for curve, task in zip(drawn, tasks, strict=True)]
@@ -277,8 +274,8 @@ def curves(command: Curves) -> None:
     print(f"Open {command.output}")
 
 
-def _what_and_how(run: Path) -> list[str]:
-    """The song of a run, its preset, and the settings that differ from it, but for the seed.
+def _title_and_settings(run: Path) -> list[str]:
+    """Returns the song of a run, its preset, and the settings that differ from it but the seed.
 
     Of a folder that has the figures only, its name without the number at the end is taken for the
     song.

@@ -1,4 +1,4 @@
-"""Has an agent play a song; what became of it, and the files that it leaves."""
+"""A performance of a song by an agent, and the files that it leaves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cadenza.music.formats.finger_numbers import written
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.performance import played_in, with_velocities_of
 from cadenza.music.score import Score
-from cadenza.performing.parts import parts_of
+from cadenza.performing.hand_episodes import hand_episodes
 from cadenza.performing.setup import Setup, SomeAgent, select, set_up
 from cadenza.performing.source import Song
 from cadenza.report.html_pages import iframe, write_page
@@ -99,12 +99,12 @@ class Performance:
 
     @property
     def remarks(self) -> list[str]:
-        """On what of the song is not played."""
+        """Remarks on what of the song is not played."""
         return list(self.settings.get("remarks", ()))
 
     @property
     def energy(self) -> float | None:
-        """Of all actuators, their power as of each step's end [J]; None if the task counts none."""
+        """Energy of all actuators by their power at step ends [J]; None if it is not counted."""
         task = self.settings["task"]
         cost, weight = self.metrics.get("reward/energy"), task["energy_coefficient"]
         if cost is None or not weight:
@@ -113,7 +113,7 @@ class Performance:
 
     @property
     def seconds(self) -> float:
-        """How much of the music was played [s]; less than all where the episode ended early."""
+        """Length of the music that was played [s]; less than all if the episode ended early."""
         return self.episode.num_steps * self.episode.dt
 
     def save(
@@ -141,7 +141,7 @@ class Performance:
         lost = [asdict(m) | {"finger": written(m.finger)} for m in self.misses or ()]
         write_json(folder / "settings.json", self.settings)  # first: it says whose the others are
         self.episode.save(folder / "episode.npz")
-        parts = parts_of(self.episode, self.scene)
+        parts = hand_episodes(self.episode, self.scene)
         for side, part in parts.items():
             part.save(folder / f"episode-{side}.npz")
         write_json(folder / "metrics.json", self.metrics)
@@ -165,7 +165,7 @@ class Performance:
             _write_page(folder, *shown, video=path.name if drawn else "")
 
     def _write_video(self, path: Path, audio: Sound, progress: Progress, picture: Picture) -> bool:
-        """Whether this machine can draw it."""
+        """Writes video.mp4; returns whether this machine can render."""
         episode = self.episode
         goal = np.flatnonzero(episode["goal_keys"].any(axis=0))
         keys = (int(goal[0]), int(goal[-1])) if len(goal) else None
@@ -188,7 +188,7 @@ class Performance:
 
 
 def check_replaceable(folder: Path, song: str | Path | None = None) -> None:
-    """Before a song is played whose results go to a folder.
+    """Checks the folder to which results will be written before a song is played.
 
     Raises:
         CadenzaError: they would replace the song, or files that no performance has left there.
@@ -243,7 +243,7 @@ def _write_page(
     goal: Score,
     video: str = "",
 ) -> None:
-    """Of a performance whose other files are there."""
+    """Writes report.html of a performance whose other files are in `folder`."""
     seconds = episode.num_steps * episode.dt
     goal_mp3 = encode_mp3(
         synthesize(goal.until(seconds)), bit_rate=48_000, mono=True, seconds=seconds

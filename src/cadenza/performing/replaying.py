@@ -1,4 +1,4 @@
-"""Has hands play again what was recorded in a folder of demonstrations."""
+"""Replays an episode that was recorded in a folder of demonstrations."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from cadenza.performing.performance import Performance, perform
 from cadenza.performing.setup import Setup
 
 
-def play_again(recorded: RecordedEpisode, progress: Progress = silent) -> Performance:
-    """The performance of a recorded episode, with the noise that it was played with."""
+def replay_episode(recorded: RecordedEpisode, progress: Progress = silent) -> Performance:
+    """Plays a recorded episode again, with the noise that it was recorded with."""
     about = recorded.facts
     scene = recorded.build_scene()
     with task_of(recorded, scene) as task:

@@ -1,4 +1,4 @@
-"""Which song, who plays it, in which task: from names and options to objects that fit."""
+"""Who plays a song in which task: from a source, a name and options to a task and an agent."""
 
 from __future__ import annotations
 
@@ -73,13 +73,12 @@ class Selection:
 
     def at(self, named: NamedSetup) -> Selection:
         """The same with the task and the scene of a named setup."""
-        task, scene = named.of(TaskConfig), named.of(SceneConfig)
-        return replace(self, task=replace(self.task, **task), scene=replace(self.scene, **scene))
+        return named.applied_to(self)
 
 
 @dataclass(frozen=True)
 class Setup:
-    """All that is needed to play once, and what was chosen."""
+    """A task and an agent that play once, and the options that were chosen."""
 
     score: Score
     """As the song has it; the task may stretch and transpose it."""
@@ -93,7 +92,7 @@ class Setup:
 
     @property
     def num_steps(self) -> int:
-        """How long the episode is to be."""
+        """The number of control steps of the episode."""
         return int(self.task.goals.num_steps[0])
 
 
@@ -149,7 +148,7 @@ def select(
 def _played_back(
     selection: Callable[..., Selection], plan: SavedPlan, configs: Mapping[str, Any] | None
 ) -> Selection:
-    """Who plays a plan: open loop or, if it was practised, with feedback and a search.
+    """Returns who plays a plan: open loop or, if it was practised, with feedback and a search.
 
     `configs` has the options of the planner that hold for the search.
     """
@@ -165,7 +164,7 @@ def _played_back(
 
 
 def _policy(agent: str, source: Source) -> LearntPolicy | None:
-    """The policy that `agent` names, None where it names another agent."""
+    """Returns the policy that `agent` names, None where it names another agent."""
     if agent == PRETRAINED:
         return load_policy(pretrained_folder(source.name))
     if agent == source.name and source.policy is not None:
@@ -186,7 +185,7 @@ def is_policy_folder(agent: str) -> bool:
 
 
 def _with_policy(selection: Selection, learnt: LearntPolicy) -> Selection:
-    """In the task and scene that it has learnt in."""
+    """Returns the selection with a policy, in the task and the scene that it was trained in."""
     if learnt.score is not None and not learnt.has_learnt(selection.score):
         what = f"{selection.name}: was trained on {learnt.score.title!r}"
         if learnt.score.title == selection.score.title:
@@ -237,7 +236,7 @@ def set_up(
         closing(PianoTask([selection.score], task, scene, progress=looking)) as piano_task,
         _with_threads(selection.agent, num_threads),
     ):
-        lost = list(_lost_on_steps(piano_task.tracks[0]))
+        lost = list(_lost_between_steps(piano_task.tracks[0]))
         for loss in lost:
             warnings.warn(f"{selection.source.name}: {loss}", CadenzaWarning, stacklevel=4)
         if remarks := [*selection.score.remarks, *lost]:
@@ -247,8 +246,8 @@ def set_up(
         yield Setup(selection.score, selection.agent, piano_task, seed, settings, options)
 
 
-def _lost_on_steps(track: GoalTrack) -> Iterator[str]:
-    """What control steps do not tell apart, if anything."""
+def _lost_between_steps(track: GoalTrack) -> Iterator[str]:
+    """Yields what of the song control steps are too long for: repeated notes, pedal changes."""
     dt = track.config.control_timestep
     if count := merged_notes(track.score, track.goals):
         repeat, are = ("note repeats", "is") if count == 1 else ("notes repeat", "are")
@@ -295,7 +294,7 @@ def _settings(
 
 @contextmanager
 def _with_threads(agent: Agent, num_threads: int | None) -> Iterator[None]:
-    """Has the agent use so many, and linear algebra one; closes the agent afterwards."""
+    """Gives the agent `num_threads` threads and linear algebra one; closes the agent afterwards."""
     if num_threads is not None:
         agent.num_threads = num_threads
     try:

@@ -42,7 +42,7 @@ class Source:
 
     @property
     def short_name(self) -> str:
-        """The name of the piece without folders and endings."""
+        """The name without folders and ending; for a folder of a policy or practice, its title."""
         own_folder = self.policy is not None or self.practised is not None
         return self.score.title if own_folder else name_without_ending(self.name)
 
@@ -70,7 +70,7 @@ def resolve(song: Song, arrangement: Arrangement | None = None) -> Source:
 
 
 def load_song(song: str | Path, arrangement: Arrangement | None = None) -> Score:
-    """The score that a name or a path stands for; what was repaired in it is a warning.
+    """Loads the score that a name or a path stands for; what was repaired in it is a warning.
 
     Args:
         song: a bundled song, see `cadenza.songs`; the path of a MIDI or MusicXML file; or the
@@ -93,7 +93,7 @@ def is_own_folder(song: str | Path) -> bool:
 
 
 def _own_song(folder: Path, name: str, arrangement: Arrangement) -> Source:
-    """The song of a policy or of practice."""
+    """Loads the folder of a policy or of a practised song."""
     if arrangement.chosen:
         raise CadenzaError(
             f"{name}: plays its song as it was trained or practised; leave out --tracks, "

@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar
 
 from cadenza.configs import as_config
 from cadenza.errors import CadenzaError
 from cadenza.registry import Entry, Registry
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
+
+T = TypeVar("T", bound=Any)
 
 SETUPS = Registry(
     "setup",
@@ -54,6 +56,12 @@ class NamedSetup:
     def of(self, kind: type) -> dict[str, Any]:
         """The options that are fields of `kind`."""
         return {f.name: self.options[f.name] for f in fields(kind) if f.name in self.options}
+
+    def applied_to(self, config: T) -> T:
+        """Returns `config`, a dataclass with a `task` and a `scene`, with this setup's options."""
+        task = replace(config.task, **self.of(TaskConfig))
+        scene = replace(config.scene, **self.of(SceneConfig))
+        return replace(config, task=task, scene=scene)
 
 
 SHADOW = NamedSetup({"hand": "shadow"})

@@ -1,4 +1,4 @@
-"""The two recordings of hands that play apart, from the one that combines them."""
+"""Splits the recording of hands that play apart into an episode of each hand."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cadenza.scene.scene import Scene, hand_alone
 from cadenza.tasks.reward import key_activation
 
 
-def parts_of(episode: Episode, scene: Scene) -> dict[Side, Episode]:
-    """Side -> what that hand did in the scene of its own; empty if they did not play apart."""
+def hand_episodes(episode: Episode, scene: Scene) -> dict[Side, Episode]:
+    """Returns side -> the episode of that hand in its own scene; empty if they play together."""
     apart = f"{SIDES[0]}_key_qpos" in episode.arrays
-    return {side: _part(episode, scene, side) for side in scene.sides} if apart else {}
+    return {side: _hand_episode(episode, scene, side) for side in scene.sides} if apart else {}
 
 
-def _part(episode: Episode, scene: Scene, side: Side) -> Episode:
+def _hand_episode(episode: Episode, scene: Scene, side: Side) -> Episode:
     alone, servos, joints = hand_alone(scene, side)
     hand, key_qpos = scene.fingers.of_hand(SIDES.index(side)), episode[f"{side}_key_qpos"]
     number = episode["goal_fingers"]
