@@ -45,7 +45,8 @@ from cadenza.learning.config import TrainingConfig
 from cadenza.learning.cores import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.performing.performance import Performance, add_page, perform
-from cadenza.performing.setup import load_song, select, set_up
+from cadenza.performing.setup import select, set_up
+from cadenza.performing.source import load_song
 from cadenza.tasks.piano_task import PianoTask
 
 
