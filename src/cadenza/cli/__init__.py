@@ -37,7 +37,7 @@ from cadenza.cli.arguments import (
     parse,
     similar,
 )
-from cadenza.cli.console import open_closed_streams, quietly, warnings_in_a_line
+from cadenza.cli.console import on_one_line, open_closed_streams, quietly, warnings_in_a_line
 from cadenza.cli.options import Options, reader, with_options_of_agents
 from cadenza.errors import CadenzaError, explained, lacks_memory
 from cadenza.learning.learner import LEARNERS
@@ -198,16 +198,11 @@ def _with_all_options(kind: type) -> type:
     return with_options_of_agents(kind) if issubclass(kind, Options) else kind
 
 
-def _on_one_line(message: str) -> str:
-    """Whatever characters the name of a file in it has."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-
-
 def _exit(status: int, message: str = "") -> NoReturn:
     """Prints why, and exits; drops output that cannot be written, of which Python complains."""
     with suppress(OSError):
         if message:
-            print(f"cadenza: {_on_one_line(message)}", file=sys.stderr)
+            print(f"cadenza: {on_one_line(message)}", file=sys.stderr)
     for stream in sys.stdout, sys.stderr:
         try:
             stream.flush()

@@ -86,7 +86,7 @@ def warnings_in_a_line() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         if issubclass(category, CadenzaWarning):
-            print(message, file=sys.stderr)
+            print(on_one_line(str(message)), file=sys.stderr)
         else:
             show(message, category, filename, lineno, file, line)
 
@@ -104,3 +104,8 @@ def open_closed_streams() -> None:
     for name, mode in ("stdin", "r"), ("stdout", "w"), ("stderr", "w"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, errors="backslashreplace"))  # noqa: SIM115 - as long as we run
+
+
+def on_one_line(message: str) -> str:
+    """The message with whatever cannot be printed, as in the name of a file, escaped."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
