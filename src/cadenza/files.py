@@ -17,7 +17,7 @@ import shutil
 import stat
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -566,3 +566,15 @@ def folder_name(text: str) -> str:
     """
     safe = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in text)
     return safe.encode()[:255].decode(errors="ignore").strip(". ") or "_"
+
+
+def modification_times(paths: Iterable[Path]) -> dict[Path, float]:
+    """When files were changed last [s since 1970], the newest first.
+
+    Files that have gone meanwhile, or may not be looked at, are left out. Links are not followed.
+    """
+    found = {}
+    for path in paths:
+        with suppress(OSError):
+            found[path] = path.lstat().st_mtime
+    return dict(sorted(found.items(), key=lambda item: item[1], reverse=True))

@@ -24,10 +24,10 @@ from cadenza.learning.run_folder import RunFolder
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
-from cadenza.studio import practice, practising, worker
+from cadenza.studio import player, practice, practice_process
 from cadenza.studio.messages import JSON, Message
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
-from cadenza.studio.trainings import Trainings
+from cadenza.studio.training_runs import TrainingRuns
 
 SCORE = Score(tuple(Note(0.4 * i, 0.4 * i + 0.3, 60 + i) for i in range(3)), title="Three")
 
@@ -56,23 +56,23 @@ def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch
             await asyncio.sleep(0.01)
 
     async def run() -> None:
-        room = practice.PracticeRoom()
-        room.pause(True)
-        room.begin(order("OdeToJoy"))
+        practising = practice.BackgroundPractice()
+        practising.pause(True)
+        practising.begin(order("OdeToJoy"))
         await until(lambda: begun and state_of(begun[0].pid) == "T")
-        room.pause(False)
+        practising.pause(False)
         await until(lambda: state_of(begun[0].pid) != "T")
-        room.begin(order("OdeToJoy"))  # it goes on
+        practising.begin(order("OdeToJoy"))  # it goes on
         assert len(begun) == 1
-        room.begin(order("JingleBells"))  # another takes its place
+        practising.begin(order("JingleBells"))  # another takes its place
         await until(lambda: len(begun) == 2)
         assert begun[0].returncode is not None
-        room.stop()
+        practising.stop()
         await until(lambda: begun[1].returncode is not None)
-        assert room.summary["status"]["state"] == "stopped"
-        await room.close()
+        assert practising.summary["status"]["state"] == "stopped"
+        await practising.close()
 
-    monkeypatch.setattr(practice, "bound", waiting)
+    monkeypatch.setattr(practice, "start_bound_process", waiting)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -83,20 +83,20 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
 
     async def full(*_: str) -> Any:
         tried.append(None)
-        raise BlockingIOError("no room for another process")
+        raise BlockingIOError("no practising for another process")
 
     async def run() -> None:
-        room = practice.PracticeRoom()
+        practising = practice.BackgroundPractice()
         for song in ("OdeToJoy", "OdeToJoy", "JingleBells"):
-            room.begin(order(song))
-            while room.summary["status"]["state"] == "preparing":
+            practising.begin(order(song))
+            while practising.summary["status"]["state"] == "preparing":
                 await asyncio.sleep(0.01)
-            assert room.summary["status"]["state"] == "failed"
-            assert "no room for another process" in room.summary["status"]["error"]
+            assert practising.summary["status"]["state"] == "failed"
+            assert "no practising for another process" in practising.summary["status"]["error"]
         assert len(tried) == 3
-        await room.close()
+        await practising.close()
 
-    monkeypatch.setattr(practice, "bound", full)
+    monkeypatch.setattr(practice, "start_bound_process", full)
     asyncio.run(asyncio.wait_for(run(), 60))
 
 
@@ -104,14 +104,14 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
 def test_what_was_practised_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     song, told = tmp_path / "three.mid", list[Message]()
     write_midi(SCORE, song)
-    monkeypatch.setattr(practising, "ENOUGH", 0.2)
-    practising.practise(order(str(song), tmp_path), told.append)
+    monkeypatch.setattr(practice_process, "ENOUGH", 0.2)
+    practice_process.practise(order(str(song), tmp_path), told.append)
     said = [json.loads(message.content) for message in told if message.kind == JSON]
     assert said[-1]["state"] == "done"
-    played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
+    played, _ = player.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "playback"
     assert played.metrics["f1"] == pytest.approx(max(said[-1]["f1"]))
-    with worker.set_up_as_asked(order(str(song), tmp_path), lambda *_: None) as setup:
+    with player.set_up_order(order(str(song), tmp_path), lambda *_: None) as setup:
         assert perform(setup).metrics["f1"] == pytest.approx(said[-1]["f1"][0])  # at first sight
 
 
@@ -125,21 +125,21 @@ def run_of(folder: Path, steps: int = 2000) -> None:
 
 
 def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
-    found = Trainings(tmp_path)
-    assert found.runs() == []
+    runs = TrainingRuns(tmp_path)
+    assert runs.runs() == []
     run_of(tmp_path / "three 1")
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "run.json").write_text("{")
-    (run,) = found.runs()
+    (run,) = runs.runs()
     assert (run["name"], run["state"], run["step"], run["f1"]) == ("three 1", "stopped", 2000, 1.0)
     assert run["points"] == [(1000, 0.0), (2000, 1.0)]
-    assert found.policies() == {}
+    assert runs.policies() == {}
     (tmp_path / "three 1" / "best").mkdir()
-    assert found.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}
+    assert runs.policies() == {"policy/three 1": tmp_path / "three 1" / "best"}
 
 
 def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Trainings that begin from now on are processes of this script."""
+    """TrainingRuns that begin from now on are processes of this script."""
     fake = folder / "python"
     fake.write_text(f"#!{sys.executable}\nprint(flush=True)\n{script}\n")
     fake.chmod(0o755)
@@ -152,26 +152,26 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
     begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
-        found = Trainings(tmp_path / "runs")
-        name = await found.begin(PlayRequest("OdeToJoy", seed=3), "../Ode", "OdeToJoy", 5000)
+        runs = TrainingRuns(tmp_path / "runs")
+        name = await runs.begin(PlayRequest("OdeToJoy", seed=3), "../Ode", "OdeToJoy", 5000)
         assert name == "_Ode 1"
-        (begun,) = found.runs()  # which has written nothing yet
+        (begun,) = runs.runs()  # which has written nothing yet
         assert (begun["name"], begun["state"], begun["points"]) == ("_Ode 1", "learning", [])
         with pytest.raises(CadenzaError, match="learning already"):
-            await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+            await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
         run_of(tmp_path / "runs" / name)
-        assert found.runs()[0]["state"] == "learning"
+        assert runs.runs()[0]["state"] == "learning"
         time.sleep(0.3)
-        found.stop(name)
-        while found.runs()[0]["state"] == "learning":
+        runs.stop(name)
+        while runs.runs()[0]["state"] == "learning":
             await asyncio.sleep(0.01)
         for wrong in "no such", "../runs":
             with pytest.raises(CadenzaError, match="no such run"):
-                await found.go_on(wrong)
-        await found.go_on(name)
-        assert found.runs()[0]["state"] == "learning"
-        await found.close()
-        assert found.runs()[0]["state"] == "stopped"
+                await runs.resume(wrong)
+        await runs.resume(name)
+        assert runs.runs()[0]["state"] == "learning"
+        await runs.close()
+        assert runs.runs()[0]["state"] == "stopped"
 
     asyncio.run(asyncio.wait_for(run(), 60))
 
@@ -189,12 +189,12 @@ def test_a_run_that_was_stopped_has_no_error(
     begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
-        found = Trainings(tmp_path / "runs")
-        name = await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        runs = TrainingRuns(tmp_path / "runs")
+        name = await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
         run_of(tmp_path / "runs" / name)
         await asyncio.sleep(1.0)
-        await found.close()
-        assert (found.runs()[0]["state"], found.runs()[0]["error"]) == ("stopped", "")
+        await runs.close()
+        assert (runs.runs()[0]["state"], runs.runs()[0]["error"]) == ("stopped", "")
 
     asyncio.run(asyncio.wait_for(run(), 60))
 
@@ -203,11 +203,11 @@ def test_a_run_that_cannot_begin_says_why(tmp_path: Path, monkeypatch: pytest.Mo
     begin_instead("import sys\nsys.exit('error: no disk')", tmp_path, monkeypatch)
 
     async def run() -> None:
-        found = Trainings(tmp_path / "runs")
-        await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        while found.runs()[0]["state"] == "learning":
+        runs = TrainingRuns(tmp_path / "runs")
+        await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        while runs.runs()[0]["state"] == "learning":
             await asyncio.sleep(0.01)
-        (failed,) = found.runs()
+        (failed,) = runs.runs()
         assert (failed["state"], failed["error"]) == ("failed", "no disk")
 
     asyncio.run(asyncio.wait_for(run(), 60))
@@ -230,11 +230,11 @@ def test_a_run_that_ends_by_itself_says_why(
     begin_instead(script, tmp_path, monkeypatch)
 
     async def run() -> None:
-        found = Trainings(tmp_path / "runs")
-        await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
-        while found.runs()[0]["state"] == "learning":
+        runs = TrainingRuns(tmp_path / "runs")
+        await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000)
+        while runs.runs()[0]["state"] == "learning":
             await asyncio.sleep(0.01)
-        assert found.runs()[0]["error"].startswith(error)
+        assert runs.runs()[0]["error"].startswith(error)
 
     asyncio.run(asyncio.wait_for(run(), 60))
 
@@ -243,12 +243,12 @@ def test_one_run_begins_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     begin_instead("import time\ntime.sleep(60)", tmp_path, monkeypatch)
 
     async def run() -> None:
-        found = Trainings(tmp_path / "runs")
-        asked = [found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000) for _ in range(2)]
+        runs = TrainingRuns(tmp_path / "runs")
+        asked = [runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 5000) for _ in range(2)]
         one, other = await asyncio.gather(*asked, return_exceptions=True)
         assert one == "Ode 1"
         assert isinstance(other, CadenzaError)
-        await found.close()
+        await runs.close()
 
     asyncio.run(asyncio.wait_for(run(), 60))
 
@@ -258,65 +258,65 @@ def test_practice_that_cannot_go_on_begins_anew(
 ) -> None:
     song, told = tmp_path / "three.mid", list[Message]()
     write_midi(SCORE, song)
-    folder = worker.practised_in(order(str(song), tmp_path))
+    folder = player.practice_folder_of(order(str(song), tmp_path))
     folder.mkdir(parents=True)
-    (folder / "practice.safetensors").write_bytes(b"of another version")
-    monkeypatch.setattr(practising, "_Session", Ended)
-    practising.practise(order(str(song), tmp_path), told.append)
-    assert (folder / "practice.safetensors.old").read_bytes() == b"of another version"
+    (folder / "practice.safetensors").write_bytes(b"damaged")
+    monkeypatch.setattr(practice_process, "ENOUGH", 0.0)
+    practice_process.practise(order(str(song), tmp_path), told.append)
+    assert (folder / "practice.safetensors.old").read_bytes() == b"damaged"
 
 
 def test_a_damaged_plan_is_practised_anew(tmp_path: Path) -> None:
     song = tmp_path / "three.mid"
     write_midi(SCORE, song)
-    folder = worker.practised_in(order(str(song), tmp_path))
+    folder = player.practice_folder_of(order(str(song), tmp_path))
     folder.mkdir(parents=True)
-    (folder / "plan.safetensors").write_bytes(b"of another version")
-    played, _ = worker.play(order(str(song), tmp_path), lambda _: None, lambda: None)
+    (folder / "plan.safetensors").write_bytes(b"damaged")
+    played, _ = player.play(order(str(song), tmp_path), lambda _: None, lambda: None)
     assert played.settings["agent"] == "planner"
     assert [path.name for path in folder.iterdir()] == ["plan.safetensors.old"]
-
-
-class Ended:
-    """A session of practice that is over before it begins."""
-
-    def __init__(self, *_: Any) -> None:
-        pass
-
-    def run(self) -> None:
-        pass
 
 
 SERVER = """
 import asyncio, sys
 from pathlib import Path
-from cadenza.studio.practice import PracticeRoom
+from cadenza.studio import practice, training_runs
+from cadenza.studio.practice import BackgroundPractice
+from cadenza.studio.processes import start_bound_process
 from cadenza.studio.request import PRACTISED, Order, PlayRequest
-from cadenza.studio.trainings import Trainings
+from cadenza.studio.training_runs import TrainingRuns
 
-async def training(folder):
-    found, request = Trainings(folder), PlayRequest("OdeToJoy")
-    name = await found.begin(request, "Ode", "OdeToJoy", 1_000_000)
+processes = []
+
+async def start(*arguments, **how):
+    processes.append(await start_bound_process(*arguments, **how))
+    return processes[-1]
+
+practice.start_bound_process = training_runs.start_bound_process = start
+
+async def train(folder):
+    runs, request = TrainingRuns(folder), PlayRequest("OdeToJoy")
+    name = await runs.begin(request, "Ode", "OdeToJoy", 1_000_000)
     while not (folder / name / "run.json").exists():
         await asyncio.sleep(0.1)
-    return found, found._learning[name].process
+    return runs
 
-async def held(folder):
-    (found := Trainings(folder)).pause(True)  # before it has even begun
-    name = await found.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 1_000_000)
-    return found, found._learning[name].process
+async def train_later(folder):
+    (runs := TrainingRuns(folder)).pause(True)  # before it has even begun
+    await runs.begin(PlayRequest("OdeToJoy"), "Ode", "OdeToJoy", 1_000_000)
+    return runs
 
-async def practice(folder):
-    room, request = PracticeRoom(), PlayRequest("OdeToJoy", PRACTISED)
-    room.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, str(folder)))
-    while "stage" not in room.status:
+async def practise(folder):
+    practice, request = BackgroundPractice(), PlayRequest("OdeToJoy", PRACTISED)
+    practice.begin(Order(request, "Ode", "OdeToJoy", False, "0" * 16, str(folder)))
+    while "stage" not in practice.status:
         await asyncio.sleep(0.1)
-    return room, room._process
+    return practice
 
 async def run():
-    what, process = await globals()[sys.argv[1]](Path(sys.argv[2]))
+    what = await globals()[sys.argv[1]](Path(sys.argv[2]))
     what.pause(True)
-    print(process.pid, flush=True)
+    print(processes[0].pid, flush=True)
     await asyncio.sleep(60)
 
 asyncio.run(run())
@@ -325,7 +325,7 @@ asyncio.run(run())
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
-@pytest.mark.parametrize("what", ["training", "held", "practice"])
+@pytest.mark.parametrize("what", ["train", "train_later", "practise"])
 def test_what_goes_on_ends_with_a_server_that_is_killed(what: str, tmp_path: Path) -> None:
     """Also while it stands still for a song: nothing would wake it again."""
     command = [sys.executable, "-c", SERVER, what, str(tmp_path)]
@@ -353,7 +353,7 @@ def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: 
     write_midi(SCORE, song)
     request = PlayRequest("three", agent, tempo=1.25, transpose=2, seed=3)
     ours = Order(request, "Any title", str(song), True, "0" * 16, str(tmp_path), agent=agent)
-    streamed, live = worker.play(ours, lambda _: None, lambda: None)
+    streamed, states = player.play(ours, lambda _: None, lambda: None)
     options = ["--agent", agent, "--seed", "3", "--stretch", "0.8", "--transpose", "2"]
     command = ["play", str(song), "-o", str(tmp_path / "out"), "--no-video", *options]
     subprocess.run([sys.executable, "-m", "cadenza", *command], check=True)
@@ -362,4 +362,4 @@ def test_what_is_streamed_is_what_the_command_line_plays(tmp_path: Path, agent: 
     for name, values in written.arrays.items():
         if name != "metrics":  # which have times among them
             np.testing.assert_array_equal(values, streamed.episode[name], err_msg=name)
-    assert len(live.rows) % written.num_steps == 0
+    assert len(states.rows) % written.num_steps == 0

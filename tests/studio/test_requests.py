@@ -19,10 +19,10 @@ from cadenza.music.libraries.imported import new_library
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
-from cadenza.studio import comparing, reading, shelf
+from cadenza.studio import comparison, storage, upload_reader
+from cadenza.studio.player import error_text
 from cadenza.studio.request import AGENTS, Order, PlayRequest, practice_folder, read_request
-from cadenza.studio.shelf import Kept, Shelf, Upload
-from cadenza.studio.worker import what_failed
+from cadenza.studio.storage import KeptPerformance, Storage, Upload
 
 SCORE = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
 
@@ -59,21 +59,21 @@ def test_what_cannot_be_asked_for_is_refused_in_a_line(content: dict[str, object
 
 
 @pytest.fixture
-def songs(tmp_path: Path) -> Shelf:
-    return Shelf(tmp_path)
+def songs(tmp_path: Path) -> Storage:
+    return Storage(tmp_path)
 
 
-def add(songs: Shelf, content: bytes, name: str) -> Upload:
-    path, id, title, ending = songs.put(content, name)
+def add(songs: Storage, content: bytes, name: str) -> Upload:
+    path, id, title, ending = songs.write_upload(content, name)
     assert path.read_bytes() == content
     assert path.resolve().is_relative_to(songs.folder.resolve())
     upload = Upload(id, title, ending, 1.0, 1)
-    songs.add(upload)
+    songs.list_upload(upload)
     return upload
 
 
 @pytest.mark.parametrize("name", ["../../evil.mid", "/etc/passwd", "a\0b.mid", "", "é" * 5000])
-def test_names_are_shown_but_lead_nowhere(songs: Shelf, name: str) -> None:
+def test_names_are_shown_but_lead_nowhere(songs: Storage, name: str) -> None:
     upload = add(songs, b"MThd", name)
     (listed, *_) = songs.songs()
     assert listed["title"] == upload.title
@@ -83,16 +83,16 @@ def test_names_are_shown_but_lead_nowhere(songs: Shelf, name: str) -> None:
 
 
 @pytest.mark.parametrize("song", ["../uploads/x", "/etc/passwd", "0" * 16, "no such"])
-def test_a_song_that_is_not_there_is_refused(songs: Shelf, song: str) -> None:
+def test_a_song_that_is_not_there_is_refused(songs: Storage, song: str) -> None:
     with pytest.raises(CadenzaError, match="no such song"):
         songs.source(song)
 
 
-def test_no_upload_is_lost_for_another(songs: Shelf, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shelf, "_MOST_UPLOADS", 2)
+def test_no_upload_is_lost_for_another(songs: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "_MAX_UPLOADS", 2)
     first, second = (add(songs, b"MThd%d" % i, f"{i}.mid") for i in range(2))
     with pytest.raises(CadenzaError, match="2 files of yours already; delete some"):
-        songs.put(b"MThd2", "2.mid")
+        songs.write_upload(b"MThd2", "2.mid")
     add(songs, b"MThd0", "0.mid")  # again
     listed = [song["id"] for song in songs.songs() if song["uploaded"]]
     assert sorted(listed) == sorted([first.id, second.id])
@@ -100,16 +100,19 @@ def test_no_upload_is_lost_for_another(songs: Shelf, monkeypatch: pytest.MonkeyP
     add(songs, b"MThd2", "2.mid")
 
 
-def test_uploads_that_nobody_has_read_do_not_stay(songs: Shelf) -> None:
+def test_uploads_that_nobody_has_read_do_not_stay(songs: Storage) -> None:
     """Where the studio was killed meanwhile; but one that another studio just reads does."""
     listed = add(songs, b"MThd0", "0.mid")
-    killed, (now, *_) = songs.put(b"MThd1", "1.mid")[0], songs.put(b"MThd2", "2.mid")
+    killed, (now, *_) = (
+        songs.write_upload(b"MThd1", "1.mid")[0],
+        songs.write_upload(b"MThd2", "2.mid"),
+    )
     begun, theirs = songs.uploads / ".cadenza-1", songs.uploads / "mine.mid"
     for path in killed, begun, theirs:
         path.touch()
         os.utime(path, (0, 0))
     left = {f"{listed.id}.json", f"{listed.id}.mid", now.name, theirs.name}
-    assert {path.name for path in Shelf(songs.folder).uploads.iterdir()} == left
+    assert {path.name for path in Storage(songs.folder).uploads.iterdir()} == left
 
 
 def test_practice_is_of_what_a_song_holds_now() -> None:
@@ -119,45 +122,45 @@ def test_practice_is_of_what_a_song_holds_now() -> None:
     assert folder != practice_folder(Path("x"), request, score.transposed(1))
 
 
-def test_performances_are_found_again_and_removed(songs: Shelf) -> None:
+def test_performances_are_found_again_and_removed(songs: Storage) -> None:
     id = "0123456789abcdef"
-    kept = Kept("Ode", PlayRequest("OdeToJoy"), 0.9, 0.8, 8.0, 1.0)
+    kept = KeptPerformance("Ode", PlayRequest("OdeToJoy"), 0.9, 0.8, 8.0, 1.0)
     (songs.folder / id).mkdir()
     write_json(songs.folder / id / "studio.json", asdict(kept))
     (songs.folder / id / "report.html").write_text("report")
     (songs.folder / "fedcba9876543210").mkdir()  # somebody else's
-    again = Shelf(songs.folder)
+    again = Storage(songs.folder)
     (found,) = again.performances()
     assert (found["id"], found["title"], found["files"]) == (id, "Ode", ["report.html"])
     assert again.file(id, "report.html").read_text() == "report"
     for wrong in (id, "settings.json"), (id, "../x"), ("..", "report.html"), ("x", "report.html"):
         with pytest.raises(CadenzaError, match="there is no such"):
             again.file(*wrong)
-    again.remove(id)
+    again.remove_performance(id)
     assert again.performances() == []
     with pytest.raises(CadenzaError, match="no such performance"):
-        again.remove("uploads")
+        again.remove_performance("uploads")
 
 
 def test_a_file_is_read_by_a_process_that_says_what_it_holds(tmp_path: Path) -> None:
     path = tmp_path / "a.mid"
     write_midi(Score((Note(0.0, 1.0, 60), Note(1.0, 2.0, 62))), path)
-    command = [sys.executable, "-P", "-m", "cadenza.studio.reading", str(path)]
+    command = [sys.executable, "-P", "-m", "cadenza.studio.upload_reader", str(path)]
     answer = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
     assert (answer["notes"], answer["seconds"]) == (2, 2.0)
 
 
 @pytest.mark.parametrize("content", [b"MThd", b"", b"<score", b"PK\3\4", b"\x89PNG" * 100])
 def test_what_is_no_music_is_refused_in_a_line(
-    songs: Shelf,
+    songs: Storage,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     content: bytes,
 ) -> None:
-    path, *_ = songs.put(content, "song.mid")
-    monkeypatch.setattr(sys, "argv", ["reading", str(path)])
-    monkeypatch.setattr(reading, "limit", lambda _: None)  # not on the process of the tests
-    reading.main()
+    path, *_ = songs.write_upload(content, "song.mid")
+    monkeypatch.setattr(sys, "argv", ["upload_reader", str(path)])
+    monkeypatch.setattr(upload_reader, "limit", lambda _: None)  # not on the process of the tests
+    upload_reader.main()
     error = json.loads(capsys.readouterr().out)["error"]
     assert error
     assert "\n" not in error
@@ -167,7 +170,7 @@ def test_what_is_no_music_is_refused_in_a_line(
 def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> None:
     def said(source: str, uploaded: bool) -> str:
         order = Order(PlayRequest("x"), "", source, uploaded, "0" * 16, "")
-        return what_failed(CadenzaError(f"{source}: nobody\nknows '{source}'"), order)
+        return error_text(CadenzaError(f"{source}: nobody\nknows '{source}'"), order)
 
     assert said("/home/me/x.mid", True) == "nobody knows 'the file'"
     assert said("OdeToJoy", False) == "OdeToJoy: nobody knows 'OdeToJoy'"
@@ -183,14 +186,14 @@ def test_what_fails_says_where_no_upload_lies_and_what_a_piece_is_called() -> No
 )
 def test_there_is_a_limit_to_what_is_played(notes: tuple[Note, ...], why: str) -> None:
     with pytest.raises(CadenzaError, match=why):
-        reading.check_size(Score(notes))
+        upload_reader.check_size(Score(notes))
 
 
-def kept(songs: Shelf, id: str, song: str, seed: int, transpose: int = 0) -> Path:
+def kept(songs: Storage, id: str, song: str, seed: int, transpose: int = 0) -> Path:
     folder = songs.folder / id
     with set_up(select(SCORE, RandomAgent()), seed=seed) as setup:
         perform(setup).save(folder, page=False)
-    about = Kept(
+    about = KeptPerformance(
         song, PlayRequest(song, "sight", seed=seed, transpose=transpose), 0.9, 0.8, 8.0, 1.0
     )
     write_json(folder / "studio.json", asdict(about))
@@ -198,7 +201,7 @@ def kept(songs: Shelf, id: str, song: str, seed: int, transpose: int = 0) -> Pat
 
 
 def test_two_performances_of_a_song_are_compared(
-    songs: Shelf, monkeypatch: pytest.MonkeyPatch
+    songs: Storage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ids = "0" * 16, "1" * 16, "2" * 16
     one, two, _ = (kept(songs, *each) for each in zip(ids, "aab", range(3), strict=True))
@@ -208,16 +211,16 @@ def test_two_performances_of_a_song_are_compared(
             songs.comparison(*others)
     folders, page = songs.comparison(*ids[:2])
     assert folders == [one, two]
-    monkeypatch.setattr(sys, "argv", ["comparing", str(one), str(two), str(page)])
-    monkeypatch.setattr(comparing, "limit", lambda _: None)  # not on the process of the tests
-    comparing.main()
+    monkeypatch.setattr(sys, "argv", ["comparison", str(one), str(two), str(page)])
+    monkeypatch.setattr(comparison, "limit", lambda _: None)  # not on the process of the tests
+    comparison.main()
     assert "2. Planner, unrefined, shadow, seed 1" in page.read_text()
-    songs.remove(ids[1])
+    songs.remove_performance(ids[1])
     assert not page.exists()
 
 
 def test_imported_libraries_are_listed(
-    songs: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    songs: Storage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CADENZA_DATA", str(tmp_path / "data"))
     with new_library("mine") as library:

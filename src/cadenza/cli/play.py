@@ -30,7 +30,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Selection, Setup
-    from cadenza.studio.showing import Showing
+    from cadenza.studio.performance_page import PerformancePage
 
 
 @dataclass(frozen=True)
@@ -82,17 +82,17 @@ def run(command: PlayCommand, read: Read[PlayCommand]) -> None:
                 check_replaceable(folder, command.song)
                 tell_how_long(setup)
                 setup, cut_short = kept.enter_context(_practised(setup, folder))
-                page = kept.enter_context(_shown(setup)) if command.watch else None
+                page = kept.enter_context(_page(setup)) if command.watch else None
                 with stages("playing") as progress:
-                    following = page.following(progress) if page else progress
-                    performance = perform(setup, following, stop)
+                    reporting = page.reporting(progress) if page else progress
+                    performance = perform(setup, reporting, stop)
             if page:
-                page.played(performance)
+                page.finish(performance)
             save(performance, folder, command.video, picture, command.loudness)
             stopped = stop()
         if page and not stopped:
             print("Ctrl-C ends the page")
-            page.stay()
+            page.wait()
     if cut_short:
         print(f"stopped practice; the same command goes on in {folder}", file=sys.stderr)
     if stopped and performance.episode.num_steps < setup.num_steps:
@@ -127,11 +127,11 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
         yield practising.best(), stopped
 
 
-def _shown(setup: Setup) -> AbstractContextManager[Showing]:
-    """Opens a page that shows the hands while they play."""
-    from cadenza.studio.showing import shown
+def _page(setup: Setup) -> AbstractContextManager[PerformancePage]:
+    """Opens a page on which the performance is watched."""
+    from cadenza.studio.performance_page import open_page
 
-    return shown(setup, setup.score.title)
+    return open_page(setup, setup.score.title)
 
 
 def _name_of(agent: str) -> str:

@@ -1,4 +1,4 @@
-"""`cadenza studio`: a page on which songs are dropped, and played while one watches."""
+"""`cadenza studio`: a page on which songs are dropped, and played while you watch."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def run(command: StudioCommand) -> None:
     check_writable(command.folder, "--folder", 0o700)  # it holds the address
     need_server()
     from cadenza.studio.address import announce
+    from cadenza.studio.page_server import serve
     from cadenza.studio.server import Studio
-    from cadenza.studio.watchable import serve
 
     studio = Studio(command.folder, command.runs, jobs, command.video)
     with suppress(KeyboardInterrupt):  # how it ends
-        folder = studio.shelf.folder
+        folder = studio.storage.folder
         ready = partial(announce, browser=command.browser, folder=folder)
         serve(studio, command.host, port, ready, folder / "address.json")
 

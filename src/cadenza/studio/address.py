@@ -17,41 +17,43 @@ from cadenza.errors import CadenzaError
 from cadenza.files import TEMPORARY, read_json, write_json
 
 _TOKEN = re.compile(r"[\w-]{16,}")  # a shorter one could be guessed
+_NUM_PORTS = 1 << 16
+_PRIVATE = stat.S_IRUSR | stat.S_IWUSR
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-# What leads on to the page. A browser opens it by its path, which anybody may know.
-_OPENING = """<!doctype html><meta charset="utf-8"><title>Cadenza</title>
+# A page that leads on to the address. A browser opens it by its path, which anybody may know.
+_REDIRECT = """<!doctype html><meta charset="utf-8"><title>Cadenza</title>
 <meta http-equiv="refresh" content="0; url={0}"><a href="{0}">Open the page</a>
 """
 
 
 @dataclass(frozen=True)
 class Address:
-    """What stays of the page's address from one time to the next."""
+    """The token and port of a page, which stay from one time to the next."""
 
     token: str
     port: int
 
     def __post_init__(self) -> None:
         """Raises: ValueError: there is no such port, or the token is none that we make."""
-        if self.port not in range(1 << 16) or not _TOKEN.fullmatch(self.token):
+        if self.port not in range(_NUM_PORTS) or not _TOKEN.fullmatch(self.token):
             raise ValueError("no address of a page")
 
 
-def known(path: Path) -> Address | None:
-    """What was used before, if there is a file that says so.
+def read_address(path: Path) -> Address | None:
+    """Returns the address of the last time, or None without a readable file.
 
     Raises:
         CadenzaError: somebody else may have written the file.
     """
-    if _accessible(path.parent, _OTHERS_WRITE):
+    if _is_open_to_others(path.parent, _OTHERS_WRITE):
         raise CadenzaError(
             f"{path.parent}: other users of this machine may change what is in it; choose another "
             f"folder with --folder, or take it for yourself: chmod 700 '{path.parent}'"
         )
     if not os.path.lexists(path):
         return None
-    if _accessible(path, _OTHERS):
+    if _is_open_to_others(path, _OTHERS):
         raise CadenzaError(
             f"{path}: other users of this machine may know or have chosen the address of the page; "
             "delete this file, and a new one will be made"
@@ -61,24 +63,24 @@ def known(path: Path) -> Address | None:
     return None
 
 
-def _accessible(path: Path, how: int) -> bool:
-    """Whether somebody else owns it, or may use it in one of these ways, bits of a mode."""
+def _is_open_to_others(path: Path, permissions: int) -> bool:
+    """Whether others own a file, or have one of these permissions (bits of a mode)."""
     about = path.lstat()
     if stat.S_ISLNK(about.st_mode):
-        return True  # it may lead to what is theirs
+        return True  # it may lead to a file of theirs
     is_theirs = hasattr(os, "getuid") and about.st_uid != os.getuid()
-    return is_theirs or (os.name == "posix" and bool(about.st_mode & how))
+    return is_theirs or (os.name == "posix" and bool(about.st_mode & permissions))
 
 
-def keep(path: Path, address: Address) -> None:
-    """For nobody else to read."""
-    path.touch(0o600)
-    path.chmod(0o600)  # which the file that takes its place keeps
+def write_address(path: Path, address: Address) -> None:
+    """Writes a file that nobody else can read."""
+    path.touch(_PRIVATE)
+    path.chmod(_PRIVATE)  # which the file that takes its place keeps
     write_json(path, asdict(address))
 
 
 def announce(address: str, browser: bool = True, folder: Path | None = None) -> None:
-    """Says what to open, and opens it where there is a screen.
+    """Prints the address of the page, and opens it where there is a screen.
 
     Everybody on this machine can read the arguments of the browser, so that it is given a file of
     ours to open, which leads on to the address. It is there until this process ends.
@@ -94,6 +96,6 @@ def announce(address: str, browser: bool = True, folder: Path | None = None) -> 
     private = tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=folder)
     atexit.register(private.cleanup)
     page = Path(private.name) / "open.html"
-    page.touch(0o600)
-    page.write_text(_OPENING.format(escape(address)), "utf-8")
+    page.touch(_PRIVATE)
+    page.write_text(_REDIRECT.format(escape(address)), "utf-8")
     webbrowser.open(page.absolute().as_uri())

@@ -1,19 +1,31 @@
-"""Bounds on what a process takes, set by the process itself before it meets a file of others."""
+"""Limits on uploads, and limits that a process sets for itself before it meets a file of others.
+
+`python -m cadenza.studio.limits MODULE ARGUMENT...` runs a module as a process that ends with the
+server, even where that is killed. It writes a byte to stdout before the module runs. Only from then
+on may the server suspend it: a suspended process could not see to its end, and would be left behind
+with its memory and its locks.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import os
+import runpy
+import signal
+import sys
 from typing import NamedTuple
 
-MOST_BYTES = 4 << 20  # of a file that is uploaded
-MOST_SECONDS = 31 * 60.0  # of music
-MOST_NOTES = 40_000
+MAX_BYTES = 4 << 20  # of a file that is uploaded
+MAX_SECONDS = 31 * 60.0  # of music: half an hour, and a little for a last note that rings
+MAX_NOTES = 40_000
 READING_SECONDS = 120.0  # for which a file is read, on a machine that has much else to do
 
 _GIB = 1 << 30
+_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 
 
 class Limits(NamedTuple):
-    """`memory` [bytes] of data, `cpu` [s], and `file` [bytes] that a file may grow to."""
+    """Memory for data [bytes], CPU time [s], and the size that a file may grow to [bytes]."""
 
     memory: int
     cpu: int
@@ -25,7 +37,7 @@ PLAYING = Limits(6 * _GIB, 24 * 3600, 4 * _GIB)
 
 
 def limit(limits: Limits) -> None:
-    """Binds this process."""
+    """Sets limits for this process, which leaves no core dump either."""
     import resource  # which only Unix has
 
     kinds = resource.RLIMIT_DATA, resource.RLIMIT_CPU, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE
@@ -33,3 +45,16 @@ def limit(limits: Limits) -> None:
         _, hard = resource.getrlimit(kind)
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
+
+
+def main() -> None:
+    """Runs a module that ends with its parent; only Linux can, elsewhere the module just runs."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, ctypes.c_ulong(signal.SIGKILL))
+    os.write(1, b"\n")
+    del sys.argv[0]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main()

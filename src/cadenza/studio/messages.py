@@ -1,41 +1,51 @@
-"""What a process that plays says: JSON, and rows of the episode.
+"""Messages of a process that plays or practises, and lines that the server writes to it.
 
-A message is a kind, its length, and bytes. The page hears the same over a WebSocket, JSON as text
-and rows as binary frames. All numbers are little-endian. An empty one of the third kind tells the
-server that the process has put its song down and waits for another.
+A message is a kind, its length, and bytes: JSON, or rows of states. The page receives the same over
+a WebSocket, JSON as text and rows as binary frames. All numbers are little-endian. An empty message
+of the kind `IDLE` tells the server that the process has dropped its song and waits for another.
 
 Rows: each (J,) float32 joints of the hands [m, rad]; (K,) uint8 how far keys are down, 255 all the
 way; (K,) uint8 what sounds: 0 nothing, 1 what sounded before, else a key struck now, and its MIDI
 velocity; uint8 whether the pedal is down; zeros up to a multiple of four bytes.
 
-It is told an order (see `cadenza.studio.request.Order`) as a line of JSON, and while it plays that,
-to `WAIT` and to `GO_ON`; any other line has it put the song down.
+The process reads an order (see `cadenza.studio.request.Order`) as a line of JSON, and while it
+plays that, `PAUSE` and `RESUME`; any other line has it drop the song.
 """
 
 from __future__ import annotations
 
+import json
 import struct
-from typing import IO, NamedTuple
+from collections.abc import Callable
+from typing import IO, Any, NamedTuple
 
-JSON, ROWS, READY = b"J", b"R", b"W"
-WAIT, GO_ON = b"wait\n", b"go on\n"
+JSON, ROWS, IDLE = b"J", b"R", b"W"
+PAUSE, RESUME = b"pause\n", b"resume\n"
 HEADER = struct.Struct("<cI")
-MOST_BYTES = 1 << 26  # of a message
+MAX_BYTES = 1 << 26  # of a message
 
 
 class Message(NamedTuple):
-    """Its kind and what it says."""
+    """A message: its kind, and its content."""
 
     kind: bytes
     content: bytes
 
     def write(self, stream: IO[bytes]) -> None:
-        """To a process that reads it."""
+        """Writes the message to a pipe at once."""
         stream.write(HEADER.pack(self.kind, len(self.content)) + self.content)
         stream.flush()
 
 
+Send = Callable[[Message], None]
+
+
+def json_message(**content: Any) -> Message:
+    """Returns a message that holds an object of JSON."""
+    return Message(JSON, json.dumps(content, allow_nan=False).encode())
+
+
 def row_bytes(num_joints: int, num_keys: int) -> int:
-    """The size of a row."""
+    """Returns the size of a row [bytes]."""
     size = 4 * num_joints + 2 * num_keys + 1
     return size + -size % 4

@@ -1,4 +1,4 @@
-"""The practice room: one song that is practised while nothing is played."""
+"""Practice in the background: one song is practised while nothing is played."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from dataclasses import asdict
 from typing import Any
 
 from cadenza.studio.messages import JSON
-from cadenza.studio.processes import bound, hold, kill, messages, tell
+from cadenza.studio.processes import kill, messages, send_order, start_bound_process, suspend
 from cadenza.studio.request import Order
 
 
-class PracticeRoom:
-    """A process practises; it stands still while others play.
+class BackgroundPractice:
+    """Has a process practise a song, and suspends it while others play.
 
     Attributes:
         order: what is practised, or was last.
-        status: how far it has got; `state` is idle, or what `cadenza.studio.practising` says.
+        status: how far it has got; `state` is idle, or what `cadenza.studio.practice_process` says.
     """
 
     def __init__(self) -> None:
@@ -30,67 +30,71 @@ class PracticeRoom:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """As the page shows it."""
+        """What the page shows of it."""
         order = self.order
         about = {} if order is None else {"title": order.title, "request": asdict(order.request)}
         return about | {"status": self.status, "paused": self._paused}
 
     def begin(self, order: Order) -> None:
-        """Practises that from now on, instead of anything else."""
-        if self._goes_on and self.order is not None and self.order.request == order.request:
+        """Practises a song from now on, instead of any other."""
+        if self._is_active and self.order is not None and self.order.request == order.request:
             return
         self.stop()
         self.order, self.status = order, {"state": "preparing"}
         self._task = asyncio.create_task(self._run(order, self._task))
 
     def stop(self) -> None:
-        """Leaves practice as it was last kept."""
+        """Ends practice; what was saved last stays."""
         if self._process is not None:
             kill(self._process)
-        if self._goes_on:
+        if self._is_active:
             self.status = self.status | {"state": "stopped"}
 
     @property
-    def _goes_on(self) -> bool:
+    def _is_active(self) -> bool:
         return self.status["state"] in ("preparing", "practising")
 
+    def _practises(self, order: Order) -> bool:
+        """Whether this is what is practised, and no other order has taken its place."""
+        return self.order is order and self._is_active
+
     def pause(self, paused: bool) -> None:
-        """Stands still, or goes on."""
+        """Suspends practice, or has it go on."""
         if paused != self._paused:
             self._paused = paused
-            self._hold()
+            if self._process is not None:
+                suspend(self._process, paused)
 
     async def close(self) -> None:
-        """Ends it."""
+        """Ends practice, and waits for its process."""
         self.stop()
         if self._task is not None:
             await asyncio.wait({self._task})
 
-    def _hold(self) -> None:
-        if self._process is not None:
-            hold(self._process, self._paused)
-
-    async def _run(self, order: Order, before: asyncio.Task[None] | None) -> None:
-        if before is not None:
-            await asyncio.wait({before})
-        if self.order is not order or not self._goes_on:
+    async def _run(self, order: Order, previous: asyncio.Task[None] | None) -> None:
+        if previous is not None:
+            await asyncio.wait({previous})
+        if not self._practises(order):
             return
         try:
-            process = self._process = await bound("cadenza.studio.practising")
+            process = self._process = await start_bound_process("cadenza.studio.practice_process")
         except OSError as error:
-            if self.order is order and self._goes_on:
-                self.status = {"state": "failed", "error": f"practice could not begin: {error}"}
+            self._fail(order, f"practice could not begin: {error}")
             return
-        await tell(process, order)
-        if self.order is not order or not self._goes_on:  # in between
+        await send_order(process, order)
+        if not self._practises(order):  # stopped in between
             kill(process)
-        self._hold()
+        suspend(process, self._paused)
         assert process.stdout is not None
         async for kind, content in messages(process.stdout):
-            if kind == JSON and self.order is order and self._goes_on:
+            if kind == JSON and self._practises(order):
                 self.status = json.loads(content)
         kill(process)
         await process.wait()
         self._process = None
-        if self.order is order and self._goes_on:
-            self.status = {"state": "failed", "error": "practice ended unexpectedly"}
+        self._fail(order, "practice ended unexpectedly")
+
+    def _fail(self, order: Order, error: str) -> None:
+        """Says what went wrong, unless practice of this is done or was stopped."""
+        if self._practises(order):
+            self.status = {"state": "failed", "error": error}

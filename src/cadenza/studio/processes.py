@@ -1,4 +1,4 @@
-"""Processes that work for the server, and what they say."""
+"""Processes that work for the server: how they are started, told what to do, and heard."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.studio.limits import READING_SECONDS
-from cadenza.studio.messages import HEADER, MOST_BYTES
+from cadenza.studio.messages import HEADER, MAX_BYTES
 from cadenza.studio.request import Order
 
 
-async def started(module: str, *arguments: str, **how: Any) -> Process:
-    """A process of ours, which imports nothing from the working folder."""
+async def start_process(module: str, *arguments: str, **how: Any) -> Process:
+    """Starts a module of ours as a process, which imports nothing from the working folder."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     return await create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, **how)
 
 
-async def bound(module: str, *arguments: str, **how: Any) -> Process:
-    """One that ends with this process, whatever ends it, and may be held; see the module."""
-    process = await started("cadenza.studio.bound", module, *arguments, **how)
+async def start_bound_process(module: str, *arguments: str, **how: Any) -> Process:
+    """Starts a process that ends with this one, whatever ends that, and may be suspended.
+
+    See `cadenza.studio.limits`.
+    """
+    process = await start_process("cadenza.studio.limits", module, *arguments, **how)
     assert process.stdout is not None
     try:
         await process.stdout.read(1)
@@ -39,48 +42,48 @@ async def bound(module: str, *arguments: str, **how: Any) -> Process:
 
 
 def kill(process: Process) -> None:
-    """At once, if it has not ended."""
+    """Kills a process at once, if it has not ended."""
     with suppress(ProcessLookupError):
         process.kill()
 
 
-def hold(process: Process, paused: bool) -> None:
-    """Has it stand still, or go on."""
+def suspend(process: Process, suspended: bool) -> None:
+    """Suspends a process, or has it go on."""
     with suppress(ProcessLookupError):
-        process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
+        process.send_signal(signal.SIGSTOP if suspended else signal.SIGCONT)
 
 
-async def tell(process: Process, order: Order) -> None:
-    """Gives it an order, if it is still there."""
+async def send_order(process: Process, order: Order) -> None:
+    """Gives a process an order, if it is still there."""
     assert process.stdin is not None
     with suppress(ConnectionError):
         process.stdin.write(json.dumps(asdict(order)).encode() + b"\n")
         await process.stdin.drain()
 
 
-def say(process: Process, line: bytes) -> None:
-    """Tells a process that plays to wait, to go on, or to put down what it was given."""
+def send_line(process: Process, line: bytes) -> None:
+    """Has a process that plays pause, resume, or drop its song; see `cadenza.studio.messages`."""
     assert process.stdin is not None
     process.stdin.write(line)
 
 
 async def messages(stream: StreamReader) -> AsyncIterator[tuple[bytes, bytes]]:
-    """Kind and content of each, until there are no more; see `cadenza.studio.messages`."""
+    """Yields kind and content of each message; see `cadenza.studio.messages`."""
     with suppress(IncompleteReadError):
         while True:
             kind, length = HEADER.unpack(await stream.readexactly(HEADER.size))
-            if length > MOST_BYTES:
+            if length > MAX_BYTES:
                 return
             yield kind, await stream.readexactly(length)
 
 
 async def read_upload(path: Path) -> dict[str, Any]:
-    """What a file holds, found out by a process with limits.
+    """Returns what a file holds, see `cadenza.studio.upload_reader`, read by a limited process.
 
     Raises:
         CadenzaError: it is no music, or more than the studio takes.
     """
-    process = await started("cadenza.studio.reading", os.fspath(path))
+    process = await start_process("cadenza.studio.upload_reader", os.fspath(path))
     try:
         out, _ = await wait_for(process.communicate(), READING_SECONDS)
         answer = json.loads(out)
@@ -97,13 +100,13 @@ async def read_upload(path: Path) -> dict[str, Any]:
 
 
 async def write_comparison(folders: Sequence[Path], page: Path) -> None:
-    """Compares performances on a page.
+    """Writes a page that compares performances, by a process.
 
     Raises:
         CadenzaError: they cannot be compared.
     """
     paths = map(os.fspath, (*folders, page))
-    process = await started("cadenza.studio.comparing", *paths, stderr=DEVNULL)
+    process = await start_process("cadenza.studio.comparison", *paths, stderr=DEVNULL)
     try:
         failed = await process.wait()
     finally:

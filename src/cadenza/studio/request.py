@@ -1,4 +1,7 @@
-"""What a visitor of the studio can ask for. Imports nothing heavy: the server reads it."""
+"""Requests to play a song, and orders to the process that plays it.
+
+The server reads this module, so that it imports nothing heavy.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,20 @@ from cadenza.files import checked
 if TYPE_CHECKING:
     from cadenza.music.score import Score
 
-_MOST_TRACKS = 1 << 16  # in a file, as the header of MIDI can count
-TOLD, ROWS = "live.json", "live.rows"
-"""Files of a performance, with what was told while it was played."""
-PRACTISED, SIGHT = "practised", "sight"
-PLANNERS = PRACTISED, SIGHT
-"""Agents of `AGENTS` that are the planner under another name."""
+_MAX_TRACK = 1 << 16  # number of a track, as the header of MIDI can count
+_MAX_TRACKS = 64  # that are chosen
+_RANGES: dict[str, tuple[float, float]] = {
+    "tempo": (0.25, 4),
+    "transpose": (-48, 48),
+    "seed": (0, MOST_COUNT),
+}
+_ID_DIGITS = 16  # of the name of a practice folder
+HEADER_FILE, ROWS_FILE = "live.json", "live.rows"
+"""Files of a performance, with the messages that were sent while it was played."""
+PRACTISED, UNREFINED = "practised", "sight"
+PLANNER_VARIANTS = PRACTISED, UNREFINED
+"""Agents of `AGENTS` that are the planner under another name: the first plays what has been
+practised before and goes on practising, the second follows the plan as it is."""
 AGENTS = {
     "planner": ("Planner", "Plans fingers and motions, and refines them while it plays."),
     "generalist": ("Generalist", "The plan, corrected by networks, without a search; quick."),
@@ -29,36 +40,35 @@ AGENTS = {
         "Planner, practising",
         "Plays, then practises in the background: next time better.",
     ),
-    SIGHT: ("Planner, unrefined", "The plan as it is: it takes less time, and misses more."),
+    UNREFINED: ("Planner, unrefined", "The plan as it is: it takes less time, and misses more."),
     "pretrained": ("Learnt policy", "Learnt from scratch; it knows a few of the bundled pieces."),
     "predictive-sampling": ("Predictive sampling", "For contrast: a search without a plan."),
 }
-"""Those who play anywhere: what they are called on the page, and what they do. "sight" follows the
-plan as it is; "practised" plays what has been practised before, and goes on practising."""
+"""Agents that play on any machine: their titles on the page, and what they do."""
 
 
 @dataclass(frozen=True)
 class PlayRequest:
-    """A song and how it is to be played."""
+    """A song, and how it is to be played."""
 
     song: str
     """The name of a bundled piece, or the id of an upload."""
     agent: str = "planner"
-    """One of those that the studio offers, any on the command line."""
+    """One that the studio offers; any on the command line."""
     tempo: float = 1.0
     """2 is twice as fast as written."""
     transpose: int = 0
     """[semitones]"""
     tracks: tuple[int, ...] = ()
-    """Numbers of those to be played, all where none is given."""
+    """Numbers of the tracks to be played; all where none is given."""
     hand: str = "shadow"
-    """The same."""
+    """One that the studio offers; any on the command line."""
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Order:
-    """What the process that plays is told."""
+    """An order to the process that plays."""
 
     request: PlayRequest
     title: str
@@ -66,19 +76,19 @@ class Order:
     """The name of a bundled piece, or the path of an upload."""
     uploaded: bool
     id: str
-    """Of the performance."""
+    """Names the performance."""
     folder: str
-    """Where it is kept."""
+    """Where the performance is kept."""
     video: bool = True
     agent: str = "planner"
-    """Who plays, as `cadenza.performing.setup.select` takes it."""
+    """The agent, as `cadenza.performing.setup.select` takes it."""
 
 
 def read_request(content: Any, agents: Collection[str], hands: Collection[str]) -> PlayRequest:
-    """What is asked for, of these agents and hands.
+    """Returns the request that JSON holds, for one of these agents and hands.
 
     Raises:
-        CadenzaError: it is something else, or asks for what cannot be.
+        CadenzaError: it holds something else, or asks for what cannot be.
     """
     try:
         request = checked(content, PlayRequest, "request")
@@ -87,24 +97,19 @@ def read_request(content: Any, agents: Collection[str], hands: Collection[str]) 
     for name, known in ("agent", agents), ("hand", hands):
         if getattr(request, name) not in known:
             raise CadenzaError(f"{name}: choose from {', '.join(known)}")
-    ranges: dict[str, tuple[float, float]] = {
-        "tempo": (0.25, 4),
-        "transpose": (-48, 48),
-        "seed": (0, MOST_COUNT),
-    }
-    check_ranges(request, ranges)
-    if len(request.tracks) > 64 or not all(0 < track <= _MOST_TRACKS for track in request.tracks):
-        raise CadenzaError("tracks: choose 64 or fewer, by their numbers in the file")
+    check_ranges(request, _RANGES)
+    if len(request.tracks) > _MAX_TRACKS or not all(0 < t <= _MAX_TRACK for t in request.tracks):
+        raise CadenzaError(f"tracks: choose {_MAX_TRACKS} or fewer, by their numbers in the file")
     return request
 
 
-def performance_folder(root: Path, name: str) -> Path:
-    """Where a performance is written until it is whole; nobody lists it."""
-    return root / f".{name}"
+def unfinished_folder(root: Path, id: str) -> Path:
+    """Returns the folder in which a performance is written until it is whole; nobody lists it."""
+    return root / f".{id}"
 
 
 def practice_folder(root: Path, request: PlayRequest, score: Score) -> Path:
-    """Where what is asked for is practised, of a song that has this score now."""
+    """Returns the folder in which a request is practised, for a song that has this score now."""
     notes = [(note.start, note.end, note.pitch) for note in score.notes]
     wanted = json.dumps([asdict(request), notes], sort_keys=True)
-    return root / "practised" / hashlib.sha256(wanted.encode()).hexdigest()[:16]
+    return root / "practised" / hashlib.sha256(wanted.encode()).hexdigest()[:_ID_DIGITS]

@@ -64,7 +64,7 @@ function createPerformance(id, changed) {
 
 /**
  * Like a recording (see recording.js), but its rows come one after the other, and its states hold
- * only what has been shown. `about` is what the server says first, see `cadenza.studio.live`.
+ * only what has been shown. `about` is what the server says first, see `cadenza.studio.state_stream`.
  */
 async function createLive(about) {
   const { dt, steps, keys, lowest, joints: width, row: size, start, scene, sound } = about;

@@ -1,10 +1,10 @@
-"""What the studio keeps: uploads, and performances as `cadenza play` leaves them.
+"""The folder of the studio: uploads, and performances as `cadenza play` leaves them.
 
     FOLDER/uploads/ID.mid       a file that was dropped, and ID.json, what it holds
     FOLDER/ID/report.html ...   a performance, and studio.json, what the list says of it
     FOLDER/compared/ID-ID.html  two performances on a page
 
-Ids are ours. What a visitor calls something is shown and never part of a path.
+Ids are made here. The names that a visitor gives are shown and never part of a path.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from cadenza.errors import CadenzaError
 from cadenza.files import (
     TEMPORARY,
     content_of,
+    modification_times,
     parsed_json,
     read_json,
     write_atomically,
@@ -33,23 +34,25 @@ from cadenza.music.libraries.bundled import songs
 from cadenza.music.libraries.imported import imported, imported_libraries
 from cadenza.music.libraries.songs import Song
 from cadenza.music.score import Track
-from cadenza.studio.ages import ages
-from cadenza.studio.request import ROWS, TOLD, PlayRequest
-from cadenza.studio.stream import Stored, Stream
+from cadenza.studio.broadcast import Broadcast, StoredRows
+from cadenza.studio.request import HEADER_FILE, ROWS_FILE, PlayRequest
 
-_ID = re.compile(r"[0-9a-f]{16}")
-_ABOUT, _COMPARED = "studio.json", "compared"
-_MUSIC = ("song", "tracks", "tempo", "transpose")  # what of a request says what is to be heard
-_MOST_UPLOADS = 200
+_ID_DIGITS = 16
+_ID = re.compile(f"[0-9a-f]{{{_ID_DIGITS}}}")
+ABOUT = "studio.json"
+"""File of a performance, with what the list shows."""
+_COMPARISONS = "compared"
+_MUSIC = ("song", "tracks", "tempo", "transpose")  # fields of a request that say what is heard
+_MAX_UPLOADS = 200
 _LONGEST_TITLE = 100
-_LEFT_OVER = 3600.0  # [s] after which what nobody finished is given up
+_ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
 FILES = {
     "report.html": "text/html; charset=utf-8",
     "played.mid": "audio/midi",
     "video.mp4": "video/mp4",
     "metrics.json": "application/json",
 }
-"""What of a performance can be asked for, and what it is."""
+"""Files of a performance that the page can fetch, and their types."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,8 @@ class Upload:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A performance, as the list shows it."""
+class KeptPerformance:
+    """A performance that is kept, as the list shows it."""
 
     title: str
     request: PlayRequest
@@ -77,11 +80,11 @@ class Kept:
     finished: float
     """[s] since 1970."""
     remarks: list[str] = field(default_factory=list)
-    """On what of the song is not played."""
+    """What of the song is not played."""
 
 
-class Shelf:
-    """See above."""
+class Storage:
+    """Reads and writes the folder of the studio."""
 
     def __init__(self, folder: Path) -> None:
         """Raises: OSError: the folder cannot be made."""
@@ -92,32 +95,32 @@ class Shelf:
         self._tidy()
 
     def _tidy(self) -> None:
-        """Removes what a process that was killed has left."""
-        old = time.time() - _LEFT_OVER
-        for path, changed in ages(self.folder.glob(".*")).items():
-            ours = _ID.fullmatch(path.name[1:]) or _is_begun(path)
+        """Deletes what processes that were killed have left."""
+        old = time.time() - _ABANDONED
+        for path, changed in modification_times(self.folder.glob(".*")).items():
+            ours = _ID.fullmatch(path.name[1:]) or _is_temporary(path)
             if changed < old and ours and path.is_dir():  # else rmtree waits for a pipe
                 shutil.rmtree(path, ignore_errors=True)
-        for path, changed in ages(self.uploads.glob("*")).items():
+        for path, changed in modification_times(self.uploads.glob("*")).items():
             unread = _ID.fullmatch(path.stem) and not self.is_listed(path.stem)
-            if changed < old and (unread or _is_begun(path)):
+            if changed < old and (unread or _is_temporary(path)):
                 with suppress(OSError):  # a folder of that name is somebody else's
                     path.unlink()
 
     # Songs
 
     def songs(self) -> list[dict[str, Any]]:
-        """What can be played: uploads, the newest first, bundled pieces, imported libraries."""
+        """Lists uploads, the newest first, bundled pieces, and imported libraries."""
         uploaded = [asdict(upload) | {"uploaded": True} for upload in self._uploads()]
-        bundled = [_offered(s.name, s.title, s.composer, s.grade, s.seconds) for s in songs()]
+        bundled = [_song(s.name, s.title, s.composer, s.grade, s.seconds) for s in songs()]
         imported = [
-            _offered(s.name, s.title or s.name, s.composer, s.difficulty, s.seconds or 0.0)
-            for s in _imported()
+            _song(s.name, s.title or s.name, s.composer, s.difficulty, s.seconds or 0.0)
+            for s in _imported_songs()
         ]
         return uploaded + bundled + imported
 
     def source(self, song: str) -> tuple[str, str, bool]:
-        """Title, name or path, and whether it is an upload.
+        """Returns the title of a song, its name or path, and whether it is an upload.
 
         Raises:
             CadenzaError: there is no such song.
@@ -125,7 +128,7 @@ class Shelf:
         for piece in songs():
             if piece.name == song:
                 return piece.title, piece.name, False
-        for other in _imported():
+        for other in _imported_songs():
             if other.name == song:
                 return other.title or song, song, False
         with suppress(CadenzaError):
@@ -135,7 +138,7 @@ class Shelf:
 
     def _uploads(self) -> list[Upload]:
         found = []
-        for path in ages(self.uploads.glob("*.json")):
+        for path in modification_times(self.uploads.glob("*.json")):
             with suppress(CadenzaError):  # somebody else's
                 found.append(self._upload(path))
         return found
@@ -147,8 +150,8 @@ class Shelf:
             raise CadenzaError("there is no such upload")
         return upload
 
-    def put(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
-        """Writes an upload; it is listed once `add` says what it holds.
+    def write_upload(self, content: bytes, name: str) -> tuple[Path, str, str, str]:
+        """Writes an upload; it is listed once `list_upload` says what it holds.
 
         Returns:
             Where it lies, its id, its title and its ending.
@@ -156,19 +159,18 @@ class Shelf:
         Raises:
             CadenzaError: there are too many already.
         """
-        ending, id = _ending(content), hashlib.sha256(content).hexdigest()[:16]
+        ending, id = _file_ending(content), hashlib.sha256(content).hexdigest()[:_ID_DIGITS]
         path = self.uploads / f"{id}{ending}"
-        if not self.is_listed(id) and len(self._uploads()) >= _MOST_UPLOADS:
+        if not self.is_listed(id) and len(self._uploads()) >= _MAX_UPLOADS:
             raise CadenzaError(
-                f"there are {_MOST_UPLOADS} files of yours already; delete some by the × beside "
-                "them"
+                f"there are {_MAX_UPLOADS} files of yours already; delete some by the × beside them"
             )
         with write_atomically(path) as file:
             file.write(content)
         return path, id, _title(name), ending
 
-    def add(self, upload: Upload) -> None:
-        """Lists it."""
+    def list_upload(self, upload: Upload) -> None:
+        """Has an upload be listed."""
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
 
     def is_listed(self, id: str) -> bool:
@@ -176,7 +178,11 @@ class Shelf:
         return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
-        """Raises: CadenzaError: there is none."""
+        """Deletes an upload.
+
+        Raises:
+            CadenzaError: there is none.
+        """
         if not _ID.fullmatch(id) or not self.is_listed(id):
             raise CadenzaError("there is no such upload")
         for path in self.uploads.glob(f"{id}.*"):
@@ -185,20 +191,20 @@ class Shelf:
     # Performances
 
     def performances(self) -> list[dict[str, Any]]:
-        """All that are whole, the newest first."""
+        """Lists all performances that are whole, the newest first."""
         found = []
         for path in self.folder.glob("*"):
             if not _ID.fullmatch(path.name) or path.is_symlink():
                 continue
             with suppress(CadenzaError, OSError):
-                kept = read_json(path / _ABOUT, Kept)
+                kept = read_json(path / ABOUT, KeptPerformance)
                 files = [name for name in FILES if _is_own(path / name)]
-                about = {"id": path.name, "files": files, "told": _was_told(path)}
+                about = {"id": path.name, "files": files, "has_states": _has_states(path)}
                 found.append(asdict(kept) | about)
         return sorted(found, key=lambda kept: kept["finished"], reverse=True)
 
     def file(self, id: str, name: str) -> Path:
-        """One of `FILES` of a performance.
+        """Returns the path of one of `FILES` of a performance.
 
         Raises:
             CadenzaError: there is none.
@@ -208,88 +214,92 @@ class Shelf:
             raise CadenzaError("there is no such file")
         return path
 
-    def stream(self, id: str) -> Stream:
-        """What was told while it was played.
+    def broadcast(self, id: str) -> Broadcast:
+        """Returns what was broadcast of a performance while it was played.
 
         Raises:
-            CadenzaError: there is no such performance, or it is of an earlier version.
+            CadenzaError: there is no such performance, or it cannot be watched again.
         """
         folder = self._performance(id)
-        kept = read_json(folder / _ABOUT, Kept)
+        kept = read_json(folder / ABOUT, KeptPerformance)
         status: dict[str, Any] = {"state": "kept", "performance": id}
         scores = {"f1": kept.f1, "note_onset_f1": kept.note_onset_f1}
         status |= {"metrics": scores, "remarks": kept.remarks}
-        if not _was_told(folder):
+        if not _has_states(folder):
             raise CadenzaError("of this performance there is only the report")
-        about, rows = content_of(folder / TOLD), Stored(folder / ROWS)
-        parsed_json(about, dict[str, Any], folder / TOLD)  # else the page could not read it
-        return Stream(kept.title, asdict(kept.request), status, about, rows)
+        header, rows = content_of(folder / HEADER_FILE), StoredRows(folder / ROWS_FILE)
+        parsed_json(header, dict[str, Any], folder / HEADER_FILE)  # else the page could not read it
+        return Broadcast(kept.title, asdict(kept.request), status, header, rows)
 
-    def remove(self, id: str) -> None:
-        """Raises: CadenzaError: there is no such performance."""
+    def remove_performance(self, id: str) -> None:
+        """Deletes a performance.
+
+        Raises:
+            CadenzaError: there is no such performance.
+        """
         with suppress(FileNotFoundError):  # another page deletes it as well
             shutil.rmtree(self._performance(id))
-        for page in (self.folder / _COMPARED).glob(f"*{id}*.html"):
+        for page in (self.folder / _COMPARISONS).glob(f"*{id}*.html"):
             page.unlink(missing_ok=True)
 
     def comparison(self, *ids: str) -> tuple[list[Path], Path]:
-        """The folders of performances, and the page that compares them, if it is there.
+        """Returns the folders of performances, and the path of the page that compares them.
 
         Raises:
             CadenzaError: one is not there, or they are of different music.
         """
         folders = [self._performance(id) for id in ids]
-        requests = [read_json(folder / _ABOUT, Kept).request for folder in folders]
-        first, *others = ([getattr(request, what) for what in _MUSIC] for request in requests)
+        requests = [read_json(folder / ABOUT, KeptPerformance).request for folder in folders]
+        first, *others = ([getattr(request, name) for name in _MUSIC] for request in requests)
         if any(other != first for other in others):
             raise CadenzaError("compare performances of one song: the same tracks, tempo and pitch")
-        return folders, self.folder / _COMPARED / f"{'-'.join(ids)}.html"
+        return folders, self.folder / _COMPARISONS / f"{'-'.join(ids)}.html"
 
     def _performance(self, id: str) -> Path:
         path = self.folder / id
-        if not _ID.fullmatch(id) or path.is_symlink() or not _is_own(path / _ABOUT):
+        if not _ID.fullmatch(id) or path.is_symlink() or not _is_own(path / ABOUT):
             raise CadenzaError("there is no such performance")
         return path
 
 
 def _is_own(path: Path) -> bool:
-    """Whether it is a file that lies here, not a link to one that lies elsewhere."""
+    """Whether a file lies here, and is no link to one that lies elsewhere."""
     return path.is_file() and not path.is_symlink()
 
 
-def _is_begun(path: Path) -> bool:
-    """Whether it is what somebody has not finished."""
+def _is_temporary(path: Path) -> bool:
+    """Whether a file or folder was being written."""
     return path.name.startswith(TEMPORARY)
 
 
-def _was_told(folder: Path) -> bool:
-    """Whether a performance can be told again."""
-    return _is_own(folder / TOLD) and _is_own(folder / ROWS)
+def _has_states(folder: Path) -> bool:
+    """Whether the states of a performance are there, so that it can be watched again."""
+    return _is_own(folder / HEADER_FILE) and _is_own(folder / ROWS_FILE)
 
 
-def _offered(
+def _song(
     id: str, title: str, composer: str, grade: float | None, seconds: float
 ) -> dict[str, Any]:
     about = {"id": id, "title": title, "composer": composer, "grade": grade, "seconds": seconds}
     return about | {"uploaded": False}
 
 
-def _imported() -> Iterator[Song]:
-    """The songs of the libraries that the user has imported, but of those that are damaged."""
+def _imported_songs() -> Iterator[Song]:
+    """Yields the songs of the imported libraries, except damaged ones."""
     for name in imported_libraries():
         with suppress(CadenzaError):
             yield from imported(name).songs
 
 
-def _ending(content: bytes) -> str:
-    """By what a file holds, whatever it is called."""
+def _file_ending(content: bytes) -> str:
+    """Returns the ending that fits what a file holds, whatever it is called."""
     if content.startswith(b"PK"):
         return ".mxl"
     return ".musicxml" if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<") else ".mid"
 
 
 def _title(name: str) -> str:
-    """A file's name as it can be shown."""
+    """Returns a title that can be shown, made of the name of a file."""
     name = name.strip()
     stem, dot, ending = name.rpartition(".")
     bare = stem if f"{dot}{ending}".lower() in MUSIC else name

@@ -1,6 +1,7 @@
-"""Shows one performance that another process plays: `python -m cadenza.studio.watching ORDER`.
+"""Serves one performance, as a process: `python -m cadenza.studio.performance_server ORDER`.
 
-It takes the order as JSON, and reads on stdin what `cadenza.studio.messages` has.
+Another process plays it. This one takes the order as JSON, and reads on stdin the messages that
+`cadenza.studio.messages` describes.
 """
 
 from __future__ import annotations
@@ -18,26 +19,26 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from cadenza.files import parsed_json
+from cadenza.studio.broadcast import Broadcast
+from cadenza.studio.page_server import PageServer, serve
 from cadenza.studio.processes import messages
 from cadenza.studio.request import Order
-from cadenza.studio.stream import Stream
-from cadenza.studio.watchable import Watchable, serve
 
 
-class Watching(Watchable):
-    """One performance, which cannot be changed from the page."""
+class PerformanceServer(PageServer):
+    """Serves one performance, which cannot be changed from the page."""
 
     def __init__(self, order: Order) -> None:
         super().__init__()
         self._id = order.id
-        self._stream = Stream(order.title, asdict(order.request), {"state": "preparing"})
+        self._broadcast = Broadcast(order.title, asdict(order.request), {"state": "preparing"})
 
-    async def stream(self, id: str) -> Stream | None:
-        """See `Watchable`."""
-        return self._stream if id == self._id else None
+    async def broadcast(self, id: str) -> Broadcast | None:
+        """See `PageServer`."""
+        return self._broadcast if id == self._id else None
 
     def routes(self) -> list[BaseRoute]:
-        """See `Watchable`."""
+        """See `PageServer`."""
         return [
             *super().routes(),
             Route("/api/songs", self.songs),
@@ -45,41 +46,41 @@ class Watching(Watchable):
         ]
 
     async def songs(self, _: Request) -> Response:
-        """None but the one."""
+        """Answers that there is only the one performance."""
         return JSONResponse({"songs": [], "agents": {}, "hands": {}, "only": self._id})
 
     async def performances(self, _: Request) -> Response:
-        """Whoever plays says where the files are."""
+        """Lists no files: the process that plays prints where they are."""
         return JSONResponse([])
 
     @asynccontextmanager
     async def lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        """See `Watchable`."""
+        """See `PageServer`."""
         async with super().lifespan(app):
-            listening = asyncio.create_task(self._listen())
+            receiving = asyncio.create_task(self._receive())
             try:
                 yield
             finally:
-                listening.cancel()
+                receiving.cancel()
                 with suppress(asyncio.CancelledError):
-                    await listening
+                    await receiving
 
-    async def _listen(self) -> None:
+    async def _receive(self) -> None:
         reader = asyncio.StreamReader()
         protocol = asyncio.StreamReaderProtocol(reader)
         await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
         async for kind, content in messages(reader):
-            self._stream.hear(kind, content)
-        if not self._stream.is_over:
-            self._stream.status = {"state": "cancelled"}
-            self._stream.wake()
-        signal.raise_signal(signal.SIGTERM)  # whoever plays has gone, and nobody else ends this
+            self._broadcast.receive(kind, content)
+        if not self._broadcast.is_over:
+            self._broadcast.status = {"state": "cancelled"}
+            self._broadcast.notify()
+        signal.raise_signal(signal.SIGTERM)  # the player has gone, and nobody else ends this
 
 
 def main() -> None:
-    """See above."""
+    """Serves until the process is told to end."""
     with suppress(KeyboardInterrupt):
-        serve(Watching(parsed_json(sys.argv[1], Order, "order")))
+        serve(PerformanceServer(parsed_json(sys.argv[1], Order, "order")))
 
 
 if __name__ == "__main__":

@@ -1,38 +1,30 @@
-"""A performance told step by step, while it is made, as `cadenza.studio.messages` has it."""
+"""Stream of states: sends what is to be played and then each step, while it is played."""
 
 from __future__ import annotations
 
-import json
 from collections import deque
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from cadenza.music.performance import STRIKE_TIME, strike_velocity
 from cadenza.report.recording import packed
 from cadenza.scene.drawing import drawing
-from cadenza.studio.messages import JSON, ROWS, Message, row_bytes
-from cadenza.studio.tones import INSTRUMENT
+from cadenza.studio.messages import ROWS, Message, Send, json_message, row_bytes
+from cadenza.studio.synthesizer import INSTRUMENT
 from cadenza.tasks import reward
 from cadenza.tasks.augmentation import draws_variation
 from cadenza.tasks.goal_track import GoalTrack
 from cadenza.tasks.piano_task import PianoTask
 
-Send = Callable[[Message], None]
+_ALL_THE_WAY = 255  # of a key that is down, in a row
 
 
-def as_json(**content: Any) -> Message:
-    """A message that JSON can say."""
-    return Message(JSON, json.dumps(content, allow_nan=False).encode())
-
-
-class Live:
-    """Sends what is to be played, then each step.
+class StateStream:
+    """Sends messages as `cadenza.studio.messages` describes them.
 
     Attributes:
-        about: what is to be played, as JSON.
-        rows: those of all steps so far.
+        header: what is to be played, as JSON.
+        rows: the states of all steps so far.
     """
 
     def __init__(self, task: PianoTask, send: Send) -> None:
@@ -43,18 +35,17 @@ class Live:
         still = np.zeros(keyboard.num_keys)
         self._depths = deque([still] * before, before)
         self._sounded = still.astype(bool)
-        self.about, self.rows = b"", bytearray()
+        self.header, self.rows = b"", bytearray()
 
     def begin(self) -> None:
-        """Tells what is to be played by whom; of what is drawn, the first step tells."""
+        """Sends what is to be played; music that is drawn at random is sent with the first step."""
         if not draws_variation(self._task.config):
-            self._begin(self._task.tracks[0])
+            self._send_header(self._task.tracks[0])
 
-    def _begin(self, track: GoalTrack) -> None:
-        """All of a piece but how it goes."""
+    def _send_header(self, track: GoalTrack) -> None:
         scene, goals = self._task.scene, track.goals
         joints = len(scene.hand_start)
-        message = as_json(
+        message = json_message(
             dt=self._dt,
             steps=goals.num_steps,
             keys=scene.keyboard.num_keys,
@@ -68,14 +59,14 @@ class Live:
             notes=sorted((n.pitch - self._lowest, n.start) for n in track.delayed_score.notes),
             sound=INSTRUMENT,
         )
-        self.about = message.content
+        self.header = message.content
         self._send(message)
 
     def step(self) -> None:
-        """Tells what the step that was just taken has come to."""
+        """Sends the state after the step that was just taken."""
         task, state = self._task, self._task.state
-        if not self.about:
-            self._begin(task.goals.tracks[0])
+        if not self.header:
+            self._send_header(task.goals.tracks[0])
         depth = reward.key_state(state.key_qpos[0], self._travel)
         self._depths.append(depth)
         sounding = task.sounding[0]
@@ -86,7 +77,7 @@ class Live:
         row = b"".join(
             (
                 state.hand_qpos[0].astype("<f4").tobytes(),
-                (depth * 255).astype(np.uint8).tobytes(),
+                (depth * _ALL_THE_WAY).astype(np.uint8).tobytes(),
                 sounds.tobytes(),
                 bytes([bool(task.pedal_down[0])]),
             )

@@ -1,4 +1,4 @@
-"""Compares two performances: `python -m cadenza.studio.comparing FOLDER FOLDER PAGE`."""
+"""Compares performances: `python -m cadenza.studio.comparison FOLDER FOLDER PAGE`."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from cadenza.report.comparison_page import COLUMNS, Run, comparison_page
 from cadenza.report.html_pages import write_page
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.request import AGENTS
-from cadenza.studio.shelf import Kept
+from cadenza.studio.storage import ABOUT, KeptPerformance
 
 
-def run_of(folder: Path, number: int) -> Run:
-    """What is compared of a performance."""
+def compared_run(folder: Path, number: int) -> Run:
+    """Returns what is compared of a performance."""
     metrics = read_json(folder / "metrics.json", dict[str, Any])
     settings = read_json(folder / "settings.json", dict[str, Any])
-    wanted = read_json(folder / "studio.json", Kept).request.agent
+    agent = read_json(folder / ABOUT, KeptPerformance).request.agent
     episode = load_episode(folder / "episode.npz")
     planning = metrics["planning_seconds"] / (episode.num_steps * episode.dt)
     known = {name: metrics.get(name) for name in COLUMNS} | {"planning": planning}
     defined = {name: math.nan if value is None else value for name, value in known.items()}
-    agent, _ = AGENTS.get(wanted, (wanted, ""))  # as the page calls it
-    name = f"{number}. {agent}, {settings['scene']['hand']}"
+    title, _ = AGENTS.get(agent, (agent, ""))  # as the page calls it
+    name = f"{number}. {title}, {settings['scene']['hand']}"
     return Run(name, settings["seed"], defined, episode)
 
 
 def main() -> None:
-    """See above."""
+    """Writes the page that the command line names, of the performances before it."""
     limit(PLAYING)
     *folders, page = map(Path, sys.argv[1:])
     page.parent.mkdir(exist_ok=True)
-    runs = [run_of(folder, i) for i, folder in enumerate(folders, start=1)]
+    runs = [compared_run(folder, i) for i, folder in enumerate(folders, start=1)]
     write_page(page, comparison_page(runs))
 
 

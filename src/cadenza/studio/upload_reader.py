@@ -1,4 +1,4 @@
-"""Reads an upload, as a process of its own: `python -m cadenza.studio.reading FILE`.
+"""Reads an upload, as a process of its own: `python -m cadenza.studio.upload_reader FILE`.
 
 It prints what the file holds as JSON, or `{"error": ...}` in one line, whatever the file is.
 """
@@ -15,11 +15,13 @@ from typing import Any
 from cadenza.errors import CadenzaError
 from cadenza.music.formats.reading import read_score
 from cadenza.music.score import Score
-from cadenza.studio.limits import MOST_NOTES, MOST_SECONDS, READING, limit
+from cadenza.studio.limits import MAX_NOTES, MAX_SECONDS, READING, limit
+
+_MAX_TRACKS, _MAX_REMARKS = 256, 20  # that are shown of a file
 
 
-def content_of(path: Path) -> dict[str, Any]:
-    """What the page shows of a file.
+def describe(path: Path) -> dict[str, Any]:
+    """Returns what the page shows of a file.
 
     Raises:
         CadenzaError: it is no music, or too much of it.
@@ -29,8 +31,8 @@ def content_of(path: Path) -> dict[str, Any]:
     return {
         "seconds": score.total_time,
         "notes": len(score.notes),
-        "tracks": [asdict(track) for track in score.tracks][:256],
-        "remarks": list(score.remarks)[:20],
+        "tracks": [asdict(track) for track in score.tracks][:_MAX_TRACKS],
+        "remarks": list(score.remarks)[:_MAX_REMARKS],
     }
 
 
@@ -38,15 +40,15 @@ def check_size(score: Score) -> None:
     """Raises: CadenzaError: there is nothing to play, or more than the studio takes."""
     if not score.notes:
         raise CadenzaError("there is nothing to play: the file has no notes")
-    if score.total_time > MOST_SECONDS:
+    if score.total_time > MAX_SECONDS:
         minutes = f"{score.total_time / 60:.0f} minutes"
         raise CadenzaError(f"the music lasts {minutes}; the studio plays up to half an hour")
-    if len(score.notes) > MOST_NOTES:
-        raise CadenzaError(f"{len(score.notes)} notes; the studio plays up to {MOST_NOTES}")
+    if len(score.notes) > MAX_NOTES:
+        raise CadenzaError(f"{len(score.notes)} notes; the studio plays up to {MAX_NOTES}")
 
 
-def without_path(error: BaseException, path: Path | None) -> str:
-    """What is wrong, in one line that does not say where a file lies on this machine."""
+def error_without_path(error: BaseException, path: Path | None) -> str:
+    """Returns an error in one line that does not say where a file lies on this machine."""
     text = str(error)
     if path is not None:
         text = text.removeprefix(f"{path}: ").replace(str(path), "the file")
@@ -54,14 +56,14 @@ def without_path(error: BaseException, path: Path | None) -> str:
 
 
 def main() -> None:
-    """See above."""
+    """Reads the file that the command line names."""
     path = Path(sys.argv[1])
     warnings.simplefilter("ignore")
     try:
         limit(READING)
-        answer = content_of(path)
+        answer = describe(path)
     except (CadenzaError, OSError) as error:
-        answer = {"error": without_path(error, path)}
+        answer = {"error": error_without_path(error, path)}
     except MemoryError:
         answer = {"error": "the file needs too much memory"}
     except Exception:  # of a library that reads formats

@@ -1,4 +1,4 @@
-"""A page on which performances are watched as they are made, and how it is served."""
+"""Serves a page on which performances are watched as they are made."""
 
 from __future__ import annotations
 
@@ -28,144 +28,147 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from cadenza.errors import CadenzaError
 from cadenza.report.html_pages import asset
-from cadenza.studio.address import Address, announce, keep
-from cadenza.studio.address import known as known_address
-from cadenza.studio.guard import Guard
-from cadenza.studio.sockets import Telling
-from cadenza.studio.stream import Stream
+from cadenza.studio.access import AccessControl
+from cadenza.studio.address import Address, announce, read_address, write_address
+from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.synthesizer import Synthesizer
 
-_SHARED = (
+_SHARED = (  # scripts, of reports as well
     *("recording.js", "rows.js", "flat.js", "falling.js", "stage.js", "chart.js", "roll.js"),
     "controls.js",
 )
 _OWN = (
-    *("asking.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
-    *("kept.js", "background.js", "studio.js"),
+    *("requests.js", "instrument.js", "keyboard.js", "stream.js", "library.js", "player.js"),
+    *("performances.js", "background.js", "studio.js"),
 )
-_MOST_WATCHERS = 16  # at once
-_FOR_LONG = {"cache-control": "private, max-age=31536000, immutable"}
+_MAX_WATCHERS = 16  # at once
+_KEEP_ALIVE = 5  # [s] that a connection without requests stays open
+_SHUTDOWN_TIME = 2  # [s] that requests have to end when the server does
+_MAX_RECEIVED = 1 << 12  # bytes of a message of the page, which has nothing to send
+_KILLED = 128  # what shells add to the number of a signal that ends a process
+_CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 
 Handler = Callable[[Request], Awaitable[Response]]
 
 
-class Watchable:
-    """A page, and performances that can be watched on it as they are made."""
+class PageServer:
+    """Serves a page, and performances that can be watched on it as they are made."""
 
     def __init__(self) -> None:
         self._watchers = 0
         self._synthesizer = Synthesizer()
 
-    async def stream(self, id: str) -> Stream | None:
-        """A performance by its id, if there is one."""
+    async def broadcast(self, id: str) -> Broadcast | None:
+        """Returns a performance by its id, or None if there is none."""
         raise NotImplementedError
 
-    def watching(self, stream: Stream) -> AbstractContextManager[None]:
-        """While a page watches it."""
+    def watching(self, broadcast: Broadcast) -> AbstractContextManager[None]:
+        """Has a performance be watched until the block ends."""
         return nullcontext()
 
     def routes(self) -> list[BaseRoute]:
-        """What is answered."""
+        """Returns all that the server answers."""
         return [
             Route("/", self.page),
             Route("/{name:str}.{ending:str}", self.script),
-            Route("/tones/{pitch}/{band}", plainly(self.tone)),
+            Route("/tones/{pitch}/{band}", reporting_errors(self.tone)),
             WebSocketRoute("/watch/{id}", self.watch),
         ]
 
-    def app(self, token: str, host: str) -> Guard:
-        """What answers; see `Guard`."""
-        return Guard(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
+    def app(self, token: str, host: str) -> AccessControl:
+        """Returns the ASGI application, behind access control."""
+        return AccessControl(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
 
     @asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
-        """What goes on while it answers."""
-        await self._synthesizer.warm()
+        """Runs from the start of the server to its end."""
+        await self._synthesizer.start()
         try:
             yield
         finally:
             await self._synthesizer.close()
 
     async def page(self, _: Request) -> Response:
-        """The page; its address must end in a slash, so that what it names lies below."""
+        """Answers the page; its address must end in a slash, as its links are relative."""
         return Response(_own("studio.html"), media_type="text/html")
 
     async def script(self, request: Request) -> Response:
-        """Looks and scripts."""
+        """Answers a style sheet or a script."""
         name = "{name}.{ending}".format(**request.path_params)
         if name not in _PARTS:
-            return refusal("there is no such file", 404)
+            return error_response("there is no such file", 404)
         kind, make = _PARTS[name]
         return Response(make(), media_type=kind)
 
     async def tone(self, request: Request) -> Response:
-        """How a key sounds, see `cadenza.studio.tones`."""
+        """Answers the sound of a key, see `cadenza.studio.synthesizer`."""
         pitch, band = (_number(request.path_params[name]) for name in ("pitch", "band"))
         made = await self._synthesizer.tone(pitch, band)
-        return Response(made, media_type="application/octet-stream", headers=_FOR_LONG)
+        return Response(made, media_type="application/octet-stream", headers=_CACHED)
 
     async def watch(self, socket: WebSocket) -> None:
-        """Sends what there is to tell of a performance, from its beginning on, until it is over."""
+        """Sends a performance from its beginning on, until it is over or the page has gone."""
         await socket.accept()
         self._watchers += 1
-        telling = asyncio.create_task(self._tell(socket))
-        listening = asyncio.create_task(_until_gone(socket))
+        tasks = [asyncio.create_task(self._send(socket)), asyncio.create_task(_closed(socket))]
         try:
-            await asyncio.wait((telling, listening), return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._watchers -= 1
-            for task in telling, listening:
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(telling, listening, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
         with suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
             await socket.close()
 
-    async def _tell(self, socket: WebSocket) -> None:
-        if self._watchers > _MOST_WATCHERS:
-            error = f"{_MOST_WATCHERS} pages watch already; close one of them"
+    async def _send(self, socket: WebSocket) -> None:
+        if self._watchers > _MAX_WATCHERS:
+            error = f"{_MAX_WATCHERS} pages watch already; close one of them"
             await socket.send_json({"state": "full", "error": error})
-        elif (stream := await self.stream(socket.path_params["id"])) is None:
+        elif (broadcast := await self.broadcast(socket.path_params["id"])) is None:
             await socket.send_json({"state": "gone"})
         else:
-            with self.watching(stream):
-                await stream.tell(socket.send_text, socket.send_bytes)
+            with self.watching(broadcast):
+                await broadcast.send_all(socket.send_text, socket.send_bytes)
 
 
-async def _until_gone(socket: WebSocket) -> None:
-    """The page says nothing; whatever it sends is not read for long."""
+async def _closed(socket: WebSocket) -> None:
+    """Waits until the page has gone."""
     with suppress(WebSocketDisconnect, RuntimeError):
         while (await socket.receive())["type"] != "websocket.disconnect":
             pass
 
 
-def plainly(handle: Handler) -> Handler:
-    """What is wrong is said in a line."""
+def reporting_errors(handle: Handler) -> Handler:
+    """Returns a handler that answers errors in one line."""
 
     async def answer(request: Request) -> Response:
         try:
             return await handle(request)
         except CadenzaError as error:
-            return refusal(" ".join(str(error).split()), 400)
+            return error_response(" ".join(str(error).split()), 400)
         except OSError as error:
-            return refusal(error.strerror or "the disk cannot be read or written", 500)
+            return error_response(error.strerror or "the disk cannot be read or written", 500)
 
     return answer
 
 
-def refusal(message: str, status: int) -> Response:
-    """A line that says what is wrong."""
+def error_response(message: str, status: int) -> Response:
+    """Returns a response that says in one line what is wrong."""
     return JSONResponse({"error": message}, status)
 
 
 def _number(text: str) -> int:
-    """One of three digits at most; -1 for what is none, however long it is."""
+    """Returns a number of up to three digits; -1 for anything else, however long it is."""
     return int(text) if re.fullmatch("[0-9]{1,3}", text) else -1
 
 
 def _own(name: str) -> str:
+    """Returns a file of the studio's own page."""
     return resources.files("cadenza.studio").joinpath("page", name).read_text("utf-8")
 
 
@@ -176,19 +179,19 @@ def _scripts() -> str:
 
 
 @cache
-def _looks() -> str:
+def _styles() -> str:
     return asset("page.css") + _own("studio.css")
 
 
 _PARTS: dict[str, tuple[str, Callable[[], str]]] = {
-    "studio.css": ("text/css", _looks),
+    "studio.css": ("text/css", _styles),
     "studio.js": ("text/javascript", _scripts),
     "three.js": ("text/javascript", lambda: asset("three.min.js")),
 }
 
 
-def _listening(host: str, ports: Sequence[int]) -> socket.socket:
-    """At the first of the ports that is free.
+def _bound_socket(host: str, ports: Sequence[int]) -> socket.socket:
+    """Listens at the first of the ports that is free.
 
     Raises:
         CadenzaError: none is, or there is no such address.
@@ -205,34 +208,41 @@ def _listening(host: str, ports: Sequence[int]) -> socket.socket:
     raise AssertionError
 
 
+class _SendOnlyWebSocket(WebSocketsSansIOProtocol):
+    """Drops messages of the page unread; Uvicorn would print a traceback for text that is none."""
+
+    def send_receive_event_to_app(self) -> None:
+        self.frames = []
+
+
 def serve(
-    what: Watchable,
+    page: PageServer,
     host: str = "127.0.0.1",
     port: int = 0,
     ready: Callable[[str], None] = announce,
-    known: Path | None = None,
+    address_file: Path | None = None,
 ) -> None:
     """Serves until the process is told to end.
 
     Args:
-        what: is served.
+        page: is served.
         host, port: where to listen; port 0 is the one of the last time, or any.
-        ready: is told the address to open, which holds a random token.
-        known: a file that keeps token and port for the next time, so that links stay valid.
+        ready: is called with the address to open, which holds a random token.
+        address_file: keeps token and port for the next time, so that links stay valid.
 
     Raises:
         CadenzaError: somebody else listens there, there is no such address, or others may have
             written the file.
     """
-    kept = None if known is None else known_address(known)
-    token, before = astuple(kept or Address(secrets.token_urlsafe(16), 0))
-    with _listening(host, [port] if port else [before, 0]) as listening:
+    known = None if address_file is None else read_address(address_file)
+    token, last_port = astuple(known or Address(secrets.token_urlsafe(16), 0))
+    with _bound_socket(host, [port] if port else [last_port, 0]) as listening:
         port = listening.getsockname()[1]
-        if known is not None and kept is None:
-            keep(known, Address(token, port))
+        if address_file is not None and known is None:
+            write_address(address_file, Address(token, port))
         shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
-        app = what.app(token, host)
+        app = page.app(token, host)
         ready(f"http://{shown}:{port}/{token}/")
         config = uvicorn.Config(
             app,
@@ -241,23 +251,23 @@ def serve(
             server_header=False,
             proxy_headers=False,
             date_header=False,
-            http=app.strangers.protocol(),
-            ws=Telling,
-            timeout_keep_alive=5,
-            timeout_graceful_shutdown=2,
-            ws_max_size=1 << 12,
+            http=app.pending.protocol(),
+            ws=_SendOnlyWebSocket,
+            timeout_keep_alive=_KEEP_ALIVE,
+            timeout_graceful_shutdown=_SHUTDOWN_TIME,
+            ws_max_size=_MAX_RECEIVED,
             ws_per_message_deflate=False,  # it goes no further than this machine, mostly
         )
         server = uvicorn.Server(config)
-        with _ending_in_order(server):
+        with _clean_exit(server):
             server.run(sockets=[listening])
 
 
 @contextmanager
-def _ending_in_order(server: uvicorn.Server) -> Iterator[None]:
-    """Has a terminal that closes be as Ctrl-C, and what is temporary go however the server is told.
+def _clean_exit(server: uvicorn.Server) -> Iterator[None]:
+    """Ends the server in order by any signal, also when its terminal closes.
 
-    Else the processes that work for the server would be left behind, and a file with its address.
+    Else its processes would be left behind, and a file with its address.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -274,4 +284,4 @@ def _ending_in_order(server: uvicorn.Server) -> Iterator[None]:
 
 
 def _exit(number: int, _: object) -> None:
-    sys.exit(128 + number)  # as of a process that a signal ends
+    sys.exit(_KILLED + number)

@@ -17,7 +17,7 @@ import pytest
 
 from cadenza.music.formats.midi import write_midi
 from cadenza.music.score import Note, Score
-from cadenza.studio.messages import GO_ON, HEADER, JSON, READY, ROWS, WAIT
+from cadenza.studio.messages import HEADER, IDLE, JSON, PAUSE, RESUME, ROWS
 from cadenza.studio.request import Order, PlayRequest
 
 pytestmark = pytest.mark.slow
@@ -33,9 +33,9 @@ Hear = Callable[[], tuple[bytes, bytes]]
 
 
 @contextmanager
-def working() -> Iterator[tuple[Say, Hear]]:
+def player() -> Iterator[tuple[Say, Hear]]:
     """A worker that ends well: tells it a line, and says what it tells."""
-    command = [sys.executable, "-P", "-m", "cadenza.studio.worker"]
+    command = [sys.executable, "-P", "-m", "cadenza.studio.player"]
     with Popen(command, stdin=PIPE, stdout=PIPE) as worker:
         assert worker.stdin is not None
         assert worker.stdout is not None
@@ -57,13 +57,13 @@ def ode_to_joy(folder: Path) -> bytes:
 
 def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
     """By the same process, which then waits for another."""
-    with working() as (say, hear):
+    with player() as (say, hear):
         say(ode_to_joy(tmp_path))
         told = [hear()]
         while b"postures" not in told[-1][1]:
             told.append(hear())
         say(b"")
-        while told[-1][0] != READY:
+        while told[-1][0] != IDLE:
             told.append(hear())
         assert not any(b"failed" in content for kind, content in told if kind == JSON)
 
@@ -72,20 +72,20 @@ def test_a_song_waits_and_goes_on(tmp_path: Path) -> None:
     """With the same rows as one that never waited."""
     told: list[list[bytes]] = []
     for waits in True, False:
-        with working() as (say, hear):
+        with player() as (say, hear):
             say(ode_to_joy(tmp_path))
             rows: list[bytes] = []
             while len(rows) < 40:
                 kind, content = hear()
                 rows += [content] * (kind == ROWS)
                 if waits and kind == ROWS and len(rows) == 10:
-                    say(WAIT.strip())
+                    say(PAUSE.strip())
                     began = time.monotonic()
-                    Timer(2.0, lambda: say(GO_ON.strip())).start()
+                    Timer(2.0, lambda: say(RESUME.strip())).start()
             if waits:
                 assert time.monotonic() - began > 2.0
             say(b"")
-            while hear()[0] != READY:
+            while hear()[0] != IDLE:
                 pass
         told.append(rows)
     assert told[0] == told[1]
@@ -96,7 +96,7 @@ def test_what_is_not_played_is_told(tmp_path: Path) -> None:
     write_midi(Score(trill), tmp_path / "trill.mid")
     request, source = PlayRequest("trill"), str(tmp_path / "trill.mid")
     order = Order(request, "Trill", source, True, "0" * 16, str(tmp_path / "out"), False)
-    with working() as (say, hear):
+    with player() as (say, hear):
         say(json.dumps(asdict(order)).encode())
         told = [hear()]
         while b"kept" not in told[-1][1]:
@@ -107,7 +107,7 @@ def test_what_is_not_played_is_told(tmp_path: Path) -> None:
 
 
 def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) -> None:
-    with working() as (say, hear):
+    with player() as (say, hear):
         played: list[list[bytes]] = []
         for _ in range(2):
             say(ode_to_joy(tmp_path))
@@ -117,7 +117,7 @@ def test_a_song_that_was_put_down_is_played_again_just_the_same(tmp_path: Path) 
                 rows += [content] * (kind == ROWS)
             played.append(rows)
             say(b"")
-            while hear()[0] != READY:
+            while hear()[0] != IDLE:
                 pass
         assert played[0] == played[1]
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""What is told while it is played, against what is kept of it."""
+"""The states that are sent while it is played, against the episode that is kept."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cadenza.music.performance import performed_score
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import perform
 from cadenza.performing.setup import select, set_up
-from cadenza.studio.live import Live
 from cadenza.studio.messages import JSON, ROWS, Message
+from cadenza.studio.state_stream import StateStream
 from cadenza.tasks.config import TaskConfig
 
 
@@ -24,16 +24,16 @@ from cadenza.tasks.config import TaskConfig
 )
 def test_the_rows_hold_the_episode(task: TaskConfig) -> None:
     score = Score(tuple(Note(0.2 * i, 0.2 * i + 0.2, 60 + i) for i in range(4)), title="Four")
-    told: list[Message] = []
+    sent: list[Message] = []
     with set_up(select(score, RandomAgent()), task, seed=3) as setup:
-        live = Live(setup.task, told.append)
-        live.begin()
-        played = perform(setup, lambda stage, *_: live.step() if stage == "playing" else None)
-    about = json.loads(told[0].content)
+        states = StateStream(setup.task, sent.append)
+        states.begin()
+        played = perform(setup, lambda stage, *_: states.step() if stage == "playing" else None)
+    about = json.loads(sent[0].content)
     episode, joints = played.episode, about["joints"]
-    rows = [message.content for message in told if message.kind == ROWS]
-    assert (live.about, bytes(live.rows)) == (told[0].content, b"".join(rows))
-    assert told[0].kind == JSON
+    rows = [message.content for message in sent if message.kind == ROWS]
+    assert (states.header, bytes(states.rows)) == (sent[0].content, b"".join(rows))
+    assert sent[0].kind == JSON
     assert about["steps"] == len(rows) == episode.num_steps
     assert {len(row) for row in rows} == {about["row"]}
     assert about["row"] % 4 == 0

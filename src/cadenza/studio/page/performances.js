@@ -7,10 +7,10 @@ async function listKept() {
   $("kept").replaceChildren(...kept.map(keptOne));
 }
 function keptOne(each) {
-  const item = make("li"), links = make("nav"), { id, title, told } = each;
+  const item = make("li"), links = make("nav"), { id, title, has_states: canWatch } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
   const about = `${inFigures(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
-  if (told) {
+  if (canWatch) {
     links.append(act("Watch", `Watch ${title}`, () => { instrument.wake(); watch([id]); }));
     links.append(act("Compare", `Compare ${title} with what is shown`, () => compare(each)));
   }

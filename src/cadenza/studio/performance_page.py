@@ -1,4 +1,4 @@
-"""Has a performance of this process watched on a page, which another process serves."""
+"""A page on which a performance of this process is watched, served by another process."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from cadenza.agents.agent import Progress
 from cadenza.files import plain
 from cadenza.performing.performance import Performance
 from cadenza.performing.setup import Setup
-from cadenza.studio.live import Live, as_json
-from cadenza.studio.messages import Message
+from cadenza.studio.messages import Message, json_message
 from cadenza.studio.request import Order, PlayRequest
+from cadenza.studio.state_stream import StateStream
 
 
-class Showing:
-    """A performance that is told to the page as it goes."""
+class PerformancePage:
+    """Sends a performance to the page while it is played."""
 
     def __init__(self, process: subprocess.Popen[bytes], setup: Setup) -> None:
         self._process = process
-        self._live = Live(setup.task, self._send)
-        self._live.begin()
+        self._states = StateStream(setup.task, self._send)
+        self._states.begin()
 
-    def following(self, progress: Progress) -> Progress:
-        """`progress` that also tells the page."""
+    def reporting(self, progress: Progress) -> Progress:
+        """Returns `progress` that also informs the page."""
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             if stage == "playing":
-                self._live.step()
+                self._states.step()
             else:
-                self._send(as_json(state="preparing", stage=stage, done=done, total=total))
+                self._send(json_message(state="preparing", stage=stage, done=done, total=total))
             progress(stage, done, total)
 
-        return tell
+        return report
 
-    def played(self, performance: Performance) -> None:
-        """Tells the end."""
+    def finish(self, performance: Performance) -> None:
+        """Sends the metrics when all has been played."""
         metrics = plain(performance.metrics)
-        self._send(as_json(state="played", metrics=metrics, remarks=performance.remarks))
+        self._send(json_message(state="played", metrics=metrics, remarks=performance.remarks))
 
-    def stay(self) -> None:
-        """Until Ctrl-C."""
+    def wait(self) -> None:
+        """Keeps the page open until Ctrl-C."""
         with suppress(KeyboardInterrupt):
-            self._send(as_json(state="kept", performance=""))
+            self._send(json_message(state="kept", performance=""))
             # With a timeout it looks now and then: else Ctrl-C just before it waits is not heeded.
             self._process.wait(math.inf)
 
@@ -59,21 +59,21 @@ class Showing:
 
 
 @contextmanager
-def shown(setup: Setup, title: str) -> Iterator[Showing]:
-    """The page is there until the block ends."""
+def open_page(setup: Setup, title: str) -> Iterator[PerformancePage]:
+    """Yields the page, which is there until the block ends."""
     agent, hand = setup.settings["agent"], setup.settings["scene"]["hand"]
     request = PlayRequest(title, agent, hand=hand, seed=setup.seed)
     order = Order(request, title, title, False, secrets.token_hex(8), "")
-    module = "cadenza.studio.watching"
+    module = "cadenza.studio.performance_server"
     command = [sys.executable, "-P", "-m", module, json.dumps(asdict(order))]
-    # Ctrl-C is for whoever plays.
+    # Ctrl-C is for this process, which plays.
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
     )
     assert process.stdout is not None
     try:
         print(process.stdout.readline().decode(), end="", flush=True)  # before the song is over
-        yield Showing(process, setup)
+        yield PerformancePage(process, setup)
     finally:
         process.terminate()
         process.wait()

@@ -1,0 +1,104 @@
+"""Broadcast of a performance to pages, to each from its beginning on, until it is over."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cadenza.studio.messages import JSON, ROWS
+
+_OVER = ("kept", "failed", "cancelled")
+_LASTING = "metrics", "spent", "remarks"  # fields of a status that the ones after it have as well
+_MAX_SENT = 1 << 18  # bytes of rows at once
+
+
+class StoredRows:
+    """Rows in a file, of which only those that are asked for take memory."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises: OSError: it cannot be read."""
+        self._path, self._size = path, path.stat().st_size
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        with self._path.open("rb") as file:
+            file.seek(part.start)
+            return file.read(part.stop - part.start)
+
+
+@dataclass(eq=False)
+class Broadcast:
+    """What is known of a performance so far.
+
+    Attributes:
+        title: of the song.
+        request: what was asked for, see `cadenza.studio.request.PlayRequest`.
+        status: what is going on; `state` is queued, with how many come `before`, preparing,
+            playing, played, writing, or one of `_OVER`.
+        header: what is to be played, once that is known; see `cadenza.studio.state_stream`.
+        rows: the states of all steps so far.
+        changed: is set whenever there is more to send, and replaced.
+    """
+
+    title: str
+    request: dict[str, Any]
+    status: dict[str, Any] = field(default_factory=lambda: {"state": "queued"})
+    header: bytes | None = None
+    rows: bytearray | bytes | StoredRows = field(default_factory=bytearray)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more happens."""
+        return self.status["state"] in _OVER
+
+    def notify(self) -> None:
+        """Has all pages be sent what is new."""
+        event, self.changed = self.changed, asyncio.Event()
+        event.set()
+
+    def receive(self, kind: bytes, content: bytes) -> None:
+        """Takes in a message of the process that plays."""
+        if kind == ROWS:
+            assert isinstance(self.rows, bytearray)
+            self.rows += content
+            if self.status["state"] == "preparing":
+                self.status = {"state": "playing"}
+        elif kind == JSON:
+            received = json.loads(content)
+            if "state" not in received:
+                self.header = content
+            elif received["state"] != "preparing" or self.status["state"] != "playing":
+                lasting = {name: self.status[name] for name in _LASTING if name in self.status}
+                self.status = lasting | received
+        self.notify()
+
+    async def send_all(
+        self,
+        send_text: Callable[[str], Awaitable[None]],
+        send_bytes: Callable[[bytes], Awaitable[None]],
+    ) -> None:
+        """Sends JSON and rows, no faster than they are taken, until the performance is over."""
+        await send_text(json.dumps({"title": self.title, "request": self.request}))
+        status, has_header, rows = None, False, 0
+        while True:
+            changed = self.changed
+            if status != self.status:
+                status = self.status
+                await send_text(json.dumps(status))
+            if not has_header and self.header is not None:
+                has_header = True
+                await send_text(self.header.decode())
+            while rows < len(self.rows):
+                part = bytes(self.rows[rows : rows + _MAX_SENT])
+                await send_bytes(part)
+                rows += len(part) or len(self.rows)  # of a file that was cut off meanwhile
+            if self.is_over and status == self.status:
+                return
+            await changed.wait()

@@ -1,0 +1,249 @@
+"""Plays one song, as a process of its own: `python -m cadenza.studio.player`.
+
+It loads all that is needed and warms up, then waits for an order (see
+`cadenza.studio.request.Order`) as a line of JSON on stdin, and sends on stdout what happens, as
+`cadenza.studio.messages` describes. While it plays, the server can have it pause and resume, or
+drop the song and wait for the next order. It ends when it has played a song to its end.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+from select import POLLIN, poll
+from typing import IO
+
+from cadenza.agents.agent import Progress
+from cadenza.agents.planner.config import PlannerConfig
+from cadenza.agents.planner.planner import Planner  # loaded before it is needed
+from cadenza.agents.registry import PLANNER
+from cadenza.errors import CadenzaError
+from cadenza.files import parsed_json, plain, write_json
+from cadenza.music.arrangement import Arrangement
+from cadenza.music.score import Note, Score
+from cadenza.performing.performance import Performance, perform
+from cadenza.performing.source import PRACTISED as PLAN
+from cadenza.performing.setup import Selection, Setup, select, set_up
+from cadenza.studio.limits import PLAYING, limit
+from cadenza.studio.messages import IDLE, PAUSE, RESUME, Message, Send, json_message
+from cadenza.studio.request import (
+    HEADER_FILE,
+    PRACTISED,
+    ROWS_FILE,
+    UNREFINED,
+    Order,
+    practice_folder,
+    unfinished_folder,
+)
+from cadenza.studio.state_stream import StateStream
+from cadenza.studio.storage import ABOUT, KeptPerformance
+from cadenza.studio.upload_reader import check_size, error_without_path
+
+__all__ = ["Planner", "main"]
+
+_MAX_DROPPED = 32  # songs before the process ends, as a few MB of each stay behind
+_NICENESS = 4  # leaves the browser beside it time to draw pictures and make sound
+_REPORT_INTERVAL = 0.2  # [s] between two reports on a stage
+
+
+def main() -> None:
+    """Waits for orders, and plays until a song is at its end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which kills this
+    os.nice(_NICENESS)
+    with os.fdopen(os.dup(1), "wb") as out, open(0, "rb", buffering=0) as orders:
+        os.dup2(2, 1)  # what libraries print is no message
+        warm_up()
+        dropped = 0
+        while line := orders.readline():
+            limit(PLAYING)
+            try:
+                play_order(parsed_json(line, Order, "order"), orders, out)
+                break
+            except Cancelled:
+                dropped += 1
+                if dropped == _MAX_DROPPED:
+                    break
+                with suppress(BrokenPipeError):  # the server has gone, and so do its orders
+                    Message(IDLE, b"").write(out)
+
+
+class Cancelled(BaseException):
+    """The server has cancelled the song; no error of the agent in which it is raised."""
+
+
+def play_order(order: Order, orders: IO[bytes], out: IO[bytes]) -> None:
+    """Plays what is asked for, and keeps it.
+
+    Raises:
+        Cancelled: a line of `orders` says so before the song is at its end, or there are no more.
+    """
+
+    def send(message: Message) -> None:
+        try:
+            message.write(out)
+        except BrokenPipeError:  # the server has gone
+            if not is_saving:
+                os._exit(1)
+
+    lines = poll()
+    lines.register(orders, POLLIN)
+
+    def check() -> None:
+        if lines.poll(0) and not (orders.readline() == PAUSE and orders.readline() == RESUME):
+            raise Cancelled
+
+    is_saving = False
+    try:
+        performance, states = play(order, send, check)
+        is_saving = True
+        save(performance, states, order, send)
+    except (CadenzaError, OSError) as error:
+        send(json_message(state="failed", error=error_text(error, order)))
+    except MemoryError:
+        send(json_message(state="failed", error="it needs more memory than a player may use"))
+
+
+def error_text(error: BaseException, order: Order) -> str:
+    """Returns an error as the page shows it."""
+    return error_without_path(error, Path(order.source) if order.uploaded else None)
+
+
+def warm_up() -> None:
+    """Takes a step, so that what a first step loads and computes is there for the next."""
+    with set_up(select(Score((Note(0.0, 0.1, 60),)), PLANNER)) as setup:
+        perform(setup, stop=lambda: True)
+
+
+def play(order: Order, send: Send, check: Callable[[], None]) -> tuple[Performance, StateStream]:
+    """Plays a song and sends each step, calling `check` now and then; returns what was sent too."""
+    began = time.monotonic()
+    reporter = ProgressReporter(send)
+
+    def prepare(stage: str, done: int, total: int) -> None:
+        check()
+        reporter.report(stage, done, total)
+
+    with _practised_setup(order) or set_up_order(order, prepare) as setup:
+        states = StateStream(setup.task, send)
+        states.begin()
+
+        def progress(stage: str, done: int, total: int) -> None:
+            if stage != "playing":
+                prepare(stage, done, total)
+                return
+            check()
+            states.step()
+
+        performance = perform(setup, progress)
+        spent = round(time.monotonic() - began, 3)
+        metrics = plain(performance.metrics)
+        remarks = performance.remarks
+        send(json_message(state="played", metrics=metrics, spent=spent, remarks=remarks))
+        return performance, states
+
+
+def set_up_order(order: Order, progress: Progress) -> AbstractContextManager[Setup]:
+    """Sets up the song, the agent and the hands that an order asks for."""
+    request, selection = order.request, _select(order)
+    task, scene = selection.task, selection.scene
+    if selection.learnt is None:
+        scene = replace(scene, hand=request.hand)
+    transpose, stretch = task.transpose + request.transpose, task.stretch / request.tempo
+    task = replace(task, transpose=transpose, stretch=stretch)
+    return set_up(selection, task, scene, request.seed, progress)
+
+
+def _practised_setup(order: Order) -> AbstractContextManager[Setup] | None:
+    """Sets up what has been practised, where that is asked for and there is any."""
+    if order.request.agent != PRACTISED:
+        return None
+    folder = practice_folder_of(order)
+    if not (folder / PLAN).exists():
+        return None
+    try:
+        selection = select(str(folder))
+    except CadenzaError:  # damaged: practice makes another
+        (folder / PLAN).replace(folder / f"{PLAN}.old")
+        return None
+    return set_up(selection, seed=order.request.seed)
+
+
+def practice_folder_of(order: Order) -> Path:
+    """Returns the folder in which an order is practised."""
+    return practice_folder(Path(order.folder), order.request, _select(order).score)
+
+
+def _select(order: Order) -> Selection:
+    """Selects the song and the agent of an order.
+
+    Raises:
+        CadenzaError: there is nothing to play, or more than the studio takes.
+    """
+    request, agent = order.request, order.agent
+    config = {PLANNER: PlannerConfig(method="none")} if request.agent == UNREFINED else None
+    arrangement = Arrangement(tracks=request.tracks)
+    song = _read_upload(order, arrangement) if order.uploaded else order.source
+    selection = select(song, agent, arrangement=arrangement, configs=config)
+    check_size(selection.score)
+    return selection
+
+
+def _read_upload(order: Order, arrangement: Arrangement) -> Score:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        score = arrangement.score(order.source)
+    return replace(score, title=order.title)
+
+
+def save(performance: Performance, states: StateStream, order: Order, send: Send) -> None:
+    """Writes what `cadenza play` leaves, and what was sent, to be watched again.
+
+    The folder appears when all of it is there.
+    """
+    root, reporter = Path(order.folder), ProgressReporter(send, "writing")
+    folder = unfinished_folder(root, order.id)
+    about = KeptPerformance(
+        title=order.title,
+        request=order.request,
+        f1=performance.metrics["f1"],
+        note_onset_f1=performance.metrics["note_onset_f1"],
+        seconds=performance.seconds,
+        finished=time.time(),
+        remarks=performance.remarks,
+    )
+    try:
+        performance.save(folder, order.video, reporter.report)
+        (folder / HEADER_FILE).write_bytes(states.header)
+        (folder / ROWS_FILE).write_bytes(states.rows)
+        write_json(folder / ABOUT, asdict(about))
+        folder.rename(root / order.id)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    send(json_message(state="kept", performance=order.id))
+
+
+class ProgressReporter:
+    """Sends how far a stage is, not too often."""
+
+    def __init__(self, send: Send, state: str = "preparing") -> None:
+        self._send, self._state = send, state
+        self._last_stage, self._last_time = "", 0.0
+
+    def report(self, stage: str, done: int, total: int) -> None:
+        """Sends the progress of a stage, unless the last report on it is recent."""
+        now = time.monotonic()
+        if stage == self._last_stage and now - self._last_time < _REPORT_INTERVAL:
+            return
+        self._last_stage, self._last_time = stage, now
+        self._send(json_message(state=self._state, stage=stage, done=done, total=total))
+
+
+if __name__ == "__main__":
+    main()
