@@ -1,4 +1,4 @@
-"""What goes on while nothing is played: practice and training."""
+"""Practice and training in the background, while nothing is played."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def state_of(pid: int) -> str:
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="needs Linux")
 def test_practice_stands_still_while_others_play(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a process that does nothing but wait."""
+    """The process does nothing but wait."""
     begun = []
 
     async def waiting(*_: str) -> Any:
@@ -83,7 +83,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
 
     async def full(*_: str) -> Any:
         tried.append(None)
-        raise BlockingIOError("no practising for another process")
+        raise BlockingIOError("no room for another process")
 
     async def run() -> None:
         practising = practice.BackgroundPractice()
@@ -92,7 +92,7 @@ def test_practice_that_cannot_begin_is_no_end_of_all_practice(
             while practising.summary["status"]["state"] == "preparing":
                 await asyncio.sleep(0.01)
             assert practising.summary["status"]["state"] == "failed"
-            assert "no practising for another process" in practising.summary["status"]["error"]
+            assert "no room for another process" in practising.summary["status"]["error"]
         assert len(tried) == 3
         await practising.close()
 
@@ -139,7 +139,7 @@ def test_runs_are_listed_with_their_curves_and_policies(tmp_path: Path) -> None:
 
 
 def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """TrainingRuns that begin from now on are processes of this script."""
+    """Runs that begin from now on are processes of this script."""
     fake = folder / "python"
     fake.write_text(f"#!{sys.executable}\nprint(flush=True)\n{script}\n")
     fake.chmod(0o755)
@@ -147,7 +147,7 @@ def begin_instead(script: str, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a command that waits, and remarks how it was called."""
+    """The command waits, and prints how it was called."""
     script = "import sys, time; print(sys.argv[1:], file=sys.stderr, flush=True); time.sleep(60)"
     begin_instead(script, tmp_path, monkeypatch)
 
@@ -179,7 +179,7 @@ def test_a_policy_learns_stops_and_goes_on(tmp_path: Path, monkeypatch: pytest.M
 def test_a_run_that_was_stopped_has_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a command that ends as `cadenza train` does after its checkpoint."""
+    """The command ends as `cadenza train` does after its checkpoint."""
     script = (
         "import signal, sys, time\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))\n"

@@ -67,7 +67,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 
 def wait(browser: Browser, condition: str) -> None:
-    """For long: players share the machine with whatever else it does."""
+    """Waits for long: players share the machine with whatever else it does."""
     browser.wait(condition, 150)
 
 
@@ -81,7 +81,7 @@ def visit(browser: Browser, address: str) -> None:
 
 
 def drop(browser: Browser, content: bytes, name: str) -> None:
-    """As if a file was dropped on the page."""
+    """Drops a file on the page."""
     data = base64.b64encode(content).decode()
     browser.evaluate(f"""(async () => {{
         const bytes = Uint8Array.from(atob("{data}"), (c) => c.charCodeAt(0));
@@ -106,7 +106,7 @@ SCORES = "f1", "precision", "recall", "onsets"
 
 
 def uncaught(browser: Browser) -> list[str]:
-    """What the console has but for answers of the server, of which browsers tell it themselves."""
+    """Returns problems in the console, except answers of the server, which browsers list themselves."""
     return [each for each in browser.problems() if '"source": "network"' not in each]
 
 
@@ -149,7 +149,7 @@ def test_a_dropped_file_plays_to_its_end_and_is_kept(
 
 
 def test_two_performances_are_watched_in_step(browser: Browser, address: str) -> None:
-    """That of the test before twice: it is kept."""
+    """The performance of the test before is compared with itself: it is kept."""
     visit(browser, address)
     press(browser, "#kept", "Compare")
     assert "First watch another" in text(browser, "error")

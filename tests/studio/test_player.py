@@ -56,7 +56,7 @@ def ode_to_joy(folder: Path) -> bytes:
 
 
 def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
-    """By the same process, which then waits for another."""
+    """The same process then waits for another."""
     with player() as (say, hear):
         say(ode_to_joy(tmp_path))
         told = [hear()]
@@ -69,7 +69,7 @@ def test_a_song_is_put_down_while_it_is_planned(tmp_path: Path) -> None:
 
 
 def test_a_song_waits_and_goes_on(tmp_path: Path) -> None:
-    """With the same rows as one that never waited."""
+    """Its rows are those of a song that never waited."""
     told: list[list[bytes]] = []
     for waits in True, False:
         with player() as (say, hear):

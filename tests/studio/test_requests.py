@@ -1,4 +1,4 @@
-"""What a visitor asks for, and files that a visitor drops."""
+"""Requests of a visitor, and files that a visitor drops."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_no_upload_is_lost_for_another(songs: Storage, monkeypatch: pytest.Monke
 
 
 def test_uploads_that_nobody_has_read_do_not_stay(songs: Storage) -> None:
-    """Where the studio was killed meanwhile; but one that another studio just reads does."""
+    """The studio was killed meanwhile; a file that another studio just reads stays."""
     listed = add(songs, b"MThd0", "0.mid")
     killed, (now, *_) = (
         songs.write_upload(b"MThd1", "1.mid")[0],

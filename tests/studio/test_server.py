@@ -331,7 +331,7 @@ def test_a_file_that_is_deleted_before_it_is_sent_is_not_there(
 
 
 def address_of(folder: Path, known: Path | None = None) -> str:
-    """Of a studio that stops as soon as it says where it is."""
+    """Returns the address of a studio that stops as soon as it prints it."""
     heard = list[str]()
 
     def stop(address: str) -> None:
@@ -427,7 +427,7 @@ def test_the_token_is_in_no_list_of_processes(tmp_path: Path, end: signal.Signal
     assert not Path(page).parent.exists()
 
 
-def test_strangers_do_not_keep_the_page_out() -> None:
+def test_connections_without_the_token_do_not_keep_the_page_out() -> None:
     """However many connect and say nothing, or half of something."""
     serving = "serve(PageServer(), ready=lambda address: print(address, flush=True))"
     code = f"from cadenza.studio.page_server import PageServer, serve; {serving}"
@@ -466,7 +466,7 @@ with suppress(KeyboardInterrupt):
 
 
 def frame(opcode: int, content: bytes, length: int | None = None, begin: int = 0x80) -> bytes:
-    """Of a WebSocket: masked by zeros, with 64 bits for its length."""
+    """Returns a frame of a WebSocket, masked by zeros, with 64 bits for its length."""
     size = len(content) if length is None else length
     return struct.pack("!BBQI", begin | opcode, 0xFF, size, 0) + content
 
@@ -586,7 +586,7 @@ def test_only_so_many_songs_wait(client: TestClient) -> None:
 def test_jobs_run_one_after_the_other_and_end_when_cancelled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With players that do nothing but wait."""
+    """The players do nothing but wait."""
 
     async def run() -> None:
         queue = jobs.JobQueue(tmp_path, TrainingRuns(tmp_path))
@@ -645,7 +645,7 @@ def test_a_song_plays_on_where_no_spare_player_can_start(
 def test_a_song_that_nobody_watches_waits_for_one_that_is_watched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With players that say what they are told."""
+    """The players echo the lines that they read."""
     echo = (
         "import sys\nfor line in sys.stdin:\n"
         "    stage = line.strip().encode()[:5]\n"
@@ -737,7 +737,7 @@ def test_a_player_whose_song_is_cancelled_plays_the_next(
 def test_what_is_cancelled_at_its_last_moment_is_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a player that does not notice, and keeps it all the same."""
+    """The player does not notice, and keeps it all the same."""
     keeping = (
         "import json, os\norder = json.loads(input())\ninput()\n"
         "os.mkdir(os.path.join(order['folder'], order['id']))"

@@ -30,7 +30,7 @@ from cadenza.files import folder_name
 
 if TYPE_CHECKING:
     from cadenza.performing.setup import Selection, Setup
-    from cadenza.studio.performance_page import PerformancePage
+    from cadenza.studio.live_page import LivePage
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,9 @@ def _practised(setup: Setup, folder: Path) -> Iterator[tuple[Setup, bool]]:
         yield practising.best(), stopped
 
 
-def _page(setup: Setup) -> AbstractContextManager[PerformancePage]:
+def _page(setup: Setup) -> AbstractContextManager[LivePage]:
     """Opens a page on which the performance is watched."""
-    from cadenza.studio.performance_page import open_page
+    from cadenza.studio.live_page import open_page
 
     return open_page(setup, setup.score.title)
 

@@ -34,7 +34,7 @@ class StoredRows:
 
 @dataclass(eq=False)
 class Broadcast:
-    """What is known of a performance so far.
+    """A performance as far as it is known.
 
     Attributes:
         title: of the song.

@@ -83,7 +83,7 @@ class Job(Broadcast):
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What the page shows of it."""
+        """Fields that the page shows."""
         return {"id": self.id, "title": self.title, "status": self.status}
 
 

@@ -29,8 +29,8 @@ from cadenza.files import parsed_json, plain, write_json
 from cadenza.music.arrangement import Arrangement
 from cadenza.music.score import Note, Score
 from cadenza.performing.performance import Performance, perform
-from cadenza.performing.source import PRACTISED as PLAN
 from cadenza.performing.setup import Selection, Setup, select, set_up
+from cadenza.performing.source import PRACTISED as PLAN
 from cadenza.studio.limits import PLAYING, limit
 from cadenza.studio.messages import IDLE, PAUSE, RESUME, Message, Send, json_message
 from cadenza.studio.request import (

@@ -30,7 +30,7 @@ class BackgroundPractice:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What the page shows of it."""
+        """Fields that the page shows."""
         order = self.order
         about = {} if order is None else {"title": order.title, "request": asdict(order.request)}
         return about | {"status": self.status, "paused": self._paused}

@@ -1,4 +1,4 @@
-"""Processes that work for the server: how they are started, told what to do, and heard."""
+"""Processes that work for the server: starts them, sends orders, and reads their messages."""
 
 from __future__ import annotations
 

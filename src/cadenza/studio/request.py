@@ -78,7 +78,7 @@ class Order:
     id: str
     """Names the performance."""
     folder: str
-    """Where the performance is kept."""
+    """The folder of the studio, where the performance is kept."""
     video: bool = True
     agent: str = "planner"
     """The agent, as `cadenza.performing.setup.select` takes it."""

@@ -44,7 +44,7 @@ ABOUT = "studio.json"
 _COMPARISONS = "compared"
 _MUSIC = ("song", "tracks", "tempo", "transpose")  # fields of a request that say what is heard
 _MAX_UPLOADS = 200
-_LONGEST_TITLE = 100
+_MAX_TITLE = 100
 _ABANDONED = 3600.0  # [s] after which a file that nobody has finished is deleted
 FILES = {
     "report.html": "text/html; charset=utf-8",
@@ -80,7 +80,7 @@ class KeptPerformance:
     finished: float
     """[s] since 1970."""
     remarks: list[str] = field(default_factory=list)
-    """What of the song is not played."""
+    """Parts of the song that are not played."""
 
 
 class Storage:
@@ -174,7 +174,7 @@ class Storage:
         write_json(self.uploads / f"{upload.id}.json", asdict(upload))
 
     def is_listed(self, id: str) -> bool:
-        """Whether there is an upload of this id, which can be read."""
+        """Returns whether there is an upload of this id, which can be read."""
         return (self.uploads / f"{id}.json").exists()
 
     def remove_upload(self, id: str) -> None:
@@ -304,4 +304,4 @@ def _title(name: str) -> str:
     stem, dot, ending = name.rpartition(".")
     bare = stem if f"{dot}{ending}".lower() in MUSIC else name
     shown = "".join(c if c.isprintable() else " " for c in bare)
-    return " ".join(shown.split())[:_LONGEST_TITLE] or "Untitled"
+    return " ".join(shown.split())[:_MAX_TITLE] or "Untitled"

@@ -1,45 +1,47 @@
 // What goes on in the background: practice, policies that learn, and songs that other pages asked for.
 
-/** Shows it, and again soon where something goes on. */
-async function listBackground() {
+const POLL_INTERVAL = 2000; // [ms]
+
+/** Shows the background work, and again soon where something goes on. */
+async function showBackground() {
   if (only) return;
-  clearTimeout(listBackground.again);
+  clearTimeout(showBackground.again);
   let found;
   try {
-    found = await ask("api/background");
+    found = await fetchJson("api/background");
   } catch (error) {
-    listBackground.again = setTimeout(listBackground, 2000); // the server may come back
+    showBackground.again = setTimeout(showBackground, POLL_INTERVAL); // the server may come back
     throw error;
   }
   const { practice, trainings, jobs } = found;
-  const others = jobs.filter(({ id }) => !shown.some((each) => each.id === id)), works = trainings.map(training);
-  if (practice.title) works.unshift(practised(practice));
-  works.unshift(...others.map(planned));
-  $("works").replaceChildren(...works);
-  $("background").hidden = !works.length;
+  const others = jobs.filter(({ id }) => !shown.some((each) => each.id === id)), items = trainings.map(trainingItem);
+  if (practice.title) items.unshift(practiceItem(practice));
+  items.unshift(...others.map(jobItem));
+  $("works").replaceChildren(...items);
+  $("background").hidden = !items.length;
   const active = trainings.some(({ state }) => state === "learning") || ["preparing", "practising"].includes(practice.status.state);
   $("resting").hidden = !(active && practice.paused);
   const learnt = trainings.map(({ name, f1: best }) => name + (best !== null)).join();
-  if (listBackground.learnt !== learnt) await listSongs(); // there may be another policy
-  listBackground.learnt = learnt;
+  if (showBackground.learnt !== learnt) await listSongs(); // there may be another policy
+  showBackground.learnt = learnt;
   cadenza.background = { practice, trainings };
-  if (active || others.length) listBackground.again = setTimeout(listBackground, 2000);
+  if (active || others.length) showBackground.again = setTimeout(showBackground, POLL_INTERVAL);
 }
-function work(title, about, points, acts) {
+function taskItem(title, about, points, actions) {
   const item = make("li"), nav = make("nav");
-  for (const [name, run] of acts) {
-    nav.append(act(name, `${name}: ${title}`, async () => {
+  for (const [name, run] of actions) {
+    nav.append(labelledButton(name, `${name}: ${title}`, async () => {
       await run();
-      await listBackground();
+      await showBackground();
     }));
   }
   item.append(make("b", title), make("small", about));
-  if (points.length > 1) item.append(curve(points));
+  if (points.length > 1) item.append(curveOfF1(points));
   item.append(nav);
   return item;
 }
-/** Of F1 between 0 and 1, from the first point to the last. */
-function curve(points) {
+/** Draws F1 between 0 and 1, from the first point to the last. */
+function curveOfF1(points) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const draw = (name, attributes) => {
     const drawn = document.createElementNS(svg.namespaceURI, name);
@@ -52,32 +54,32 @@ function curve(points) {
   draw("polyline", { points: points.map(([x, y]) => `${(100 * (x - first)) / (last - first || 1)},${42 - 40 * y}`).join(" ") });
   return svg;
 }
-/** A song that a page asked for which may have been closed: else nobody could end what others wait for. */
-function planned({ id, title, status: { state } }) {
+/** Returns the item of a song that another page asked for, which may have been closed: anybody can end it. */
+function jobItem({ id, title, status: { state } }) {
   const doing = { queued: "waits for its turn", preparing: "getting ready", playing: "being planned" }[state] ?? "being kept";
-  return work(`Playing ${title}`, doing, [], [["Watch", () => watch([id])], ["Cancel", () => ask(`api/jobs/${id}`, "DELETE")]]);
+  return taskItem(`Playing ${title}`, doing, [], [["Watch", () => watch([id])], ["Cancel", () => fetchJson(`api/jobs/${id}`, "DELETE")]]);
 }
-function practised({ title, request: wanted, status: { state, f1: values = [], note_onset_f1: onsets = [], share = 0, error } }) {
+function practiceItem({ title, request: wanted, status: { state, f1: values = [], note_onset_f1: onsets = [], share = 0, error } }) {
   const active = ["preparing", "practising"].includes(state);
-  const far = { preparing: "getting ready", practising: `${Math.floor(100 * share)} %`, done: "done" }[state] ?? error ?? state;
-  const best = values.indexOf(Math.max(...values)), takes = [...new Set([0, best])].filter((i) => i in values);
-  const gained = takes.map((i) => inFigures(values[i], onsets[i])).join(" → ");
-  const acts = [["Play", () => { set(wanted); return begin(); }]];
-  if (active) acts.push(["Stop", () => ask("api/practice", "DELETE")]);
-  return work(`Practising ${title}`, [far, gained].filter(Boolean).join(" · "), values.map((value, i) => [i, value]), acts);
+  const progress = { preparing: "getting ready", practising: `${Math.floor(100 * share)} %`, done: "done" }[state] ?? error ?? state;
+  const best = values.indexOf(Math.max(...values)), marked = [...new Set([0, best])].filter((i) => i in values);
+  const gained = marked.map((i) => formatScores(values[i], onsets[i])).join(" → ");
+  const actions = [["Play", () => { setOptions(wanted); return playChosen(); }]];
+  if (active) actions.push(["Stop", () => fetchJson("api/practice", "DELETE")]);
+  return taskItem(`Practising ${title}`, [progress, gained].filter(Boolean).join(" · "), values.map((value, i) => [i, value]), actions);
 }
-function training({ name, state, step, steps, f1: best, note_onset_f1: onsets, points, error }) {
+function trainingItem({ name, state, step, steps, f1: best, note_onset_f1: onsets, points, error }) {
   const url = `api/trainings/${encodeURIComponent(name)}`;
-  const about = [state, steps && `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${inFigures(best, onsets)}`, error];
-  const acts = state === "learning" ? [["Stop", () => ask(`${url}/stop`, "POST")]] : state === "stopped" ? [["Resume", () => ask(`${url}/resume`, "POST")]] : [];
-  if (best !== null) acts.push(["Choose", () => {
+  const about = [state, steps && `${step.toLocaleString("en")} of ${steps.toLocaleString("en")} steps`, best === null ? "" : `best ${formatScores(best, onsets)}`, error];
+  const actions = state === "learning" ? [["Stop", () => fetchJson(`${url}/stop`, "POST")]] : state === "stopped" ? [["Resume", () => fetchJson(`${url}/resume`, "POST")]] : [];
+  if (best !== null) actions.push(["Choose", () => {
     $("agent").value = `policy/${name}`;
     showAgent();
     $("more").open = true;
   }]);
-  return work(`Learning ${name}`, about.filter(Boolean).join(" · "), points, acts);
+  return taskItem(`Learning ${name}`, about.filter(Boolean).join(" · "), points, actions);
 }
 async function train() {
-  await ask("api/trainings", "POST", JSON.stringify({ ...request(), agent: "planner", steps: Number($("steps").value) }));
-  await listBackground();
+  await fetchJson("api/trainings", "POST", JSON.stringify({ ...playRequest(), agent: "planner", steps: Number($("steps").value) }));
+  await showBackground();
 }

@@ -1,14 +1,18 @@
 // The sound of the keys: tones as the server makes them, struck and damped by Web Audio.
 
-const VOLUME = 0.25; // of a note struck as hard as can be, before what is set on the page
+const VOLUME = 0.25; // of a note struck as hard as can be, at full volume of the page
+const PAN = 0.45; // of the outermost keys; 1 is one side only
+const UNDAMPED = 0.3; // [s] in which a key without a damper fades by 1/e, when it is lifted
+const FADED = 8; // times 1/e, which cannot be heard any more
+const LOUDEST_SAMPLE = 32767, LOUDEST_VELOCITY = 127;
 
 function createInstrument() {
-  let context = null, master = null, strings = null, volume = 0.8, muted = false, settings = null, live = null, asked = 0;
+  let context = null, master = null, strings = null, volume = 0.8, muted = false, settings = null, recording = null, loadedRows = 0;
   const tones = new Map(); // by name: { due, buffer, peak }; without a buffer until it has come
   const ringing = new Map(); // of a key: { source, gain }
 
   const level = () => { if (master) master.gain.value = muted ? 0 : volume; };
-  const nameOf = (key, velocity) => `${key + live.lowest}/${Math.floor(velocity / settings.band)}`;
+  const nameOf = (key, velocity) => `${key + recording.lowest}/${Math.floor(velocity / settings.band)}`;
   async function fetchTone(name, due) {
     const tone = { due, buffer: null, peak: 0 };
     tones.set(name, tone);
@@ -18,19 +22,19 @@ function createInstrument() {
       const bytes = await answer.arrayBuffer(), samples = new Int16Array(bytes, 4);
       const buffer = new AudioBuffer({ length: samples.length, sampleRate: settings.rate });
       const channel = buffer.getChannelData(0);
-      for (let i = 0; i < samples.length; i++) channel[i] = samples[i] / 32767;
+      for (let i = 0; i < samples.length; i++) channel[i] = samples[i] / LOUDEST_SAMPLE;
       Object.assign(tone, { buffer, peak: new DataView(bytes).getFloat32(0, true) });
     } catch {
-      tones.delete(name); // it is asked for again when a key is struck that needs it
+      tones.delete(name); // it is loaded again when a key is struck that needs it
     }
   }
   function damp(key, at) {
     const note = ringing.get(key);
     if (!note) return;
     ringing.delete(key);
-    const fade = key + live.lowest > settings.last_damper ? 0.3 : settings.damping;
+    const fade = key + recording.lowest > settings.last_damper ? UNDAMPED : settings.damping;
     note.gain.gain.setTargetAtTime(0, at, fade);
-    note.source.stop(at + 8 * fade);
+    note.source.stop(at + FADED * fade);
   }
   function strike(key, velocity, at) {
     const name = nameOf(key, velocity), tone = tones.get(name);
@@ -38,8 +42,8 @@ function createInstrument() {
     if (!tone?.buffer) return;
     damp(key, at);
     const source = new AudioBufferSourceNode(context, { buffer: tone.buffer });
-    const gain = new GainNode(context, { gain: VOLUME * tone.peak * (velocity / 127) ** settings.louder });
-    const pan = new StereoPannerNode(context, { pan: 0.45 * ((2 * key + 1) / live.keys - 1) });
+    const gain = new GainNode(context, { gain: VOLUME * tone.peak * (velocity / LOUDEST_VELOCITY) ** settings.louder });
+    const pan = new StereoPannerNode(context, { pan: PAN * ((2 * key + 1) / recording.keys - 1) });
     source.connect(gain).connect(pan).connect(strings);
     source.start(at);
     ringing.set(key, { source, gain });
@@ -48,8 +52,8 @@ function createInstrument() {
   return {
     /** The audio clock, or null while nothing can sound. */
     get time() { return context?.state === "running" ? context.currentTime : null; },
-    get waits() { return context?.state !== "running"; },
-    /** To be called when the visitor does something: before, browsers stay silent. */
+    get isSuspended() { return context?.state !== "running"; },
+    /** Starts the sound; to be called when the visitor does something, as browsers stay silent before. */
     wake() {
       if (!context) {
         context = new AudioContext({ latencyHint: "interactive" });
@@ -61,39 +65,39 @@ function createInstrument() {
       }
       return context.resume();
     },
-    /** What is heard from now on. */
-    begin(recording) {
+    /** Chooses the recording that is heard from now on. */
+    setRecording(shown) {
       this.silence();
-      [live, settings, asked] = [recording, recording.sound, 0];
+      [recording, settings, loadedRows] = [shown, shown.sound, 0];
       for (const tone of tones.values()) tone.due = Infinity; // for what was heard before
     },
-    /** Asks for the tones of all rows that have come. */
-    prepare() {
-      for (; live && asked < live.rows; asked++) {
-        for (let key = 0; key < live.keys; key++) {
-          const velocity = live.sounds(asked, key);
+    /** Loads the tones of all rows that have come. */
+    loadTones() {
+      for (; recording && loadedRows < recording.rows; loadedRows++) {
+        for (let key = 0; key < recording.keys; key++) {
+          const velocity = recording.sounds(loadedRows, key);
           if (velocity <= 1) continue;
-          const name = nameOf(key, velocity), tone = tones.get(name), due = asked * live.dt;
+          const name = nameOf(key, velocity), tone = tones.get(name), due = loadedRows * recording.dt;
           if (tone) tone.due = Math.min(tone.due, due);
           else fetchTone(name, due);
         }
       }
     },
     /** Whether tones that are needed before `time` [s] have yet to come. */
-    lacks(time) {
+    isMissing(time) {
       for (const { due, buffer } of tones.values()) if (!buffer && due < time) return true;
       return false;
     },
-    /** What strikes and what is damped in a row, at a time of the audio clock [s]. */
-    row(number, at) {
-      const down = live.pedalDown(number);
-      for (let key = 0; key < live.keys; key++) {
-        const sounds = live.sounds(number, key);
+    /** Strikes and damps the keys of a row, at a time of the audio clock [s]. */
+    playRow(number, at) {
+      const down = recording.pedalDown(number);
+      for (let key = 0; key < recording.keys; key++) {
+        const sounds = recording.sounds(number, key);
         if (sounds > 1) strike(key, sounds, at);
         else if (!sounds && !down) damp(key, at);
       }
     },
-    /** Also what has been scheduled. */
+    /** Ends all sound, also what has been scheduled. */
     silence() {
       ringing.clear();
       if (!context) return;

@@ -1,6 +1,8 @@
 // A MIDI keyboard: whenever its player pauses, what was played becomes a file.
 
-const PAUSE = 2000, MOST_EVENTS = 60_000; // [ms] without a key down; of a phrase
+const PAUSE = 2000; // [ms] without a key down that end a phrase
+const MAX_EVENTS = 60_000; // of a phrase
+const NOTE_OFF = 0x80, NOTE_ON = 0x90, CONTROL_CHANGE = 0xb0, SUSTAIN_PEDAL = 64; // of MIDI
 
 async function askForKeyboards() {
   if (!navigator.requestMIDIAccess) throw new Refusal("This browser lets no page that comes from another machine hear MIDI keyboards. Open the studio on the machine on which it runs.");
@@ -11,28 +13,28 @@ async function askForKeyboards() {
   }
 }
 
-/** `told` hears how many notes there are so far, and `phrase` is given the file [Uint8Array]. */
-async function listenToKeyboards(told, phrase) {
+/** Calls `onCount` with the number of notes so far, and `onPhrase` with a MIDI file [Uint8Array]. */
+async function listenToKeyboards(onCount, onPhrase) {
   const access = await askForKeyboards(), held = new Set();
   let events = [], notes = 0, pause = null;
   function end() {
-    if (notes) phrase(midiFile(events));
+    if (notes) onPhrase(midiFile(events));
     [events, notes] = [[], 0];
   }
-  function hear({ data, timeStamp }) {
+  function receive({ data, timeStamp }) {
     const [status, number, value] = data, kind = status & 0xf0;
-    const strikes = kind === 0x90 && value > 0, lifts = kind === 0x80 || (kind === 0x90 && !value);
-    if (!strikes && !lifts && !(kind === 0xb0 && number === 64)) return;
+    const strikes = kind === NOTE_ON && value > 0, lifts = kind === NOTE_OFF || (kind === NOTE_ON && !value);
+    if (!strikes && !lifts && !(kind === CONTROL_CHANGE && number === SUSTAIN_PEDAL)) return;
     if (!notes && !strikes) return; // silence comes before a phrase
-    if (events.length < MOST_EVENTS) events.push([timeStamp, kind, number, value]);
+    if (events.length < MAX_EVENTS) events.push([timeStamp, kind, number, value]);
     if (strikes) {
       held.add(number);
-      told(++notes);
+      onCount(++notes);
     } else if (lifts) held.delete(number);
     clearTimeout(pause);
     if (!held.size) pause = setTimeout(end, PAUSE);
   }
-  const listen = () => access.inputs.forEach((input) => { input.onmidimessage = hear; });
+  const listen = () => access.inputs.forEach((input) => { input.onmidimessage = receive; });
   access.onstatechange = listen;
   listen();
   return () => {
@@ -43,15 +45,15 @@ async function listenToKeyboards(told, phrase) {
   };
 }
 
-/** A file of events [time in ms, kind, number, value]; a tick is a millisecond. */
+/** Returns a MIDI file of events [time in ms, kind, number, value]; a tick is a millisecond. */
 function midiFile(events) {
-  const parts = (length) => (length > 127 ? [...parts(length >> 7).map((byte) => byte | 0x80), length & 0x7f] : [length]);
+  const variableLength = (length) => (length > 127 ? [...variableLength(length >> 7).map((byte) => byte | 0x80), length & 0x7f] : [length]);
   const track = [0, 0xff, 0x51, 3, 0x0f, 0x42, 0x40]; // a million microseconds a beat
   const inOrder = [...events].sort(([time], [other]) => time - other); // of several keyboards
   let before = inOrder[0][0];
   for (const [time, ...bytes] of inOrder) {
     const ticks = Math.round(time - before);
-    track.push(...parts(ticks), ...bytes);
+    track.push(...variableLength(ticks), ...bytes);
     before += ticks;
   }
   track.push(0, 0xff, 0x2f, 0);

@@ -1,27 +1,27 @@
-// What can be played, and how.
+// Songs to choose from, and how they are to be played.
 
 const OPTIONS = ["agent", "hand", "tempo", "transpose", "seed"], NUMBERS = ["tempo", "transpose", "seed"];
-const MOST_SHOWN = 200; // songs at once
-const MOST_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so
-const GONE = "This song is not here any more. Choose another, or drop its file again.";
-let players = {}; // by id: what it is called, and what it does
+const MAX_LISTED = 200; // songs at once
+const MAX_SENT = 5 << 20; // bytes of a file: more than the server takes, of which it says so
+const SONG_GONE = "This song is not here any more. Choose another, or drop its file again.";
+let agentTexts = {}; // by id: title, and what it does
 let songs = [], chosen = null, only = null; // the one performance that can be watched
 
 async function listSongs() {
-  const { songs: found, agents, hands, only: one = null } = await ask("api/songs");
+  const { songs: found, agents, hands, only: one = null } = await fetchJson("api/songs");
   [songs, only] = [found, one];
   document.body.classList.toggle("one", only !== null);
-  players = agents;
-  offer("agent", Object.fromEntries(Object.entries(agents).map(([id, [name]]) => [id, name])));
-  offer("hand", hands);
+  agentTexts = agents;
+  fillSelect("agent", Object.fromEntries(Object.entries(agents).map(([id, [name]]) => [id, name])));
+  fillSelect("hand", hands);
   showAgent();
   showSongs();
 }
-const showAgent = () => { $("about").textContent = players[$("agent").value]?.[1] ?? ""; };
-/** What an agent is called. */
-const nameOfAgent = (agent) => players[agent]?.[0] ?? agent;
-/** Lets the visitor choose among values by their names. */
-function offer(id, names) {
+const showAgent = () => { $("about").textContent = agentTexts[$("agent").value]?.[1] ?? ""; };
+/** Returns the title of an agent. */
+const nameOfAgent = (agent) => agentTexts[agent]?.[0] ?? agent;
+/** Fills a select with values by their names. */
+function fillSelect(id, names) {
   const { value } = $(id);
   $(id).replaceChildren(...Object.entries(names).map(([value, name]) => make("option", name, { value })));
   if (value in names) $(id).value = value;
@@ -29,32 +29,32 @@ function offer(id, names) {
 function showSongs() {
   const words = $("search").value.toLowerCase().split(/\s+/);
   const matches = ({ title, composer = "", id }) => words.every((word) => `${title} ${composer} ${id}`.toLowerCase().includes(word));
-  const found = songs.filter(matches), more = found.length - MOST_SHOWN;
-  $("songs").replaceChildren(...found.slice(0, MOST_SHOWN).map(listed));
+  const found = songs.filter(matches), more = found.length - MAX_LISTED;
+  $("songs").replaceChildren(...found.slice(0, MAX_LISTED).map(songItem));
   if (!found.length) $("songs").append(make("li", "Nothing of that name.", { className: "remark" }));
   if (more > 0) $("songs").append(make("li", `${more} more: search for them.`, { className: "remark" }));
   showChosen();
 }
-/** The buttons stay: whoever has come to one by the keyboard goes on from there. */
+/** Marks the button of the chosen song; buttons stay, so that the keyboard focus does. */
 function showChosen() {
   for (const button of $("songs").querySelectorAll("[data-song]")) press(button, button.dataset.song === chosen?.id);
 }
-function listed(song) {
+function songItem(song) {
   const about = song.uploaded ? "yours" : song.composer;
   const button = make("button", "", { type: "button", title: `${song.title}, ${about}` }), item = make("li");
   const level = song.grade ? ` · level ${song.grade.toFixed(1)}` : "";
   button.append(make("span", song.title), make("small", about));
   button.append(make("small", minutes(song.seconds).split(".")[0] + level, { title: level && "How hard it is for robot hands, from 1 to 10" }));
   button.dataset.song = song.id;
-  button.addEventListener("click", () => { choose(song.id); begin(); });
+  button.addEventListener("click", () => { choose(song.id); playChosen(); });
   item.append(button);
-  if (song.uploaded) item.append(act("×", `Delete ${song.title}`, () => forget(song)));
+  if (song.uploaded) item.append(labelledButton("×", `Delete ${song.title}`, () => deleteSong(song)));
   return item;
 }
 /** Deletes an upload; what was played of it stays. */
-async function forget(song) {
+async function deleteSong(song) {
   if (!confirm(`Delete your file ${song.title}? Its performances stay.`)) return;
-  await ask(`api/songs/${song.id}`, "DELETE");
+  await fetchJson(`api/songs/${song.id}`, "DELETE");
   await listSongs();
   if (chosen?.id === song.id) choose(null);
 }
@@ -73,8 +73,8 @@ function choose(id) {
   }));
   showChosen();
 }
-function request() {
-  if (!chosen) throw new Refusal(GONE);
+function playRequest() {
+  if (!chosen) throw new Refusal(SONG_GONE);
   const wanted = { song: chosen.id }, wrong = NUMBERS.find((name) => !$(name).checkValidity());
   if (wrong) throw new Refusal(`${wrong[0].toUpperCase()}${wrong.slice(1)}: ${$(wrong).validationMessage}`);
   for (const name of OPTIONS) wanted[name] = NUMBERS.includes(name) ? Number($(name).value) : $(name).value;
@@ -83,8 +83,8 @@ function request() {
   if (on.length < boxes.length) wanted.tracks = on.map((box) => Number(box.value));
   return wanted;
 }
-/** Has the page ask for what was played, and the same way; without a song where that is gone. */
-function set(wanted) {
+/** Sets all options to those of a request; no song is chosen where that is gone. */
+function setOptions(wanted) {
   choose(wanted.song);
   const list = $("songs"), button = list.querySelector('[aria-pressed="true"]');
   if (button) {
@@ -96,13 +96,13 @@ function set(wanted) {
   const tracks = wanted.tracks ?? [];
   if (tracks.length) for (const box of $("tracks").querySelectorAll("input")) box.checked = tracks.includes(Number(box.value));
 }
-/** As `set`, for who wants it played and not only watched. */
-function setToPlay(wanted) {
-  set(wanted);
-  if (!chosen) complain(GONE);
+/** Sets all options, and shows an error where the song is gone. */
+function setOptionsToPlay(wanted) {
+  setOptions(wanted);
+  if (!chosen) showError(SONG_GONE);
 }
-/** What a link says after its #. */
-const asHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();
+/** Returns what a link has after its #. */
+const toHash = (wanted) => new URLSearchParams(Object.entries(wanted).map(([name, value]) => [name, String(value)])).toString();
 function fromHash() {
   const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
   if (wanted.tracks) wanted.tracks = wanted.tracks.split(",").map(Number);
@@ -110,27 +110,27 @@ function fromHash() {
 }
 
 async function upload(file) {
-  sayInstead(`Reading ${file.name}`);
+  overrideNotice(`Reading ${file.name}`);
   try {
-    const content = await file.slice(0, MOST_SENT).arrayBuffer().catch(() => {
+    const content = await file.slice(0, MAX_SENT).arrayBuffer().catch(() => {
       throw new Refusal(`${file.name} cannot be read. Drop a file, no folder.`);
     });
-    const { id } = await ask(`api/songs?name=${encodeURIComponent(file.name.toWellFormed())}`, "POST", content);
+    const { id } = await fetchJson(`api/songs?name=${encodeURIComponent(file.name.toWellFormed())}`, "POST", content);
     await listSongs();
     choose(id);
     $("songs").scrollTop = 0;
   } finally {
-    sayInstead("");
+    overrideNotice("");
   }
-  await begin();
+  await playChosen();
 }
-/** Has what is chosen played, instead of what is being planned for this page or is about to be. */
-async function begin() {
+/** Plays the chosen song, instead of one that is being planned for this page. */
+async function playChosen() {
   instrument.wake();
-  const wanted = JSON.stringify(request()), turn = ++turns;
-  for (const each of shown) if (!each.over && !each.complete) await ask(`api/jobs/${each.id}`, "DELETE");
-  if (turn !== turns) return;
-  const { id } = await ask("api/jobs", "POST", wanted);
-  if (turn === turns) watch([id]);
-  else await ask(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
+  const wanted = JSON.stringify(playRequest()), choiceNumber = ++numChoices;
+  for (const each of shown) if (!each.over && !each.complete) await fetchJson(`api/jobs/${each.id}`, "DELETE");
+  if (choiceNumber !== numChoices) return;
+  const { id } = await fetchJson("api/jobs", "POST", wanted);
+  if (choiceNumber === numChoices) watch([id]);
+  else await fetchJson(`api/jobs/${id}`, "DELETE"); // something else was chosen meanwhile
 }

@@ -1,41 +1,41 @@
-// What is kept, to watch again, compare and take away.
+// Kept performances, to watch again, compare and download.
 
-const KEPT = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI" };
+const FILE_TITLES = { "report.html": "Report", "video.mp4": "Video", "played.mid": "MIDI" };
 
-async function listKept() {
-  const kept = await ask("api/performances");
-  $("kept").replaceChildren(...kept.map(keptOne));
+async function listPerformances() {
+  const kept = await fetchJson("api/performances");
+  $("kept").replaceChildren(...kept.map(performanceItem));
 }
-function keptOne(each) {
+function performanceItem(each) {
   const item = make("li"), links = make("nav"), { id, title, has_states: canWatch } = each;
   const when = new Date(1000 * each.finished).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
-  const about = `${inFigures(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
+  const about = `${formatScores(each.f1, each.note_onset_f1)} · ${minutes(each.seconds).split(".")[0]} · ${when}`;
   if (canWatch) {
-    links.append(act("Watch", `Watch ${title}`, () => { instrument.wake(); watch([id]); }));
-    links.append(act("Compare", `Compare ${title} with what is shown`, () => compare(each)));
+    links.append(labelledButton("Watch", `Watch ${title}`, () => { instrument.wake(); watch([id]); }));
+    links.append(labelledButton("Compare", `Compare ${title} with what is shown`, () => compare(each)));
   }
-  for (const [file, name] of Object.entries(KEPT)) {
+  for (const [file, name] of Object.entries(FILE_TITLES)) {
     if (!each.files.includes(file)) continue;
     const link = make("a", name, { href: `performances/${id}/${file}`, target: "_blank", rel: "noopener" });
     if (file !== "report.html") link.download = `${title}${file.slice(file.lastIndexOf("."))}`;
     link.setAttribute("aria-label", `${name} of ${title}`);
     links.append(link);
   }
-  links.append(act("Delete", `Delete ${title}`, () => remove(each)));
+  links.append(labelledButton("Delete", `Delete ${title}`, () => deletePerformance(each)));
   item.append(make("b", title, { title }), make("small", howPlayed(each.request)), make("small", about), links);
   return item;
 }
-async function remove({ id, title }) {
+async function deletePerformance({ id, title }) {
   if (!confirm(`Delete this performance of ${title}?`)) return;
-  await ask(`api/performances/${id}`, "DELETE");
-  await listKept();
+  await fetchJson(`api/performances/${id}`, "DELETE");
+  await listPerformances();
 }
 
-/** Puts a performance beside the one that is shown. */
+/** Shows a performance beside the current one. */
 function compare({ id, title, request: { song, tempo } }) {
   const other = shown[0], alike = other?.request?.song === song && other.request.tempo === tempo;
-  if (!alike) return complain(`First watch another performance of ${title} at the same tempo, then press Compare here.`);
-  if (other.id === id) return complain("This is the performance that is shown. Press Compare at another of the same song.");
+  if (!alike) return showError(`First watch another performance of ${title} at the same tempo, then press Compare here.`);
+  if (other.id === id) return showError("This is the performance that is shown. Press Compare at another of the same song.");
   instrument.wake();
-  putBeside(id);
+  showBeside(id);
 }

@@ -1,56 +1,58 @@
-// What is played now: a performance, or two side by side and in step, of which one is heard.
+// Plays a performance, or two side by side and in step, of which one is heard: the current one.
 
 const instrument = createInstrument(), looks = createLooks();
-// [s] ahead before it plays; less where planning is so many times faster than the music, and least when
-// the visitor has waited for `LATE` [s]; twice as much, up to `LONGEST_LEAD`, each time that planning
-// falls behind.
-const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE = 2.2;
+// [s] that are planned ahead before it plays: `FAST_LEAD` where planning is `FAST` times faster than the
+// music, `SHORT_LEAD` when the visitor has waited for `LATE_START` [s], and twice as much as before, up to
+// `LONGEST_LEAD`, each time that planning falls behind.
+const LEAD = 2.5, FAST_LEAD = 1.5, SHORT_LEAD = 1, LONGEST_LEAD = 20, FAST = 1.4, LATE_START = 2.2;
 // [ms] between two pictures of the flat view while it is planned: 30 a second, and a few more that make
 // up for those that come late.
-const SPARING = 32;
-const AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
-const STAGES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
-const ENDS = {
+const FRAME_INTERVAL = 32;
+const SCORES_INTERVAL = 250; // [ms] between two updates of roll and scores
+const SOUND_AHEAD = 1.2; // [s] that sounds are scheduled ahead: a busy machine may draw no frame for a second
+const STAGE_NOTICES = { fingers: "Choosing fingers", postures: "Finding postures", practising: "Practising" };
+const END_NOTICES = {
   cancelled: "Cancelled.",
   failed: "Drop another file, or choose a piece.",
   gone: "This performance is not there any more. Press Play to have it played again.",
 };
-let shown = [], heard = null, stage = null, roll = null;
-let turns = 0; // how often something has been chosen to be shown
-let running = false, paused = false, resumeAt = 0, sounded = 0, written = 0, asked = 0, due = 0;
+let shown = [], current = null, stage = null, roll = null;
+let numChoices = 0; // how often something has been chosen to be shown
+let running = false, paused = false, resumeAt = 0, nextRow = 0, scoresDrawnAt = 0, askedAt = 0, nextFrame = 0;
 
-// The clock is that of the sound where there is one, else the wall's.
-const wall = () => performance.now() / 1000, audible = () => instrument.time;
-let position = 0, since = 0, source = wall;
+// The clock is that of the sound where there is one, else wall time.
+const wallTime = () => performance.now() / 1000, audioTime = () => instrument.time;
+let position = 0, clockStart = 0, clock = wallTime;
 function now() {
   if (!running) return position;
-  const better = instrument.waits ? wall : audible;
-  if (better !== source) {
-    if (source === wall) position += wall() - since; // an audio clock that stands has nothing to add
-    [source, since] = [better, better()];
+  const better = instrument.isSuspended ? wallTime : audioTime;
+  if (better !== clock) {
+    if (clock === wallTime) position += wallTime() - clockStart; // an audio clock that stands has nothing to add
+    [clock, clockStart] = [better, better()];
   }
-  return position + (source() ?? since) - since;
+  return position + (clock() ?? clockStart) - clockStart;
 }
-function go() {
-  source = instrument.waits ? wall : audible;
-  [running, since, sounded] = [true, source(), firstRow(position)];
+function startClock() {
+  clock = instrument.isSuspended ? wallTime : audioTime;
+  [running, clockStart, nextRow] = [true, clock(), firstRow(position)];
 }
-function halt(at) {
+function stopClock(at) {
   position = at;
   running = false;
 }
 
-const firstRow = (time) => Math.ceil(time / heard.live.dt - 1e-6);
-const lives = () => shown.map(({ live }) => live);
-const isReady = () => shown.length > 0 && lives().every((live) => live?.rows);
-const available = () => Math.min(...lives().map((live) => live.available));
-const whole = () => heard.live.steps * heard.live.dt;
+const firstRow = (time) => Math.ceil(time / current.recording.dt - 1e-6);
+const recordings = () => shown.map(({ recording }) => recording);
+const isReady = () => shown.length > 0 && recordings().every((recording) => recording?.rows);
+const available = () => Math.min(...recordings().map((recording) => recording.available));
+const duration = () => current.recording.steps * current.recording.dt;
 const isComplete = () => shown.every(({ complete }) => complete);
 
-let said = [$("doing").textContent], instead = "";
-function say(...what) {
-  said = what;
-  const [text, done = null, total = null, small = false] = instead ? [instead, null, null, shown.length > 0] : what;
+let notice = [$("doing").textContent], override = "";
+/** Shows a text over the picture, how much is done of what, and whether it is small. */
+function showNotice(...shownNotice) {
+  notice = shownNotice;
+  const [text, done = null, total = null, small = false] = override ? [override, null, null, shown.length > 0] : notice;
   if ($("doing").textContent !== text) $("doing").textContent = text;
   $("notice").hidden = !text;
   $("notice").classList.toggle("small", small);
@@ -58,27 +60,27 @@ function say(...what) {
   if (total !== null) Object.assign($("done"), { max: total || 1, value: done });
 }
 
-/** Says something else until that is "": while a file is read, or a keyboard is listened to. */
-function sayInstead(text) {
-  instead = text;
-  say(...said);
+/** Shows another text until it is "": while a file is read, or a keyboard is listened to. */
+function overrideNotice(text) {
+  override = text;
+  showNotice(...notice);
 }
 
 /** Shows performances, by their ids, from a time on [s]. */
 function watch(ids, at = 0) {
-  turns++;
+  numChoices++;
   for (const each of shown) each.close();
   instrument.silence();
   clearPicture();
   shown = ids.map((id) => createPerformance(id, changed));
-  [heard, position, resumeAt, running, paused, asked] = [shown[0], 0, at, false, false, wall()];
+  [current, position, resumeAt, running, paused, askedAt] = [shown[0], 0, at, false, false, wallTime()];
   Object.assign(cadenza, { state: "queued", time: 0, live: null, strikes: [], waits: 0, finished: false, shownFinished: null, began: null });
   $("cancel").disabled = false;
   showNothing();
   showLink();
   bringIntoView();
 }
-/** Nothing of what was shown before may stand under what is to come. */
+/** Clears what belongs to the performance shown before. */
 function showNothing() {
   roll = null;
   document.title = $("title").textContent = $("title").title = "Cadenza studio";
@@ -91,75 +93,75 @@ function showNothing() {
   showFigures([null, null, null, null]);
   $("play").disabled = true;
   showPlaying(false);
-  say("");
+  showNotice("");
 }
 function bringIntoView() { // the picture, and what is above it where there is room for both
   for (const part of [document.querySelector("header"), $("picture")]) part.scrollIntoView({ block: "nearest" });
 }
 const showLink = () => history.replaceState(null, "", `#job=${shown.map(({ id }) => id).join()}`);
 
-/** Takes in what is new of a performance. */
+/** Shows what has changed of a performance: its "status", "request" or "recording". */
 function changed(performance, what) {
   if (what === "status") showStatus(performance);
-  if (what === "request" && performance === heard) showRequest(performance);
-  if (what === "live" && lives().every(Boolean)) {
+  if (what === "request" && performance === current) showRequest(performance);
+  if (what === "recording" && recordings().every(Boolean)) {
     createPicture();
-    hearOnly(heard);
+    listenTo(current);
   }
 }
 function showStatus(performance) {
   const { state, error } = performance.status;
-  if (state === "failed") complain(error);
-  if (state === "kept") listKept();
-  if (state === "kept" || state === "queued") listBackground();
+  if (state === "failed") showError(error);
+  if (state === "kept") listPerformances();
+  if (state === "kept" || state === "queued") showBackground();
   if (state === "gone") {
     const [id, , wanted] = remembered();
-    if (id === performance.id && wanted) setToPlay(wanted);
-    history.replaceState(null, "", chosen ? `#${asHash(request())}` : location.pathname);
+    if (id === performance.id && wanted) setOptionsToPlay(wanted);
+    history.replaceState(null, "", chosen ? `#${toHash(playRequest())}` : location.pathname);
   }
-  if (performance !== heard) return;
+  if (performance !== current) return;
   if (performance.request) showFacts(performance);
   $("cancel").disabled = performance.over || performance.complete;
   cadenza.state = state;
   if (state === "cancelled" && isReady()) {
     pause();
-    say(ENDS.cancelled, null, null, true);
+    showNotice(END_NOTICES.cancelled, null, null, true);
   }
-  proceed();
+  updatePlayback();
 }
 function showRequest({ title, request: wanted }) {
-  set(wanted);
+  setOptions(wanted);
   $("title").textContent = $("title").title = title;
   document.title = `${title} · Cadenza studio`;
-  showFacts(heard);
+  showFacts(current);
 }
-/** Who plays, and what of the song they do not play. */
+/** Shows who plays, and what of the song is not played. */
 function showFacts({ request: wanted, status: { remarks = [] } }) {
-  const said = [`Played by ${howPlayed(wanted)}`, ...remarks];
-  $("facts").replaceChildren(...said.map((each) => make("span", each)));
+  const facts = [`Played by ${howPlayed(wanted)}`, ...remarks];
+  $("facts").replaceChildren(...facts.map((fact) => make("span", fact)));
 }
-/** Who plays, and how, where that is not as usual. */
+/** Returns who plays, and the options that are not the usual ones. */
 function howPlayed({ agent, hand, seed, tempo, transpose }) {
-  const said = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, seed && `seed ${seed}`];
-  return said.filter(Boolean).join(" · ");
+  const parts = [nameOfAgent(agent), hand !== "shadow" && hand, transpose && `${transpose > 0 ? "+" : "−"}${Math.abs(transpose)} semitones`, tempo !== 1 && `${tempo}×`, seed && `seed ${seed}`];
+  return parts.filter(Boolean).join(" · ");
 }
 
-/** Has the sound, the roll and the scores be those of one of the performances shown. */
-function hearOnly(performance) {
+/** Has one of the performances be heard, and shows its roll and scores. */
+function listenTo(performance) {
   instrument.silence();
-  heard = performance;
-  cadenza.live = heard.live;
-  instrument.begin(heard.live);
-  sounded = firstRow(now());
-  showRequest(heard);
-  $("length").textContent = minutes(whole());
-  $("scrub").max = whole();
+  current = performance;
+  cadenza.live = current.recording;
+  instrument.setRecording(current.recording);
+  nextRow = firstRow(now());
+  showRequest(current);
+  $("length").textContent = minutes(duration());
+  $("scrub").max = duration();
   $("roll-card").hidden = $("looks").hidden = document.querySelector("#stage .legend").hidden = false;
   const old = $("roll"), fresh = old.cloneNode(true);
   old.replaceWith(fresh);
-  roll = createRoll(fresh, heard.live, seek);
+  roll = createRoll(fresh, current.recording, seek);
   roll.draw();
-  for (const each of shown) if (each.listen) press(each.listen, each === heard);
+  for (const each of shown) if (each.listen) press(each.listen, each === current);
   cadenza.shownFinished = null;
 }
 
@@ -171,7 +173,7 @@ function clearPicture() {
 function createPicture() {
   clearPicture();
   const colours = VERDICTS.map((name) => css("--" + name));
-  stage = together(shown.map((performance) => {
+  stage = combineStages(shown.map((performance) => {
     const half = make("div", "", { className: "half" }), canvas = make("canvas", "", { className: "view", tabIndex: 0 });
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", "The hands over the keyboard: drag to turn, wheel to zoom after a click");
@@ -180,26 +182,26 @@ function createPicture() {
     half.append(seen);
     if (shown.length > 1) half.append(caption(performance));
     $("halves").append(half);
-    return createStage(canvas, performance.live, colours);
+    return createStage(canvas, performance.recording, colours);
   }));
   looks.show(stage);
   stage.move(now());
   if (shown.length > 1) bringIntoView(); // it is higher now
 }
-/** Who plays it, with what score, and whether it is the one that is heard. */
+/** Returns a bar with who plays, the scores, and a button to listen to it. */
 function caption(performance) {
   const bar = make("div", "", { className: "caption" }), name = howPlayed(performance.request);
   performance.shownScores = make("b", "");
-  performance.listen = act("Listen", `Listen to ${name}`, () => hearOnly(performance));
-  const close = act("×", `Close ${name}`, () => keepOnly(shown.find((each) => each !== performance)));
+  performance.listen = labelledButton("Listen", `Listen to ${name}`, () => listenTo(performance));
+  const close = labelledButton("×", `Close ${name}`, () => showOnly(shown.find((each) => each !== performance)));
   bar.append(make("span", name, { title: name }), performance.shownScores, performance.listen);
   const kept = shown.every(({ status: { state } }) => state === "kept"), isLast = performance === shown.at(-1);
   if (kept && isLast) bar.append(make("a", "Details", { href: `comparisons/${shown.map(({ id }) => id).join("/")}`, target: "_blank", rel: "noopener" }));
   bar.append(close);
   return bar;
 }
-/** Stages as one. */
-const together = (stages) => ({
+/** Returns one stage that draws on several. */
+const combineStages = (stages) => ({
   move(time) { for (const each of stages) each.move(time); },
   draw() { for (const each of stages) each.draw(); },
   look(name) { for (const each of stages) each.look(name); },
@@ -210,71 +212,71 @@ const together = (stages) => ({
   solid: stages.every(({ solid }) => solid),
 });
 
-/** Puts another performance of the song beside the one shown; both begin anew. */
-function putBeside(id) {
+/** Shows another performance of the song beside the current one; both begin anew. */
+function showBeside(id) {
   const first = shown[0].id;
   watch([first, id]);
 }
-function keepOnly(performance) {
+function showOnly(performance) {
   const time = now();
   watch([performance.id], time);
 }
 
-/** How much has to be planned ahead before it plays [s]. */
-function lead() {
+/** Returns how much has to be planned ahead before it plays [s]. */
+function requiredLead() {
   if (cadenza.waits) return Math.min(LEAD * 2 ** cadenza.waits, LONGEST_LEAD);
-  if (wall() > asked + LATE) return SHORT_LEAD;
+  if (wallTime() > askedAt + LATE_START) return SHORT_LEAD;
   return shown.every(({ pace }) => pace > FAST) ? FAST_LEAD : LEAD;
 }
 
-/** Plays while there is something planned ahead, and says what it waits for. */
-function proceed() {
+/** Plays while something is planned ahead, and shows what it waits for. */
+function updatePlayback() {
   if (!shown.length) return;
-  if (!isReady()) return sayWhatIsPrepared(shown.find(({ live }) => !live?.rows));
-  instrument.prepare();
+  if (!isReady()) return showPreparation(shown.find(({ recording }) => !recording?.rows));
+  instrument.loadTones();
   const end = available();
   if (running && now() >= end) {
-    halt(end);
+    stopClock(end);
     if (isComplete()) finish();
     else cadenza.waits++;
   }
-  if (running) say(instrument.waits ? "Click anywhere for sound" : "", null, null, true);
-  else if (!paused && !cadenza.finished) goOn(end);
+  if (running) showNotice(instrument.isSuspended ? "Click anywhere for sound" : "", null, null, true);
+  else if (!paused && !cadenza.finished) playWhenReady(end);
 }
-function sayWhatIsPrepared({ over, live, status: { state, stage: doing, done, total, before } }) {
-  if (over) say(ENDS[state] ?? "", null, null, Boolean(live));
-  else if (state === "queued") say(before ? `Waiting for its turn: ${before} before it` : "Waiting for its turn");
-  else say(STAGES[doing] ?? "Getting ready", doing ? done : null, doing ? total : null, Boolean(live));
+function showPreparation({ over, recording, status: { state, stage: doing, done, total, before } }) {
+  if (over) showNotice(END_NOTICES[state] ?? "", null, null, Boolean(recording));
+  else if (state === "queued") showNotice(before ? `Waiting for its turn: ${before} before it` : "Waiting for its turn");
+  else showNotice(STAGE_NOTICES[doing] ?? "Getting ready", doing ? done : null, doing ? total : null, Boolean(recording));
 }
-function goOn(end) {
+function playWhenReady(end) {
   if (position < resumeAt) position = Math.min(resumeAt, end);
-  const ahead = end - position, wanted = Math.min(lead(), whole() - position);
+  const ahead = end - position, wanted = Math.min(requiredLead(), duration() - position);
   if (isComplete() ? end > position : ahead >= wanted && position >= resumeAt) {
-    if (instrument.lacks(position + SHORT_LEAD)) return say("Tuning", null, null, true);
+    if (instrument.isMissing(position + SHORT_LEAD)) return showNotice("Tuning", null, null, true);
     resumeAt = 0;
     cadenza.began ??= performance.now();
-    go();
+    startClock();
   } else if (isComplete()) finish();
-  else if (shown.some(({ over }) => over)) say(ENDS[shown.find(({ over }) => over).status.state] ?? "", null, null, true);
-  else if (heard.status.state === "queued") sayWhatIsPrepared(heard);
-  else say(cadenza.waits ? "Planning has fallen behind; a moment" : "Planning ahead", Math.max(ahead, 0), wanted, true);
+  else if (shown.some(({ over }) => over)) showNotice(END_NOTICES[shown.find(({ over }) => over).status.state] ?? "", null, null, true);
+  else if (current.status.state === "queued") showPreparation(current);
+  else showNotice(cadenza.waits ? "Planning has fallen behind; a moment" : "Planning ahead", Math.max(ahead, 0), wanted, true);
 }
 function finish() {
   cadenza.finished = true;
-  const [f1, , , onsets] = heard.live.scores, { metrics = { f1, note_onset_f1: onsets } } = heard.status;
-  say(`Played with ${inFigures(metrics.f1, metrics.note_onset_f1)}`, null, null, true);
+  const [f1, , , onsets] = current.recording.scores, { metrics = { f1, note_onset_f1: onsets } } = current.status;
+  showNotice(`Played with ${formatScores(metrics.f1, metrics.note_onset_f1)}`, null, null, true);
 }
 
-/** To a time that has been planned [s]. */
+/** Goes to a time that has been planned [s]. */
 function seek(time) {
   if (!isReady()) return;
   const at = Math.min(Math.max(time, 0), available());
   if (cadenza.finished) [cadenza.finished, paused] = [false, true];
   instrument.silence();
-  [position, since, sounded, resumeAt, written] = [at, source() ?? since, firstRow(at), 0, 0];
-  if (!running) say("");
+  [position, clockStart, nextRow, resumeAt, scoresDrawnAt] = [at, clock() ?? clockStart, firstRow(at), 0, 0];
+  if (!running) showNotice("");
 }
-function toggle() {
+function togglePlay() {
   if (!isReady()) return;
   instrument.wake();
   if (cadenza.finished) {
@@ -284,43 +286,43 @@ function toggle() {
   else paused = !paused;
 }
 function pause() {
-  halt(now());
+  stopClock(now());
   instrument.silence();
   paused = true;
 }
 
-/** Hands the instrument the rows that are due. */
-function sound() {
+/** Schedules the sound of the rows that come next. */
+function scheduleSound() {
   if (!isReady()) return;
-  const time = now(), { live } = heard;
-  if (!running || instrument.waits) {
-    sounded = Math.max(sounded, Math.ceil(time / live.dt));
+  const time = now(), { recording } = current;
+  if (!running || instrument.isSuspended) {
+    nextRow = Math.max(nextRow, Math.ceil(time / recording.dt));
     return;
   }
   const audio = instrument.time;
-  for (; sounded < live.rows && sounded * live.dt < time + AHEAD; sounded++) {
-    const at = Math.max(audio + sounded * live.dt - time, audio);
-    instrument.row(sounded, at);
-    for (let key = 0; key < live.keys; key++) if (live.sounds(sounded, key) > 1) cadenza.strikes.push([sounded * live.dt, key, at - audio + time]);
+  for (; nextRow < recording.rows && nextRow * recording.dt < time + SOUND_AHEAD; nextRow++) {
+    const at = Math.max(audio + nextRow * recording.dt - time, audio);
+    instrument.playRow(nextRow, at);
+    for (let key = 0; key < recording.keys; key++) if (recording.sounds(nextRow, key) > 1) cadenza.strikes.push([nextRow * recording.dt, key, at - audio + time]);
   }
 }
 
 function frame(time) {
   requestAnimationFrame(frame);
-  proceed();
+  updatePlayback();
   // Without a graphics card, fewer pictures leave more of the machine to who plans.
-  if (!stage || (stage.flat && !isComplete() && time < due)) return;
-  due = Math.max(Math.min(due, time) + SPARING, time);
+  if (!stage || (stage.flat && !isComplete() && time < nextFrame)) return;
+  nextFrame = Math.max(Math.min(nextFrame, time) + FRAME_INTERVAL, time);
   show(now());
 }
 function show(time) {
-  const fresh = lives().map((live) => live.show(time)).includes(true);
+  const fresh = recordings().map((recording) => recording.show(time)).includes(true);
   cadenza.time = time;
   stage.move(time);
   stage.draw();
   roll.move(time);
-  if ((fresh && performance.now() - written > 250) || cadenza.finished !== cadenza.shownFinished) {
-    [written, cadenza.shownFinished] = [performance.now(), cadenza.finished];
+  if ((fresh && performance.now() - scoresDrawnAt > SCORES_INTERVAL) || cadenza.finished !== cadenza.shownFinished) {
+    [scoresDrawnAt, cadenza.shownFinished] = [performance.now(), cadenza.finished];
     roll.draw();
     roll.move(time);
     showScores();
@@ -332,18 +334,18 @@ function show(time) {
   looks.measure(running);
 }
 function showTime(time) {
-  const percent = (part) => `${(100 * part) / whole()}%`;
-  $("scrub").style.setProperty("--planned", percent(Math.min(...lives().map(({ rows, dt }) => rows * dt))));
+  const percent = (part) => `${(100 * part) / duration()}%`;
+  $("scrub").style.setProperty("--planned", percent(Math.min(...recordings().map(({ rows, dt }) => rows * dt))));
   $("scrub").style.setProperty("--heard", percent(time));
   if ($("clock").textContent === minutes(time)) return;
   $("clock").textContent = minutes(time);
   $("scrub").value = time;
-  $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(whole())}`);
+  $("scrub").setAttribute("aria-valuetext", `${minutes(time)} of ${minutes(duration())}`);
 }
 function showScores() {
-  showFigures(heard.live.scores);
-  for (const { live: { scores: [f1, , , onsets] }, shownScores } of shown) {
-    if (shownScores && f1 !== null) shownScores.textContent = inFigures(f1, onsets);
+  showFigures(current.recording.scores);
+  for (const { recording: { scores: [f1, , , onsets] }, shownScores } of shown) {
+    if (shownScores && f1 !== null) shownScores.textContent = formatScores(f1, onsets);
   }
 }
 function showFigures(scores) {
@@ -353,6 +355,6 @@ function showFigures(scores) {
   });
 }
 
-/** For when the page is loaded again. */
-const remember = (time) => sessionStorage.setItem("cadenza", JSON.stringify([shown[0].id, time, heard.request]));
+/** Remembers what is shown, for when the page is loaded again. */
+const remember = (time) => sessionStorage.setItem("cadenza", JSON.stringify([shown[0].id, time, current.request]));
 const remembered = () => JSON.parse(sessionStorage.getItem("cadenza") ?? "[null, 0, null]");

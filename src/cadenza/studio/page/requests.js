@@ -1,4 +1,4 @@
-// What the server is asked, and how the page says what went wrong.
+// Requests to the server, and errors on the page.
 
 const cadenza = window.cadenza = { ready: false, error: null, state: "idle", time: 0, strikes: [], waits: 0 };
 function make(name, text = "", attributes = {}) {
@@ -6,53 +6,53 @@ function make(name, text = "", attributes = {}) {
   element.textContent = text;
   return element;
 }
-/** A button that says what it acts on to those who do not see where it stands. */
-function act(name, label, run) {
+/** Returns a button whose label says to screen readers what it acts on. */
+function labelledButton(name, label, run) {
   const button = make("button", name, { type: "button" });
   button.setAttribute("aria-label", label);
   button.addEventListener("click", run);
   return button;
 }
-function complain(message) {
+function showError(message) {
   cadenza.error = String(message);
   $("error").textContent = cadenza.error.charAt(0).toUpperCase() + cadenza.error.slice(1);
   $("error").hidden = false;
 }
-function calm() {
+function clearError() {
   cadenza.error = null;
   $("error").hidden = true;
 }
-/** What cannot be done, and what to do about it: nothing that is wrong with the page. */
+/** An error of the visitor or the server, and what to do about it; the page itself works. */
 class Refusal extends Error {}
-window.addEventListener("error", (event) => complain("This page met an error: " + event.message));
+window.addEventListener("error", (event) => showError("This page met an error: " + event.message));
 window.addEventListener("unhandledrejection", (event) => {
-  complain(event.reason?.message ?? String(event.reason));
+  showError(event.reason?.message ?? String(event.reason));
   if (event.reason instanceof Refusal) event.preventDefault(); // the console is for what is wrong
 });
-// What was said of the last thing that the visitor did is over with the next.
+// An error disappears when the visitor does something else.
 for (const name of ["click", "change", "drop"]) {
   document.addEventListener(name, ({ target }) => {
-    if (name !== "click" || target.closest("button, a, input, select, label, summary")) calm();
+    if (name !== "click" || target.closest("button, a, input, select, label, summary")) clearError();
   }, true);
 }
-window.addEventListener("hashchange", calm);
+window.addEventListener("hashchange", clearError);
 
-/** F1, and beside it that of note onsets where it is known. */
-const inFigures = (f1, onsets) => `F1 ${f1.toFixed(3)}${Number.isFinite(onsets) ? ` · note onsets ${onsets.toFixed(3)}` : ""}`;
+/** Formats F1, and F1 of note onsets where it is known. */
+const formatScores = (f1, onsets) => `F1 ${f1.toFixed(3)}${Number.isFinite(onsets) ? ` · note onsets ${onsets.toFixed(3)}` : ""}`;
 
-const SILENT = "The studio does not answer. Start it again; this page then goes on.";
+const NO_ANSWER = "The studio does not answer. Start it again; this page then goes on.";
 
-/** What the server answers; what it refuses is an error of one line. */
-async function ask(path, method = "GET", body = undefined) {
+/** Returns what the server answers; throws a `Refusal` of one line where it refuses. */
+async function fetchJson(path, method = "GET", body = undefined) {
   let answer;
   try {
     answer = await fetch(path, { method, body });
   } catch {
-    throw new Refusal(SILENT);
+    throw new Refusal(NO_ANSWER);
   }
-  if (cadenza.error === SILENT) calm();
+  if (cadenza.error === NO_ANSWER) clearError();
   if (answer.status === 204) return null;
-  const said = await answer.json().catch(() => ({ error: `The studio answered ${answer.status}.` }));
-  if (!answer.ok) throw new Refusal(said.error);
-  return said;
+  const content = await answer.json().catch(() => ({ error: `The studio answered ${answer.status}.` }));
+  if (!answer.ok) throw new Refusal(content.error);
+  return content;
 }

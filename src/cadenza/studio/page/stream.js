@@ -1,22 +1,22 @@
-// A performance that arrives while it is played.
+// A performance that the server streams while it is played.
 
 const OVER = ["kept", "failed", "cancelled", "gone"], COMPLETE = ["played", "writing", "kept"];
-const PACE_OVER = 2, MEASURED = 6; // [s] over which the pace of planning is measured; and messages
-const PATIENCE = 5000; // [ms] between two attempts to reach the server, at most
+const PACE_WINDOW = 2, MIN_ARRIVALS = 6; // [s] and messages over which the pace of planning is measured
+const RETRY_DELAY = 500, MAX_RETRY_DELAY = 5000; // [ms] before the next attempt to reach the server, for each that failed; and at most
 
 /**
- * Listens to what the server tells of a performance: its `title` and `request`, `status`, and
- * `live` once it is known what is to be played. `changed(performance, what)` hears of each.
+ * Receives a performance from the server: its `title` and `request`, `status`, and a `recording` once
+ * it is known what is to be played. `changed(performance, what)` is called for each of these.
  */
 function createPerformance(id, changed) {
-  let socket = null, tries = 0, closed = false, trouble = null; // what was said of not being told
+  let socket = null, attempts = 0, closed = false, serverError = null; // that the page shows
   const performance = {
-    id, title: "", request: null, status: { state: "queued" }, live: null,
-    came: [], // lately, when how many rows were there: [s], count
-    /** How many seconds of music a second of planning brings, lately; null before that is known. */
+    id, title: "", request: null, status: { state: "queued" }, recording: null,
+    arrivals: [], // latest messages: time [s], number of rows
+    /** Seconds of music that are planned a second, lately; null before that is known. */
     get pace() {
-      const [first, last] = [this.came[0], this.came.at(-1)];
-      return this.came.length < MEASURED ? null : ((last[1] - first[1]) * this.live.dt) / Math.max(last[0] - first[0], 1e-3);
+      const [first, last] = [this.arrivals[0], this.arrivals.at(-1)];
+      return this.arrivals.length < MIN_ARRIVALS ? null : ((last[1] - first[1]) * this.recording.dt) / Math.max(last[0] - first[0], 1e-3);
     },
     get over() { return OVER.includes(this.status.state); },
     /** Whether nothing more is to come of the music. */
@@ -26,54 +26,54 @@ function createPerformance(id, changed) {
       socket.close();
     },
   };
-  async function hear(data) {
+  async function receive(data) {
     if (typeof data !== "string") {
-      performance.live.add(new Uint8Array(data));
-      const { came, live } = performance, at = window.performance.now() / 1000;
-      came.push([at, live.rows]);
-      while (came.length > MEASURED && came[1][0] < at - PACE_OVER) came.shift();
+      performance.recording.add(new Uint8Array(data));
+      const { arrivals, recording } = performance, at = window.performance.now() / 1000;
+      arrivals.push([at, recording.rows]);
+      while (arrivals.length > MIN_ARRIVALS && arrivals[1][0] < at - PACE_WINDOW) arrivals.shift();
       return;
     }
-    const said = JSON.parse(data);
-    let what = "live";
-    if (said.state === "full") return complain(trouble = said.error);
-    if (cadenza.error === trouble) calm();
-    if (said.state) [performance.status, what] = [said, "status"];
-    else if (said.request) [what] = ["request", Object.assign(performance, said)];
-    else if (performance.live) return performance.live.restart(); // told again
-    else performance.live = await createLive(said);
+    const message = JSON.parse(data);
+    let what = "recording";
+    if (message.state === "full") return showError(serverError = message.error);
+    if (cadenza.error === serverError) clearError();
+    if (message.state) [performance.status, what] = [message, "status"];
+    else if (message.request) [what] = ["request", Object.assign(performance, message)];
+    else if (performance.recording) return performance.recording.restart(); // sent again
+    else performance.recording = await createStreamedRecording(message);
     if (!closed) changed(performance, what);
   }
-  (function listen() {
+  (function connect() {
     const ours = socket = new WebSocket(`${location.origin.replace(/^http/, "ws")}${location.pathname}watch/${id}`);
     ours.binaryType = "arraybuffer";
     let order = Promise.resolve();
     ours.onopen = () => {
-      tries = 0;
-      if (cadenza.error === SILENT) calm();
+      attempts = 0;
+      if (cadenza.error === NO_ANSWER) clearError();
     };
-    ours.onmessage = ({ data }) => { order = order.then(() => (closed ? null : hear(data))); };
+    ours.onmessage = ({ data }) => { order = order.then(() => (closed ? null : receive(data))); };
     ours.onclose = () => order.then(() => {
       if (closed || performance.over) return;
-      if (tries++ > 1) complain(SILENT);
-      setTimeout(() => { if (!closed) listen(); }, Math.min(500 * tries, PATIENCE));
+      if (attempts++ > 1) showError(NO_ANSWER);
+      setTimeout(() => { if (!closed) connect(); }, Math.min(RETRY_DELAY * attempts, MAX_RETRY_DELAY));
     });
   })();
   return performance;
 }
 
 /**
- * Like a recording (see recording.js), but its rows come one after the other, and its states hold
- * only what has been shown. `about` is what the server says first, see `cadenza.studio.state_stream`.
+ * Returns a recording (see recording.js) whose rows come one after the other, and whose states hold
+ * only what has been shown. `about` is the header that the server sends, see `cadenza.studio.state_stream`.
  */
-async function createLive(about) {
+async function createStreamedRecording(about) {
   const { dt, steps, keys, lowest, joints: width, row: size, start, scene, sound } = about;
   const goal = await unpacked(about.goal, steps, Uint8Array), goalPedal = await unpacked(about.pedal, steps, Uint8Array);
   const bytes = new Uint8Array(steps * size), numbers = new Float32Array(bytes.buffer), posture = Float32Array.from(start);
   const angles = new Uint8Array(steps * keys), states = new Uint8Array(steps * keys), pedal = new Uint8Array(steps);
   const depths = 4 * width, sounding = depths + keys, pedalAt = sounding + keys;
   const onsets = createOnsets(about.notes);
-  let filled = 0, came = 0, shown = 0, sums = [0, 0, 0];
+  let filled = 0, received = 0, shown = 0, sums = [0, 0, 0];
   const clear = () => {
     [shown, sums] = [0, [0, 0, 0]];
     onsets.clear();
@@ -94,15 +94,15 @@ async function createLive(about) {
     sounds, pedalDown,
     add(part) {
       const first = rows();
-      bytes.set(part.subarray(0, bytes.length - came), came);
-      came = Math.min(came + part.length, bytes.length);
-      filled = Math.max(filled, came);
+      bytes.set(part.subarray(0, bytes.length - received), received);
+      received = Math.min(received + part.length, bytes.length);
+      filled = Math.max(filled, received);
       for (let row = first; row < rows(); row++) {
         angles.set(bytes.subarray(row * size + depths, row * size + sounding), row * keys);
       }
     },
-    /** What comes next is the first row again. */
-    restart() { came = 0; },
+    /** Begins again with the first row. */
+    restart() { received = 0; },
     jointsAt(time) {
       if (!rows()) return posture;
       const { row, next, blend } = rowAt(time, dt, rows()), stride = size / 4;
@@ -112,7 +112,7 @@ async function createLive(about) {
       }
       return posture;
     },
-    /** Shows what became of all keys up to a time, and of nothing later; whether that is new. */
+    /** Shows what became of all keys up to a time, and of nothing later; returns whether that is new. */
     show(time) {
       const end = Math.min(Math.floor(time / dt + 1e-6) + 1, rows());
       if (end < shown) clear();
@@ -132,13 +132,13 @@ async function createLive(about) {
       }
       return shown > first;
     },
-    /** F1, precision and recall of the steps shown, and F1 of note onsets, as `cadenza.music.metrics` has them. */
+    /** F1, precision and recall of the steps shown, and F1 of note onsets, as in `cadenza.music.metrics`. */
     get scores() { return shown ? [...sums.map((sum) => sum / shown), onsets.f1(shown * dt)] : [null, null, null, null]; },
   };
 }
 
-const NEAR = 500; // [0.1 ms] that a note may begin too early or too late
-/** Finds notes [key, beginning in s], in this order, among those that are struck one after the other. */
+const ONSET_TOLERANCE = 500; // [0.1 ms] that a note may begin too early or too late
+/** Matches notes [key, beginning in s] with the keys that are struck one after the other. */
 function createOnsets(notes) {
   const starts = new Map(), all = notes.map(([, start]) => start).sort((a, b) => a - b);
   for (const [key, start] of notes) {
@@ -152,11 +152,11 @@ function createOnsets(notes) {
       const wanted = starts.get(key) ?? [], off = (i) => Math.round(1e4 * (wanted[i] - at));
       let i = next.get(key) ?? 0;
       while (i < wanted.length && off(i) < -NEAR) i++;
-      if (i < wanted.length && off(i) <= NEAR) [found, i] = [found + 1, i + 1];
+      if (i < wanted.length && off(i) <= ONSET_TOLERANCE) [found, i] = [found + 1, i + 1];
       next.set(key, i);
       struck++;
     },
-    /** Of the notes that begin before a time [s]; what is struck a little early may not be among them. */
+    /** Returns F1 of the notes that begin before a time [s]; one that is struck a little early may not be among them. */
     f1(time) {
       while (begun < all.length && all[begun] < time - 1e-9) begun++;
       return struck + begun ? Math.min((2 * found) / (struck + begun), 1) : 1;

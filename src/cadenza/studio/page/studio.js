@@ -1,28 +1,28 @@
-// What the visitor does
+// What happens when the visitor clicks, drops or presses a key.
 
 $("search").addEventListener("input", showSongs);
 $("agent").addEventListener("change", showAgent);
-$("start").addEventListener("click", begin);
+$("start").addEventListener("click", playChosen);
 $("train").addEventListener("click", train);
 let stopListening = null;
 $("keyboard").hidden = !navigator.requestMIDIAccess && isSecureContext; // it knows none
 $("keyboard").addEventListener("click", async () => {
-  const told = (notes) => sayInstead(`Listening: ${notes} ${notes === 1 ? "note" : "notes"}`);
-  const phrase = (bytes) => upload(new File([bytes], `Played at ${new Date().toLocaleTimeString()}.mid`));
+  const onCount = (notes) => overrideNotice(`Listening: ${notes} ${notes === 1 ? "note" : "notes"}`);
+  const onPhrase = (bytes) => upload(new File([bytes], `Played at ${new Date().toLocaleTimeString()}.mid`));
   if (stopListening) stopListening();
-  stopListening = stopListening ? null : await listenToKeyboards(told, phrase);
+  stopListening = stopListening ? null : await listenToKeyboards(onCount, onPhrase);
   press($("keyboard"), Boolean(stopListening));
-  sayInstead(stopListening && !shown.length ? "Play something. When you pause, the hands play it after you." : "");
+  overrideNotice(stopListening && !shown.length ? "Play something. When you pause, the hands play it after you." : "");
 });
 $("file").addEventListener("change", () => {
   const [file] = $("file").files;
   $("file").value = ""; // so that the same file can be chosen again
   if (file) upload(file);
 });
-$("cancel").addEventListener("click", () => ask(`api/jobs/${heard.id}`, "DELETE"));
-$("play").addEventListener("click", toggle);
+$("cancel").addEventListener("click", () => fetchJson(`api/jobs/${current.id}`, "DELETE"));
+$("play").addEventListener("click", togglePlay);
 $("link").addEventListener("click", async () => {
-  const link = `${location.origin}${location.pathname}#${asHash(request())}`;
+  const link = `${location.origin}${location.pathname}#${toHash(playRequest())}`;
   const copied = await navigator.clipboard?.writeText(link).then(() => true, () => false);
   if (!copied) history.replaceState(null, "", link); // of another machine, browsers let no page copy
   $("link").textContent = copied ? "Copied" : "Now above";
@@ -43,41 +43,41 @@ document.addEventListener("pointerdown", () => { if (shown.length) instrument.wa
 $("scrub").addEventListener("input", () => seek(Number($("scrub").value)));
 
 const STEP = 0.5, JUMP = 5; // [s]
-const KEYS = {
-  " ": toggle, k: toggle, m: mute, j: () => seek(now() - JUMP), l: () => seek(now() + JUMP),
+const SHORTCUTS = {
+  " ": togglePlay, k: togglePlay, m: mute, j: () => seek(now() - JUMP), l: () => seek(now() + JUMP),
   arrowleft: () => seek(now() - STEP), arrowright: () => seek(now() + STEP),
 };
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input:not(#scrub), select, textarea")) return;
   if (event.key === " " && event.target.matches("button, a, summary")) return;
-  const run = KEYS[event.key.toLowerCase()];
+  const run = SHORTCUTS[event.key.toLowerCase()];
   if (!run) return;
   run();
   event.preventDefault();
 });
 
-/** What the address asks for: performances, or a song and how it is to be played. */
-function open() {
-  const asked = fromHash(), ids = only ? [only] : (asked.job ?? "").split(",").filter(Boolean).slice(0, 2);
+/** Opens what the address asks for: performances, or a song and how it is to be played. */
+function openFromAddress() {
+  const wanted = fromHash(), ids = only ? [only] : (wanted.job ?? "").split(",").filter(Boolean).slice(0, 2);
   if (ids.length) {
     const [id, time] = remembered();
     watch(ids, id === ids[0] ? time : 0);
-  } else if (asked.song) {
-    setToPlay(asked);
+  } else if (wanted.song) {
+    setOptionsToPlay(wanted);
     $("more").open = true;
   }
 }
 
 await listSongs();
-await listKept();
-await listBackground();
-open();
-window.addEventListener("hashchange", open);
+await listPerformances();
+await showBackground();
+openFromAddress();
+window.addEventListener("hashchange", openFromAddress);
 new ResizeObserver(() => roll?.draw()).observe($("roll-card"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => roll?.draw());
 setInterval(() => { // also where the page is hidden and draws no frames
-  proceed();
-  sound();
+  updatePlayback();
+  scheduleSound();
 }, 50);
 Object.assign(cadenza, { ready: true, upload, seek, instrument });
 requestAnimationFrame(frame);

@@ -20,7 +20,7 @@ from cadenza.studio.request import Order, PlayRequest
 from cadenza.studio.state_stream import StateStream
 
 
-class PerformancePage:
+class LivePage:
     """Sends a performance to the page while it is played."""
 
     def __init__(self, process: subprocess.Popen[bytes], setup: Setup) -> None:
@@ -59,12 +59,12 @@ class PerformancePage:
 
 
 @contextmanager
-def open_page(setup: Setup, title: str) -> Iterator[PerformancePage]:
+def open_page(setup: Setup, title: str) -> Iterator[LivePage]:
     """Yields the page, which is there until the block ends."""
     agent, hand = setup.settings["agent"], setup.settings["scene"]["hand"]
     request = PlayRequest(title, agent, hand=hand, seed=setup.seed)
     order = Order(request, title, title, False, secrets.token_hex(8), "")
-    module = "cadenza.studio.performance_server"
+    module = "cadenza.studio.live_page_server"
     command = [sys.executable, "-P", "-m", module, json.dumps(asdict(order))]
     # Ctrl-C is for this process, which plays.
     process = subprocess.Popen(
@@ -73,7 +73,7 @@ def open_page(setup: Setup, title: str) -> Iterator[PerformancePage]:
     assert process.stdout is not None
     try:
         print(process.stdout.readline().decode(), end="", flush=True)  # before the song is over
-        yield PerformancePage(process, setup)
+        yield LivePage(process, setup)
     finally:
         process.terminate()
         process.wait()

@@ -1,4 +1,4 @@
-"""Serves one performance, as a process: `python -m cadenza.studio.performance_server ORDER`.
+"""Serves one performance, as a process: `python -m cadenza.studio.live_page_server ORDER`.
 
 Another process plays it. This one takes the order as JSON, and reads on stdin the messages that
 `cadenza.studio.messages` describes.
@@ -25,7 +25,7 @@ from cadenza.studio.processes import messages
 from cadenza.studio.request import Order
 
 
-class PerformanceServer(PageServer):
+class LivePageServer(PageServer):
     """Serves one performance, which cannot be changed from the page."""
 
     def __init__(self, order: Order) -> None:
@@ -80,7 +80,7 @@ class PerformanceServer(PageServer):
 def main() -> None:
     """Serves until the process is told to end."""
     with suppress(KeyboardInterrupt):
-        serve(PerformanceServer(parsed_json(sys.argv[1], Order, "order")))
+        serve(LivePageServer(parsed_json(sys.argv[1], Order, "order")))
 
 
 if __name__ == "__main__":
