@@ -106,7 +106,7 @@ SCORES = "f1", "precision", "recall", "onsets"
 
 
 def uncaught(browser: Browser) -> list[str]:
-    """Returns problems in the console, except answers of the server, which browsers list themselves."""
+    """Returns problems in the console, but for answers of the server, which browsers list."""
     return [each for each in browser.problems() if '"source": "network"' not in each]
 
 
