@@ -151,7 +151,7 @@ function createOnsets(notes) {
     strike(key, at) {
       const wanted = starts.get(key) ?? [], off = (i) => Math.round(1e4 * (wanted[i] - at));
       let i = next.get(key) ?? 0;
-      while (i < wanted.length && off(i) < -NEAR) i++;
+      while (i < wanted.length && off(i) < -ONSET_TOLERANCE) i++;
       if (i < wanted.length && off(i) <= ONSET_TOLERANCE) [found, i] = [found + 1, i + 1];
       next.set(key, i);
       struck++;
