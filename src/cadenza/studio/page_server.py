@@ -9,7 +9,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import (
     AbstractContextManager,
     asynccontextmanager,
@@ -21,12 +21,14 @@ from dataclasses import astuple
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.types import ExceptionHandler
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
@@ -52,8 +54,6 @@ _MAX_RECEIVED = 1 << 12  # bytes of a message of the page, which has nothing to 
 _KILLED = 128  # what shells add to the number of a signal that ends a process
 _CACHED = {"cache-control": "private, max-age=31536000, immutable"}
 
-Handler = Callable[[Request], Awaitable[Response]]
-
 
 class PageServer:
     """Serves a page, and performances that can be watched on it as they are made."""
@@ -75,13 +75,15 @@ class PageServer:
         return [
             Route("/", self.page),
             Route("/{name:str}.{ending:str}", self.script),
-            Route("/tones/{pitch}/{band}", reporting_errors(self.tone)),
+            Route("/tones/{pitch}/{band}", self.tone),
             WebSocketRoute("/watch/{id}", self.watch),
         ]
 
     def app(self, token: str, host: str) -> AccessControl:
         """Returns the ASGI application, behind access control."""
-        return AccessControl(Starlette(routes=self.routes(), lifespan=self.lifespan), token, host)
+        errors: dict[Any, ExceptionHandler] = dict.fromkeys((CadenzaError, OSError), _report_error)
+        app = Starlette(routes=self.routes(), lifespan=self.lifespan, exception_handlers=errors)
+        return AccessControl(app, token, host)
 
     @asynccontextmanager
     async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
@@ -143,18 +145,11 @@ async def _closed(socket: WebSocket) -> None:
             pass
 
 
-def reporting_errors(handle: Handler) -> Handler:
-    """Returns a handler that answers errors in one line."""
-
-    async def answer(request: Request) -> Response:
-        try:
-            return await handle(request)
-        except CadenzaError as error:
-            return error_response(" ".join(str(error).split()), 400)
-        except OSError as error:
-            return error_response(error.strerror or "the disk cannot be read or written", 500)
-
-    return answer
+async def _report_error(_: Request, error: Exception) -> Response:
+    """Answers in one line what is wrong with a request, or with the disk."""
+    if isinstance(error, OSError):
+        return error_response(error.strerror or "the disk cannot be read or written", 500)
+    return error_response(" ".join(str(error).split()), 400)
 
 
 def error_response(message: str, status: int) -> Response:

@@ -26,7 +26,7 @@ from cadenza.music.formats.reading import check_format
 from cadenza.studio.broadcast import Broadcast
 from cadenza.studio.jobs import Job, JobQueue
 from cadenza.studio.limits import MAX_BYTES
-from cadenza.studio.page_server import PageServer, error_response, reporting_errors
+from cadenza.studio.page_server import PageServer, error_response
 from cadenza.studio.processes import read_upload, write_comparison
 from cadenza.studio.request import AGENTS, PLANNER_VARIANTS, PlayRequest, read_request
 from cadenza.studio.storage import FILES, Storage, Upload
@@ -105,26 +105,20 @@ class Studio(PageServer):
         """See `PageServer`."""
         return [
             *super().routes(),
-            Route("/api/songs", reporting_errors(self.songs)),
-            Route("/api/songs", reporting_errors(self.upload), methods=["POST"]),
-            Route("/api/songs/{id}", reporting_errors(self.delete_song), methods=["DELETE"]),
-            Route("/api/jobs", reporting_errors(self.play), methods=["POST"]),
-            Route("/api/jobs/{id}", reporting_errors(self.cancel), methods=["DELETE"]),
-            Route("/api/background", reporting_errors(self.background)),
-            Route("/api/practice", reporting_errors(self.stop_practice), methods=["DELETE"]),
-            Route("/api/trainings", reporting_errors(self.train), methods=["POST"]),
-            Route("/api/trainings/{name}/resume", reporting_errors(self.resume), methods=["POST"]),
-            Route(
-                "/api/trainings/{name}/stop", reporting_errors(self.stop_training), methods=["POST"]
-            ),
-            Route("/api/performances", reporting_errors(self.performances)),
-            Route(
-                "/api/performances/{id}",
-                reporting_errors(self.delete_performance),
-                methods=["DELETE"],
-            ),
-            Route("/performances/{id}/{name}", reporting_errors(self.file)),
-            Route("/comparisons/{first}/{second}", reporting_errors(self.compare)),
+            Route("/api/songs", self.songs),
+            Route("/api/songs", self.upload, methods=["POST"]),
+            Route("/api/songs/{id}", self.delete_song, methods=["DELETE"]),
+            Route("/api/jobs", self.play, methods=["POST"]),
+            Route("/api/jobs/{id}", self.cancel, methods=["DELETE"]),
+            Route("/api/background", self.background),
+            Route("/api/practice", self.stop_practice, methods=["DELETE"]),
+            Route("/api/trainings", self.train, methods=["POST"]),
+            Route("/api/trainings/{name}/resume", self.resume, methods=["POST"]),
+            Route("/api/trainings/{name}/stop", self.stop_training, methods=["POST"]),
+            Route("/api/performances", self.performances),
+            Route("/api/performances/{id}", self.delete_performance, methods=["DELETE"]),
+            Route("/performances/{id}/{name}", self.file),
+            Route("/comparisons/{first}/{second}", self.compare),
         ]
 
     @asynccontextmanager
