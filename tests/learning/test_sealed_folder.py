@@ -153,34 +153,7 @@ def test_nothing_that_a_file_says_is_carried_out(
     for content in contents:
         seal(folder, arrays=content)
         assert_refused(folder, r"arrays\.safetensors: not a readable \.safetensors file")
-    for content in contents:
-        seal_as_before(folder, content)
-        assert_refused(folder, r"arrays\.npz: not a readable \.npz file of plain arrays")
     assert not (tmp_path / "went off").exists()
-
-
-def seal_as_before(folder: Path, arrays: bytes) -> None:
-    """As the version before did."""
-    (folder / "arrays.safetensors").unlink(missing_ok=True)
-    (folder / "arrays.npz").write_bytes(arrays)
-    names = ("facts.json", "arrays.npz")
-    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
-    (folder / "manifest.json").write_text(json.dumps({"kind": "thing", "sha256": digests}))
-
-
-def test_what_the_version_before_wrote_is_read_and_written_anew(folder: Path) -> None:
-    packed = io.BytesIO()
-    np.savez(packed, allow_pickle=False, **ARRAYS)
-    seal_as_before(folder, packed.getvalue())
-    facts, arrays = read_sealed(folder, "thing")
-    write_sealed(folder, "thing", facts, arrays)
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "arrays.safetensors", "facts.json", "manifest.json"
-    ]  # fmt: skip
-    assert facts == read_sealed(folder, "thing")[0] == FACTS
-    for name, array in read_sealed(folder, "thing")[1].items():
-        assert array.dtype == ARRAYS[name].dtype
-        assert_array_equal(array, ARRAYS[name])
 
 
 def test_names_that_cannot_be_printed_are_refused(folder: Path) -> None:

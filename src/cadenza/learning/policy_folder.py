@@ -13,7 +13,6 @@ from cadenza.errors import CadenzaError, by_others
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
 from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
-from cadenza.learning.old_formats import is_old_policy, renewed_policy
 from cadenza.learning.policy import Activation, Perceptron, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
@@ -206,12 +205,10 @@ def load_policy(folder: Path) -> LearntPolicy:
     check_is_no_run(folder)
     plain, arrays = read_sealed(folder, _KIND)
     where = folder / "facts.json"
-    if is_old_policy(folder, plain):
-        plain, arrays = renewed_policy(plain, arrays, where)
-    elif (number := plain.get("format")) != _FORMAT:
+    if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(
-            f"{folder}: this policy has format {number!r}, but this version reads only up to "
-            f"{_FORMAT}; install the version of Cadenza that wrote it"
+            f"{folder}: this policy has format {number!r}, but this version reads only {_FORMAT}; "
+            "install the version of Cadenza that wrote it"
         )
     of_others = "learner" in plain
     check_arrays(arrays, _EXPECTED_OF_OTHERS if of_others else _EXPECTED, folder)

@@ -45,9 +45,8 @@ from cadenza.files import (
     write_atomically,
 )
 from cadenza.learning.config import TrainingConfig, check
-from cadenza.learning.learner import DROQ, learner_config, name_of
-from cadenza.learning.old_formats import renewed_checkpoint, renewed_chunk, renewed_config
-from cadenza.learning.sealed_folder import is_old, read_sealed, write_sealed
+from cadenza.learning.learner import learner_config, name_of
+from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.scene.config import check_modules
@@ -72,8 +71,8 @@ class _About:
     """But for the options of the learner."""
     score: WrittenScore
     versions: dict[str, str]
-    id: str = ""
-    learner: str = DROQ
+    id: str
+    learner: str
     """Its name."""
 
 
@@ -103,11 +102,11 @@ class Facts:
     collector: dict[str, Any]
     finished: tuple[tuple[float | None, float | None], ...]
     replay: tuple[Chunk, ...]
-    ends: tuple[tuple[Count, Count], ...] = ()
+    ends: tuple[tuple[Count, Count], ...]
     """From which step on it was to end at which."""
-    threads: int | None = None
+    threads: int | None
     """With how many the learner added numbers up, if that is known."""
-    updates: Count = 0
+    updates: Count
     """Of the learner."""
     metrics_size: Count = 0
 
@@ -199,10 +198,10 @@ class RunFolder:
             raise CadenzaError(
                 f"{self.path}: holds a run of cadenza clone; repeat its command to continue it"
             )
-        config = renewed_config(about.get("config"))
+        config = about.get("config")
         options = config.pop("learner", {}) if isinstance(config, dict) else {}
-        read = checked(about | {"config": config}, _About, self._about)
-        learner = checked(renewed_config(options), learner_config(read.learner), self._about)
+        read = checked(about, _About, self._about)
+        learner = checked(options, learner_config(read.learner), self._about)
         return replace(read, config=replace(read.config, learner=learner))
 
     def settings(self) -> tuple[TrainingConfig, Score]:
@@ -231,7 +230,7 @@ class RunFolder:
     @property
     def id(self) -> str:
         """Told apart by it from all other runs, wherever they lie."""
-        return self._read().id or self.path.resolve().name  # as before there were any
+        return self._read().id
 
     # Figures
 
@@ -321,12 +320,6 @@ class RunFolder:
             print(f"{self.path}: going back to step {int(best.name)}", file=sys.stderr)
         if lost := _lost(found[best]):
             print(f"{self.path}: up to {lost} transitions are lost", file=sys.stderr)
-        if is_old(best):
-            print(
-                f"{self.path}: begun by an older version; this version continues it, and the next "
-                "one will not",
-                file=sys.stderr,
-            )
         self._cut_rows(found[best].facts.metrics_size)
         return found[best]
 
@@ -349,7 +342,7 @@ class RunFolder:
 
     def _chunk(self, name: str) -> Arrays | None:
         try:
-            return renewed_chunk(read_arrays(self._replay / name, ANY))
+            return read_arrays(self._replay / name, ANY)
         except CadenzaError as error:
             print(error, file=sys.stderr)
             return None
@@ -398,7 +391,6 @@ def _versions() -> dict[str, str]:
 
 def _facts(folder: Path, expected: Expected = MappingProxyType({})) -> tuple[Facts, Arrays]:
     plain, arrays = read_sealed(folder, _KIND, expected)
-    plain, arrays = renewed_checkpoint(plain, arrays)
     return checked(plain, Facts, folder / "facts.json"), arrays
 
 

@@ -21,7 +21,6 @@ from cadenza.files import (
     ANY,
     MOST_JSON,
     Expected,
-    read_arrays,
     read_json,
     read_tensors,
     sha256_of,
@@ -31,7 +30,6 @@ from cadenza.files import (
 
 MANIFEST, _FACTS, _ARRAYS = "manifest.json", "facts.json", "arrays.safetensors"
 _MOST_ARRAYS = 2**30  # bytes: a policy of ours takes a few million, a checkpoint ten times as many
-_OLD_ARRAYS = "arrays.npz"  # of the version before; to go with the next one
 
 
 class _Manifest(TypedDict):
@@ -106,8 +104,7 @@ def read_sealed(
     manifest = read_json(folder / MANIFEST, _Manifest)
     if manifest["kind"] != kind:
         raise CadenzaError(f"{folder}: is not a {kind} written by Cadenza")
-    packed = _OLD_ARRAYS if is_old(folder) else _ARRAYS
-    for name, most in ((_FACTS, MOST_JSON), (packed, _MOST_ARRAYS)):
+    for name, most in ((_FACTS, MOST_JSON), (_ARRAYS, _MOST_ARRAYS)):
         if not (folder / name).is_file():
             raise CadenzaError(f"{folder}: the {kind} is incomplete; use another copy")
         if manifest["sha256"].get(name) != sha256_of(folder / name, most=most):
@@ -115,14 +112,7 @@ def read_sealed(
     facts = read_json(folder / _FACTS, dict[str, Any])
     if not expected:
         return facts, {}
-    if packed == _OLD_ARRAYS:
-        return facts, read_arrays(folder / packed, expected)
-    return facts, read_tensors(folder / packed, expected, _MOST_ARRAYS)[0]
-
-
-def is_old(folder: Path) -> bool:
-    """Whether the version before has written it."""
-    return (folder / _OLD_ARRAYS).exists() and not (folder / _ARRAYS).exists()
+    return facts, read_tensors(folder / _ARRAYS, expected, _MOST_ARRAYS)[0]
 
 
 def _remove(path: Path) -> None:
