@@ -100,11 +100,11 @@ class PlainState(NamedTuple):
     key: jax.Array
     actor: Params
     critics: Params
-    targets: Params
-    log_temperature: jax.Array
-    actor_optimiser: Any
-    critic_optimiser: Any
-    temperature_optimiser: Any
+    target_critics: Params
+    log_alpha: jax.Array
+    actor_opt_state: Any
+    critic_opt_state: Any
+    alpha_opt_state: Any
 
 
 class PlainLearner:
@@ -139,16 +139,16 @@ class PlainLearner:
         actor = self._actor.init(actor_key, observation)["params"]
         rngs = {"params": critic_key, "dropout": critic_key}
         critics = self._critics.init(rngs, observation, action)["params"]
-        log_temperature = jnp.zeros(())
+        log_alpha = jnp.zeros(())
         return PlainState(
             key=key,
             actor=actor,
             critics=critics,
-            targets=critics,
-            log_temperature=log_temperature,
-            actor_optimiser=self._adam.init(actor),
-            critic_optimiser=self._adam.init(critics),
-            temperature_optimiser=self._adam.init(log_temperature),
+            target_critics=critics,
+            log_alpha=log_alpha,
+            actor_opt_state=self._adam.init(actor),
+            critic_opt_state=self._adam.init(critics),
+            alpha_opt_state=self._adam.init(log_alpha),
         )
 
     def act(
@@ -170,32 +170,32 @@ class PlainLearner:
 
     def _update(self, state: PlainState, batch: Batch) -> tuple[PlainState, Figures]:
         key, critic_key, actor_key = jax.random.split(state.key, 3)
-        state, about_critics = self._update_critics(state._replace(key=key), batch, critic_key)
-        state, about_actor = self._update_actor(state, batch, actor_key)
-        state, about_temperature = self._update_temperature(state, about_actor["entropy"])
-        return state, about_critics | about_actor | about_temperature
+        state, critic_metrics = self._update_critics(state._replace(key=key), batch, critic_key)
+        state, actor_metrics = self._update_actor(state, batch, actor_key)
+        state, alpha_metrics = self._update_alpha(state, actor_metrics["entropy"])
+        return state, critic_metrics | actor_metrics | alpha_metrics
 
     def _update_critics(
         self, state: PlainState, batch: Batch, key: jax.Array
     ) -> tuple[PlainState, Figures]:
         draw, drop_next, drop = jax.random.split(key, 3)
         action, log_prob = self._draw(state.actor, batch.next_observation, draw)
-        following = self._values(state.targets, batch.next_observation, action, drop_next)
-        soft = following.min(axis=0) - jnp.exp(state.log_temperature) * log_prob
-        target = batch.reward + DISCOUNT * batch.discount * soft
+        next_q = self._values(state.target_critics, batch.next_observation, action, drop_next)
+        next_value = next_q.min(axis=0) - jnp.exp(state.log_alpha) * log_prob
+        target_q = batch.reward + DISCOUNT * batch.discount * next_value
 
         def loss(critics: Params) -> tuple[jax.Array, jax.Array]:
-            values = self._values(critics, batch.observation, batch.action, drop)
-            return jnp.mean((values - target) ** 2), values.mean()
+            q_values = self._values(critics, batch.observation, batch.action, drop)
+            return jnp.mean((q_values - target_q) ** 2), q_values.mean()
 
-        (error, value), gradient = jax.value_and_grad(loss, has_aux=True)(state.critics)
-        critics, optimiser = self._follow(gradient, state.critic_optimiser, state.critics)
+        (critic_loss, value), gradient = jax.value_and_grad(loss, has_aux=True)(state.critics)
+        critics, opt_state = self._apply_gradient(gradient, state.critic_opt_state, state.critics)
         state = state._replace(
             critics=critics,
-            targets=optax.incremental_update(critics, state.targets, TAU),
-            critic_optimiser=optimiser,
+            target_critics=optax.incremental_update(critics, state.target_critics, TAU),
+            critic_opt_state=opt_state,
         )
-        return state, {"critic_loss": error, "value": value}
+        return state, {"critic_loss": critic_loss, "value": value}
 
     def _update_actor(
         self, state: PlainState, batch: Batch, key: jax.Array
@@ -205,39 +205,39 @@ class PlainLearner:
         def loss(actor: Params) -> tuple[jax.Array, jax.Array]:
             action, log_prob = self._draw(actor, batch.observation, draw)
             value = self._values(state.critics, batch.observation, action, drop).mean(axis=0)
-            return jnp.mean(jnp.exp(state.log_temperature) * log_prob - value), -log_prob.mean()
+            return jnp.mean(jnp.exp(state.log_alpha) * log_prob - value), -log_prob.mean()
 
-        (error, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(state.actor)
-        actor, optimiser = self._follow(gradient, state.actor_optimiser, state.actor)
-        state = state._replace(actor=actor, actor_optimiser=optimiser)
-        return state, {"actor_loss": error, "entropy": entropy}
+        (actor_loss, entropy), gradient = jax.value_and_grad(loss, has_aux=True)(state.actor)
+        actor, opt_state = self._apply_gradient(gradient, state.actor_opt_state, state.actor)
+        state = state._replace(actor=actor, actor_opt_state=opt_state)
+        return state, {"actor_loss": actor_loss, "entropy": entropy}
 
-    def _update_temperature(
-        self, state: PlainState, entropy: jax.Array
-    ) -> tuple[PlainState, Figures]:
-        def loss(log_temperature: jax.Array) -> jax.Array:
-            return jnp.exp(log_temperature) * (entropy - self._target_entropy)
+    def _update_alpha(self, state: PlainState, entropy: jax.Array) -> tuple[PlainState, Figures]:
+        def loss(log_alpha: jax.Array) -> jax.Array:
+            return jnp.exp(log_alpha) * (entropy - self._target_entropy)
 
-        gradient = jax.grad(loss)(state.log_temperature)
-        log_temperature, optimiser = self._follow(
-            gradient, state.temperature_optimiser, state.log_temperature
+        gradient = jax.grad(loss)(state.log_alpha)
+        log_alpha, opt_state = self._apply_gradient(
+            gradient, state.alpha_opt_state, state.log_alpha
         )
-        state = state._replace(log_temperature=log_temperature, temperature_optimiser=optimiser)
-        return state, {"temperature": jnp.exp(log_temperature)}
+        state = state._replace(log_alpha=log_alpha, alpha_opt_state=opt_state)
+        return state, {"temperature": jnp.exp(log_alpha)}
 
-    def _follow(self, gradient: Params, optimiser: Any, params: Params) -> tuple[Params, Any]:
-        change, optimiser = self._adam.update(gradient, optimiser)
-        return optax.apply_updates(params, change), optimiser
+    def _apply_gradient(
+        self, gradient: Params, opt_state: Any, params: Params
+    ) -> tuple[Params, Any]:
+        updates, opt_state = self._adam.update(gradient, opt_state)
+        return optax.apply_updates(params, updates), opt_state
 
     def _draw(self, actor: Params, observation: Any, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Actions (..., A) and the logarithms (...) of their probability densities."""
         mean, log_std = self._apply(self._actor, actor, observation)
         std = jnp.exp(log_std)
-        before = mean + std * jax.random.normal(key, mean.shape)
+        u = mean + std * jax.random.normal(key, mean.shape)
         # log(1 - tanh(u)^2), in a form that loses no digits
-        log_slope = 2 * (jnp.log(2.0) - before - jax.nn.softplus(-2 * before))
-        log_prob = norm.logpdf(before, mean, std) - log_slope
-        return jnp.tanh(before), log_prob.sum(axis=-1)
+        log_slope = 2 * (jnp.log(2.0) - u - jax.nn.softplus(-2 * u))
+        log_prob = norm.logpdf(u, mean, std) - log_slope
+        return jnp.tanh(u), log_prob.sum(axis=-1)
 
     def _values(self, critics: Params, observation: Any, action: Any, drop: jax.Array) -> jax.Array:
         return self._apply(self._critics, critics, observation, action, rngs={"dropout": drop})

@@ -20,7 +20,7 @@ from cadenza.learning.observation import Inputs
 from cadenza.learning.replay_buffer import Batch
 
 OBSERVATION, ACTION, BATCH, UPDATES = 30, 4, 64, 3
-NETWORKS = ("actor", "critics", "targets")
+NETWORKS = ("actor", "critics", "target_critics")
 
 
 def transitions(number: int) -> Batch:
@@ -65,7 +65,7 @@ def named_plainly(state: DroQState, stacked: bool) -> dict[str, Any]:
     weights = {
         "actor": actor,
         "critics": critics(state.critics),
-        "targets": critics(state.targets),
+        "target_critics": critics(state.target_critics),
     }
     return jax.tree.map(jnp.copy, weights)  # our update uses its state up
 
@@ -119,9 +119,7 @@ def test_the_plain_learner_does_what_ours_does(
         assert figures.keys() == plain_figures.keys()
         for name, value in plain_figures.items():
             assert_allclose(figures[name][0], value, rtol=1e-4, err_msg=name)
-    moments, plain_moments = map(
-        jax.tree.leaves, (ours.temperature_optimiser, theirs.temperature_optimiser)
-    )
+    moments, plain_moments = map(jax.tree.leaves, (ours.alpha_opt_state, theirs.alpha_opt_state))
     assert_allclose(moments, plain_moments, rtol=1e-4)
     after = named_plainly(ours, stacked)
     for name in NETWORKS:

@@ -19,8 +19,8 @@ from rl_examples import random_batches
 from scipy.stats import norm
 
 from cadenza.learning.algorithms.droq.config import DroQConfig
-from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, weights_of
-from cadenza.learning.algorithms.on_jax import falling, to_arrays
+from cadenza.learning.algorithms.droq.learner import DroQ, DroQState, actor_weights
+from cadenza.learning.algorithms.on_jax import learning_rate_schedule, to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch
@@ -130,11 +130,11 @@ class Reference:
         self.config, self.noise, self.updates = config, noise, 0
         self.actor = Adam(state.actor, config.actor_learning_rate)
         self.critics = [Adam(critic, config.critic_learning_rate) for critic in state.critics]
-        self.targets = [flat(target) for target in state.targets]
-        self.log_temperature = Adam(state.log_temperature, config.temperature_learning_rate)
+        self.targets = [flat(target) for target in state.target_critics]
+        self.log_alpha = Adam(state.log_alpha, config.temperature_learning_rate)
 
     def update(self, batch: Batch) -> dict[str, Any]:
-        config, temperature = self.config, np.exp(self.log_temperature.x[0])
+        config, temperature = self.config, np.exp(self.log_alpha.x[0])
         action, log_prob = act(self.actor.params, batch.next_observation, self.noise)
         least = np.min(
             [
@@ -159,7 +159,7 @@ class Reference:
         if self.updates % config.policy_delay == 0:
             figures |= self._update_actor(batch, temperature)
         self.updates += 1
-        return figures | {"temperature": np.exp(self.log_temperature.x[0])}
+        return figures | {"temperature": np.exp(self.log_alpha.x[0])}
 
     def _update_actor(self, batch: Batch, temperature: float) -> dict[str, Any]:
         def loss(actor: Any) -> float:
@@ -170,7 +170,7 @@ class Reference:
         entropy = -act(self.actor.params, batch.observation, self.noise)[1].mean()
         figures = {"actor_loss": loss(self.actor.params), "entropy": entropy}
         self.actor.step(loss)
-        self.log_temperature.step(lambda x: float(np.exp(x) * (entropy + ACTIONS / 2)))
+        self.log_alpha.step(lambda x: float(np.exp(x) * (entropy + ACTIONS / 2)))
         return figures
 
 
@@ -196,10 +196,10 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
     # Adam's steps are this long; of a gradient near zero they keep few digits.
     tolerance = {"atol": 0.05 * config.actor_learning_rate, "rtol": 0}
     assert_allclose(flat(state.actor), reference.actor.x, **tolerance)
-    assert_allclose(flat(state.log_temperature), reference.log_temperature.x, **tolerance)
+    assert_allclose(flat(state.log_alpha), reference.log_alpha.x, **tolerance)
     for i, critic in enumerate(reference.critics):
         assert_allclose(flat(state.critics[i]), critic.x, **tolerance)
-        assert_allclose(flat(state.targets[i]), reference.targets[i], **tolerance)
+        assert_allclose(flat(state.target_critics[i]), reference.targets[i], **tolerance)
 
 
 # What holds for every learner
@@ -208,14 +208,14 @@ def test_updates_are_those_of_soft_actor_critic(noise: np.ndarray) -> None:
 def test_targets_begin_as_the_critics_and_follow_them(learner: DroQ) -> None:
     """By a share `tau` at every update; and so does the averaged actor follow the actor."""
     state, batch = learner.init(0), batches(4)
-    targets, averaged = flat(state.targets), flat(state.actor_ema)
+    targets, averaged = flat(state.target_critics), flat(state.actor_ema)
     assert_array_equal(targets, flat(state.critics))
     assert_array_equal(averaged, flat(state.actor))
     assert (flat(state.critics[0]) != flat(state.critics[1])).any()
     for i in range(4):
         state, _ = learner.update(state, part(batch, i))
         targets += 0.05 * (flat(state.critics) - targets)
-        assert_allclose(flat(state.targets), targets, atol=1e-6)
+        assert_allclose(flat(state.target_critics), targets, atol=1e-6)
         if i % 2 == 0:
             averaged += 0.2 * (flat(state.actor) - averaged)
         assert_allclose(flat(state.actor_ema), averaged, atol=1e-6)
@@ -225,7 +225,7 @@ def test_learning_rates_have_fallen_when_the_run_ends() -> None:
     """Also those of what is updated only now and then."""
     config = replace(CONFIG, policy_delay=2, final_learning_rate_fraction=0.1)
     learner = DroQ(config, ALL, ACTIONS, ends=((0, 8),))
-    for adam, updates in (learner._adam(1.0), 8), (learner._adam_of_policy(1.0), 4):
+    for adam, updates in (learner._adam(1.0), 8), (learner._adam(1.0, every=2), 4):
         state, rates = adam.init(jnp.zeros(1)), []
         for _ in range(updates + 1):
             change, state = adam.update(jnp.ones(1), state)
@@ -243,9 +243,9 @@ def test_the_actor_and_the_temperature_rest_in_between(learner: DroQ) -> None:
         changed.append(
             {parts[n] for n, array in numbers(state).items() if (before[n] != array).any()}
         )
-    always = {"key", "updates", "critics", "targets", "critic_optimiser"}
-    actor = {"actor", "actor_ema", "actor_optimiser"}
-    actor |= {"log_temperature", "temperature_optimiser"}
+    always = {"key", "updates", "critics", "target_critics", "critic_opt_state"}
+    actor = {"actor", "actor_ema", "actor_opt_state"}
+    actor |= {"log_alpha", "alpha_opt_state"}
     assert changed == [always | actor, always] * 2
 
 
@@ -284,7 +284,7 @@ os.sched_setaffinity(0, set(map(int, sys.argv[1:])))
 import hashlib
 import numpy as np
 from cadenza.learning.config import preset
-from cadenza.learning.algorithms.on_jax import falling, to_arrays
+from cadenza.learning.algorithms.on_jax import learning_rate_schedule, to_arrays
 from cadenza.learning.observation import Inputs
 from cadenza.learning.replay_buffer import Batch
 rng, size = np.random.default_rng(0), (3, 256)
@@ -331,13 +331,13 @@ def test_a_state_that_was_kept_goes_on_with_the_same_bits(learner: DroQ) -> None
 def test_a_policy_is_not_changed_by_the_updates_after_it(learner: DroQ) -> None:
     """An update uses up the memory of the state before it, which a policy may still look at."""
     state = learner.init(0)
-    weights = weights_of(state.actor)
+    weights = actor_weights(state.actor)
     before = {name: array.copy() for name, array in weights.items()}
     for seed in range(3):
         state, _ = learner.update(state, batches(6, seed))
     for name, array in weights.items():
         assert_array_equal(array, before[name])
-        assert (weights_of(state.actor)[name] != before[name]).any()
+        assert (actor_weights(state.actor)[name] != before[name]).any()
 
 
 def test_target_entropy_is_minus_half_the_number_of_actions_by_default() -> None:
@@ -359,7 +359,7 @@ def test_learns_to_do_what_is_rewarded(learner: DroQ) -> None:
         )
         state, _ = learner.update(state, batch)
     observation = rng.standard_normal((200, INPUTS)).astype(np.float32)
-    best = Perceptron(weights_of(state.actor), "relu", (-20, 2)).mode(observation)
+    best = Perceptron(actor_weights(state.actor), "relu", (-20, 2)).mode(observation)
     clear = np.abs(observation[:, 0]) > 0.5
     target = np.array([0.6, -0.5, 0.0]) * np.sign(observation[:, :1])
     assert np.abs(best - target)[clear].mean() < 0.2
@@ -389,13 +389,13 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
         fewer, figures_fewer = some.update(fewer, less)
         for name, values in figures.items():
             assert_allclose(values, figures_fewer[name], rtol=2e-4, atol=1e-5, err_msg=name)
-    ours, theirs = weights_of(state.actor), weights_of(fewer.actor)
+    ours, theirs = actor_weights(state.actor), actor_weights(fewer.actor)
     assert_array_equal(ours["hidden_0/kernel"][zero], unused)
     ours["hidden_0/kernel"] = ours["hidden_0/kernel"][list(kept)]
     for name, array in ours.items():
         assert_allclose(array, theirs[name], atol=1e-4, err_msg=name)
     shown = np.asarray(batch.observation[0])
-    best = Perceptron(weights_of(state.actor), "relu", (-20, 2)).mode(shown)
+    best = Perceptron(actor_weights(state.actor), "relu", (-20, 2)).mode(shown)
     assert_allclose(Perceptron(theirs, "relu", (-20, 2)).mode(shown[:, kept]), best, atol=1e-4)
 
 
@@ -403,14 +403,14 @@ def test_inputs_that_are_always_zero_can_be_left_out(learner: DroQ) -> None:
 
 
 def rates(last: float, ends: tuple[tuple[int, int], ...], updates: int) -> np.ndarray:
-    schedule = falling(2e-3, last, ends)
+    schedule = learning_rate_schedule(2e-3, last, ends)
     return np.array([schedule(update) for update in range(updates)])  # type: ignore[operator]
 
 
 def test_learning_rates_fall_evenly_to_the_end() -> None:
     expected = 2e-3 * np.interp(np.arange(150), [0, 100], [1, 0.1])
     assert_allclose(rates(0.1, ((0, 100),), 150), expected, rtol=1e-5)
-    assert falling(2e-3, 1.0, ((0, 100),)) == 2e-3
+    assert learning_rate_schedule(2e-3, 1.0, ((0, 100),)) == 2e-3
 
 
 @pytest.mark.parametrize(

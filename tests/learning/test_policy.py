@@ -12,7 +12,7 @@ from rl_examples import random_params
 from scipy.stats import kstest
 
 from cadenza.learning.algorithms.droq.config import DroQConfig
-from cadenza.learning.algorithms.droq.learner import weights_of
+from cadenza.learning.algorithms.droq.learner import actor_weights
 from cadenza.learning.algorithms.droq.networks import Actor
 from cadenza.learning.observation import Inputs
 from cadenza.learning.policy import Perceptron
@@ -31,7 +31,7 @@ class Both:
         apply = jax.jit(actor.apply)
         self.actor = lambda x: tuple(map(np.asarray, apply({"params": params}, x)))
         limits = (config.log_std_min, config.log_std_max)
-        self.policy = Perceptron(weights_of(params), activation, limits)
+        self.policy = Perceptron(actor_weights(params), activation, limits)
 
     def observations(self, number: int) -> np.ndarray:
         return self.rng.standard_normal((number, INPUTS)).astype(np.float32)

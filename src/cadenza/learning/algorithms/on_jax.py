@@ -1,4 +1,4 @@
-"""What learners in JAX share: how it is started, networks, rates, and their states as arrays."""
+"""What learners in JAX share: starting JAX, learning rate schedules, states as arrays."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ xavier = nn.initializers.xavier_uniform()
 def start_jax() -> int | None:
     """Starts JAX with two threads, on one core and on many, unless something has done so before.
 
-    In which order XLA adds numbers up depends on how many threads it has, and so do the last digits
-    of all that is learnt. This variable is the only way to tell it, and it asks when it starts.
+    The order in which XLA sums depends on its number of threads, and so do the last digits of
+    everything learnt. The variable NPROC is the only way to set it, and XLA reads it as it starts.
 
     Returns:
-        With how many threads it adds numbers up, if the system tells.
+        How many threads it has, None where the system does not tell.
     """
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = str(NUM_THREADS)
@@ -52,37 +52,41 @@ def _num_threads() -> int | None:
     threads = Path("/proc/self/task")
     if not threads.exists():
         return None
-    names = [_name(thread) for thread in threads.iterdir()]
+    names = [_thread_name(thread) for thread in threads.iterdir()]
     return names.count("tf_XLAEigen") or None
 
 
-def _name(thread: Path) -> str:
+def _thread_name(thread: Path) -> str:
     try:
         return (thread / "comm").read_text().strip()
     except OSError:  # it has just ended
         return ""
 
 
-def falling(rate: float, last: float, ends: Ends) -> optax.ScalarOrSchedule:
-    """A learning rate that falls evenly from `rate` to its share `last`, by updates.
+def learning_rate_schedule(
+    rate: float, final_fraction: float, ends: Ends
+) -> optax.ScalarOrSchedule:
+    """A learning rate that decays linearly from `rate` to a fraction of it, by updates.
 
-    `ends` is since which update at which one it is to have fallen; the first is since 0. From each
-    of the others on it falls from what it is then.
+    Each of `ends` is since which update, the first 0, and at which one the decay is to end. Where
+    the end has been moved, it decays from its value at that update.
     """
-    if last == 1:
+    if final_fraction == 1:
         return rate
     (since, end), *moved = ends
-    falls = [optax.linear_schedule(rate, rate * last, end)]
-    share = 1.0
+    schedules = [optax.linear_schedule(rate, rate * final_fraction, end)]
+    fraction = 1.0
     for begin, new_end in moved:
-        share = last + (share - last) * max(1 - (begin - since) / max(end - since, 1), 0.0)
+        left = max(1 - (begin - since) / max(end - since, 1), 0.0)
+        fraction = final_fraction + (fraction - final_fraction) * left
         since, end = begin, new_end
-        falls.append(optax.linear_schedule(rate * share, rate * last, max(end - begin, 1)))
-    return optax.join_schedules(falls, [begin for begin, _ in moved])
+        steps = max(end - begin, 1)
+        schedules.append(optax.linear_schedule(rate * fraction, rate * final_fraction, steps))
+    return optax.join_schedules(schedules, [begin for begin, _ in moved])
 
 
 def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[Any]]:
-    """Those of a network's layers as `Perceptron` names them."""
+    """The weights of a network's layers as `Perceptron` names them."""
     return {
         f"{layer}/{name}": np.asarray(array)
         for layer, arrays in layers.items()
@@ -91,16 +95,16 @@ def named_weights(layers: dict[str, dict[str, jax.Array]]) -> dict[str, NDArray[
 
 
 def to_arrays(state: Any) -> dict[str, NDArray[Any]]:
-    """To keep; see `from_arrays`."""
+    """A state as arrays by name, for `from_arrays`."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     return {jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves}
 
 
 def from_arrays(arrays: dict[str, NDArray[Any]], like: State) -> State:
-    """The state that was kept; `like` is one of the same shapes.
+    """The state of `to_arrays`; `like` is one of the same shapes.
 
     Raises:
-        CadenzaError: it is not that of such a learner.
+        CadenzaError: the arrays have other names, shapes or types.
     """
     leaves, structure = jax.tree_util.tree_flatten_with_path(like)
     kinds = {jax.tree_util.keystr(path): (leaf.shape, leaf.dtype) for path, leaf in leaves}

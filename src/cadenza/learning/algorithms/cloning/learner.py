@@ -1,4 +1,4 @@
-"""Behaviour cloning: regression of a demonstrator's actions on what was observed."""
+"""Behaviour cloning: regression of a demonstrator's actions on observations."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cadenza.learning.algorithms.cloning.hyperparameters import Hyperparameters
 from cadenza.learning.algorithms.on_jax import (
     ACTIVATIONS,
-    falling,
     from_arrays,
+    learning_rate_schedule,
     named_weights,
     start_jax,
     to_arrays,
@@ -26,11 +26,11 @@ from cadenza.learning.learner import Ends
 from cadenza.learning.observation import Floats, Inputs
 from cadenza.learning.policy import Perceptron
 
-_NO_NOISE = -20.0  # the logarithm of the deviation of a clone's actions: they are certain
+_LOG_STD = -20.0  # of a clone's actions, which are deterministic
 
 
 class Examples(Protocol):
-    """What is learnt from; arrays (U, B, D) and (U, B, A). A `Batch` of transitions is one, too."""
+    """Arrays (U, B, D) and (U, B, A) to learn from; a `Batch` of transitions has them, too."""
 
     @property
     def observation(self) -> Floats: ...
@@ -40,10 +40,10 @@ class Examples(Protocol):
 
 
 class CloningState(NamedTuple):
-    """All that learning changes."""
+    """Everything that learning changes."""
 
     params: Any
-    optimiser: Any
+    opt_state: Any
 
 
 class Actor(nn.Module):
@@ -64,33 +64,33 @@ class Cloning:
     """Improves a `CloningState` by examples; a `Learner`.
 
     Attributes:
-        num_threads: with how many JAX adds numbers up, if the system tells.
+        num_threads: how many threads JAX has, if the system tells.
     """
 
     def __init__(
         self, config: Hyperparameters, inputs: Inputs, action_size: int, ends: Ends = ((0, 1),)
     ) -> None:
         """Args:
-        config: what can be chosen.
-        inputs: those of the actor.
+        config: the hyperparameters.
+        inputs: what the actor observes.
         action_size: A.
-        ends: of the learning rate, see `falling`.
+        ends: of the learning rate, see `learning_rate_schedule`.
         """
         self.num_threads = start_jax()
         self._config, self._num_inputs = config, len(inputs.kept)
         self._actor = Actor(config, action_size)
-        rate = falling(config.learning_rate, config.final_learning_rate_fraction, ends)
-        self._optimiser = optax.adam(rate)
+        final = config.final_learning_rate_fraction
+        self._optimizer = optax.adam(learning_rate_schedule(config.learning_rate, final, ends))
         self._update_all = jax.jit(partial(jax.lax.scan, self._update), donate_argnums=0)
 
     def init(self, seed: int) -> CloningState:
-        """Weights are drawn."""
+        """Draws the weights."""
         return self._draw_state(jax.random.key(seed))
 
     @partial(jax.jit, static_argnums=0)
     def _draw_state(self, key: jax.Array) -> CloningState:
         params = self._actor.init(key, jnp.zeros((1, self._num_inputs)))["params"]
-        return CloningState(params, self._optimiser.init(params))
+        return CloningState(params, self._optimizer.init(params))
 
     def update(
         self, state: CloningState, batches: Examples
@@ -103,39 +103,35 @@ class Cloning:
         return self._update_all(state, (batches.observation, batches.action))
 
     def error(self, state: CloningState, examples: Examples) -> float:
-        """The mean squared error on examples (B, ...) that are not learnt from."""
-        return float(self._error(state.params, (examples.observation, examples.action)))
+        """The mean squared error on examples (B, ...)."""
+        return float(self._loss(state.params, (examples.observation, examples.action)))
 
     def policy(self, state: CloningState) -> Perceptron:
-        """What was learnt; its samples are its modes."""
+        """The policy, whose samples are its modes."""
         weights = named_weights(state.params)
         weights["log_std/kernel"] = np.zeros_like(weights["mean/kernel"])
-        weights["log_std/bias"] = np.full_like(weights["mean/bias"], _NO_NOISE)
-        return Perceptron(weights, self._config.activation, (_NO_NOISE, _NO_NOISE))
+        weights["log_std/bias"] = np.full_like(weights["mean/bias"], _LOG_STD)
+        return Perceptron(weights, self._config.activation, (_LOG_STD, _LOG_STD))
 
     behavior_policy = policy
 
     def to_arrays(self, state: CloningState) -> dict[str, NDArray[Any]]:
-        """To keep; see `from_arrays`."""
+        """See `Learner.to_arrays`."""
         return to_arrays(state)
 
     def from_arrays(self, arrays: dict[str, NDArray[Any]]) -> CloningState:
-        """The state that was kept.
-
-        Raises:
-            CadenzaError: it is not that of such a learner.
-        """
+        """See `Learner.from_arrays`."""
         return from_arrays(arrays, jax.eval_shape(self._draw_state, jax.random.key(0)))
 
     @partial(jax.jit, static_argnums=0)
-    def _error(self, params: Any, examples: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def _loss(self, params: Any, examples: tuple[jax.Array, jax.Array]) -> jax.Array:
         observation, action = examples
-        done: Any = self._actor.apply({"params": params}, observation)
-        return ((done - action) ** 2).mean()
+        predicted: Any = self._actor.apply({"params": params}, observation)
+        return ((predicted - action) ** 2).mean()
 
     def _update(
         self, state: CloningState, examples: tuple[jax.Array, jax.Array]
     ) -> tuple[CloningState, dict[str, Any]]:
-        error, gradient = jax.value_and_grad(self._error)(state.params, examples)
-        change, optimiser = self._optimiser.update(gradient, state.optimiser)
-        return CloningState(optax.apply_updates(state.params, change), optimiser), {"error": error}
+        loss, gradient = jax.value_and_grad(self._loss)(state.params, examples)
+        updates, opt_state = self._optimizer.update(gradient, state.opt_state)
+        return CloningState(optax.apply_updates(state.params, updates), opt_state), {"error": loss}
