@@ -30,11 +30,11 @@ from benchmarks.arguments import one_or_more
 from benchmarks.plain_droq import DROPOUT, Function, PlainBuffer, PlainLearner
 from benchmarks.speed import Contestant, medians, published
 from cadenza.errors import errors_in_a_line
+from cadenza.learning.actions import action_mapping
 from cadenza.learning.algorithms.droq.config import DroQConfig
 from cadenza.learning.algorithms.droq.networks import Dropout
 from cadenza.learning.collector import Collector
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.control import control_of
 from cadenza.learning.observation import (
     Floats,
     GoalTable,
@@ -97,7 +97,7 @@ def gather(score: Score) -> Experience:
     observer = Observer(task.spec, scores, inputs)
     actions = task.action_size
     played = ReplayBuffer(observer, 1, 2 * PLAYED, actions)
-    ctrl = control_of(task.spec, None, None).ctrl
+    ctrl = action_mapping(task.spec, None, None).ctrl
     collector = Collector(task, scores, observer, played, ctrl, rng)
     collector.begin()
     collector.collect(None, PLAYED)

@@ -196,7 +196,7 @@ def test_figures(number: int, tmp_path: Path) -> None:
         changed = whole if seed % 3 else mutations.other_bytes(rng, whole)
         (tmp_path / "metrics.jsonl").write_bytes(changed)
         with mutations.at_most_refused():
-            rows = RunFolder(tmp_path).rows()
+            rows = RunFolder(tmp_path).metrics.rows()
             assert len(rows) >= (4 if seed % 3 else 0)
             if not any(abs(v or 0) > 1e15 for row in rows for v in row.values()):
                 write_page(tmp_path / "page.html", training_page("", [Curve("run", rows)], {}))

@@ -13,7 +13,7 @@ import pytest
 import cadenza
 
 PACKAGE = Path(cadenza.__file__).parent
-EVERYWHERE = {"fingers", "errors", "files", "configs", "episode", "registry"}
+EVERYWHERE = {"fingers", "errors", "files", "configs", "episode", "registry", "resumable"}
 # What a folder stands on; it may import that, and what that stands on.
 STANDS_ON: dict[str, set[str]] = {
     "music": set(),

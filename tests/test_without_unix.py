@@ -25,7 +25,7 @@ for module in pkgutil.walk_packages(cadenza.__path__, "cadenza."):
             importlib.import_module(module.name)
         except ModuleNotFoundError as error:
             assert error.name.split(".")[0] != "cadenza" and error.name != "fcntl", error
-from cadenza.learning.cores import claimed_cores
+from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.cli import main
 from pathlib import Path

@@ -18,7 +18,7 @@ import stat
 import sys
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
@@ -131,22 +131,35 @@ def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
         CadenzaError: it cannot be locked, as nothing can be written there.
         OSError: the disk is full.
     """
+    path = folder / "lock"
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            ours = stack.enter_context(locked_file(path, patience))
+        except OSError as error:
+            if is_full(error):
+                raise
+            in_the_way = os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode)
+            what = "remove it" if in_the_way else "copy the folder to where you can write"
+            raise CadenzaError(f"{path}: cannot be locked ({error.strerror}); {what}") from error
+        yield ours
+
+
+@contextmanager
+def locked_file(path: Path, patience: float = 0.0) -> Iterator[bool]:
+    """Whether this process holds the lock file for the block, after `patience` [s] at most.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     from filelock import FileLock, Timeout  # which takes a while to import
 
-    path = folder / "lock"
     lock = FileLock(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         lock.acquire(timeout=patience)
     except Timeout:
         yield False
         return
-    except OSError as error:
-        if is_full(error):
-            raise
-        in_the_way = os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode)
-        what = "remove it" if in_the_way else "copy the folder to where you can write"
-        raise CadenzaError(f"{path}: cannot be locked ({error.strerror}); {what}") from error
     try:
         yield True
     finally:

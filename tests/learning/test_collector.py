@@ -11,12 +11,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rl_examples import melody
 
+from cadenza.learning.actions import action_mapping, reference_of
 from cadenza.learning.collector import Collector, Finished
-from cadenza.learning.control import control_of
 from cadenza.learning.observation import GoalTable, Observer
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.replay_buffer import Batch, ReplayBuffer
-from cadenza.learning.residual import reference_of
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import DomainRandomization, TaskConfig
 from cadenza.tasks.piano_task import PianoTask
@@ -72,7 +71,7 @@ class Run:
         self.task = Watched(songs, config, SceneConfig(), num_envs=3)
         self.scores = GoalTable(self.task)
         self.scores.add_all(self.task)
-        control = control_of(self.task.spec, reference_of(self.task) if residual else None, None)
+        control = action_mapping(self.task, reference_of(self.task) if residual else None, None)
         self.observer = Observer(self.task, self.scores, reference=control.reference)
         self.replay = ReplayBuffer(self.observer, 3, capacity, self.task.action_size)
         rng = np.random.default_rng(0)

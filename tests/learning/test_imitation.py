@@ -168,7 +168,7 @@ def test_what_does_not_fit_into_memory_is_learnt_with_the_same_bits(
     trained(CONFIG, demonstrations, tmp_path / "fits")
     in_memory = sum(made)
     made.clear()
-    monkeypatch.setattr("cadenza.learning.imitation._MOST_IN_MEMORY", 1_000)
+    monkeypatch.setattr("cadenza.learning.imitation._MOST_CACHED", 1_000)
     trained(CONFIG, demonstrations, tmp_path / "too-large")
     assert sum(made) > in_memory
     for other in "fits", "too-large":
@@ -252,8 +252,8 @@ def test_another_run_in_its_folder_is_refused(demonstrations: Path, run: Path) -
 def test_a_run_of_another_command_in_its_folder_is_refused(
     demonstrations: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "run.json").write_text('{"config": {}}')
-    with pytest.raises(CadenzaError, match="holds a run of cadenza train; choose another folder"):
+    (tmp_path / "run.json").write_text('{"command": "cadenza train"}')
+    with pytest.raises(CadenzaError, match=r"holds a run of cadenza train, .*another folder"):
         Imitation(CONFIG, demonstrations, tmp_path)
 
 

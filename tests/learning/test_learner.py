@@ -14,12 +14,12 @@ from rl_examples import melody
 
 from cadenza.cli import main
 from cadenza.errors import CadenzaError
+from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.learner import LearnerConfig
 from cadenza.learning.policy_folder import load_policy
 from cadenza.learning.pretrained import pretrained_folder
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.formats.midi import write_midi
 
 # Linear regression on the actions, those that were rewarded most first; in numpy alone.
@@ -137,7 +137,7 @@ def tune(tmp_path: Path) -> Path:
 
 
 def newest(run: Path) -> dict[str, np.ndarray]:
-    return read_sealed(max((run / "checkpoints").iterdir()), "checkpoint")[1]
+    return read_checksummed(max((run / "checkpoints").iterdir()), "checkpoint")[1]
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
@@ -190,7 +190,7 @@ def test_a_learner_may_make_policies_of_another_kind(
     for name, array in newest(whole).items():
         assert_array_equal(array, newest(stopped)[name], err_msg=name)
     assert type(load_policy(whole / "last").policy).__name__ == "Linear"
-    facts, arrays = read_sealed(whole / "last", "policy")
+    facts, arrays = read_checksummed(whole / "last", "policy")
     assert (facts["learner"], facts["policy"]) == ("linear", {"noise": 0.1})
     assert_array_equal(arrays["policy/kernel"], newest(whole)["learner:mean"])
 
@@ -201,7 +201,7 @@ def test_a_learner_may_make_policies_of_another_kind(
     agents = ["--agents", "zero", str(whole / "best")]
     main(["compare", str(tune), *agents, "-o", str(tmp_path / "compared")])
 
-    write_sealed(whole / "last", "policy", facts, arrays | {"policy/kernel": np.zeros(3)})
+    write_checksummed(whole / "last", "policy", facts, arrays | {"policy/kernel": np.zeros(3)})
     assert f"{whole / 'last'}: cannot be read: ValueError: no matrix (" in refused(
         capsys, "play", whole / "last"
     )
@@ -239,11 +239,11 @@ def test_no_policy_has_a_module_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What a module would do on being imported, nobody has asked for."""
-    facts, arrays = read_sealed(pretrained_folder("TwinkleTwinkleLittleStar"), "policy")
+    facts, arrays = read_checksummed(pretrained_folder("TwinkleTwinkleLittleStar"), "policy")
     facts = {n: v for n, v in facts.items() if n not in ("activation", "log_std_range")}
     others = {"learner": "antigravity:Config", "policy": {}}
     ranges = {name: array for name, array in arrays.items() if name.startswith("ranges/")}
-    write_sealed(tmp_path / "policy", "policy", facts | others, ranges)
+    write_checksummed(tmp_path / "policy", "policy", facts | others, ranges)
     assert "learner antigravity:Config: " in refused(capsys, "play", tmp_path / "policy")
     assert "antigravity" not in sys.modules
 

@@ -16,12 +16,12 @@ from rl_examples import melody
 
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
+from cadenza.learning.actions import reference_of
+from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.observation import GoalTable, ObservationSpec, pruned
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
-from cadenza.learning.residual import reference_of
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.score import Note, PedalEvent, Score
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -163,8 +163,8 @@ def test_no_file_has_a_module_imported(tmp_path: Path, option: str) -> None:
 
 def test_another_format_is_refused(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
-    facts, arrays = read_sealed(tmp_path / "policy", "policy")
-    write_sealed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
+    facts, arrays = read_checksummed(tmp_path / "policy", "policy")
+    write_checksummed(tmp_path / "policy", "policy", facts | {"format": 99}, arrays)
     assert_refused(
         tmp_path / "policy", "format 99, but this version reads only 3; install the version"
     )
@@ -188,8 +188,8 @@ def test_another_format_is_refused(tmp_path: Path) -> None:
 )
 def test_facts_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     save_policy(tmp_path / "policy", some_policy(), {})
-    facts, arrays = read_sealed(tmp_path / "policy", "policy")
-    write_sealed(tmp_path / "policy", "policy", facts | change, arrays)
+    facts, arrays = read_checksummed(tmp_path / "policy", "policy")
+    write_checksummed(tmp_path / "policy", "policy", facts | change, arrays)
     (name,) = change
     assert_refused(tmp_path / "policy", rf"facts\.json: .*{name}")
 
@@ -225,5 +225,5 @@ def test_a_task_that_shows_something_else_is_refused() -> None:
 
 
 def test_a_checkpoint_is_no_policy(tmp_path: Path) -> None:
-    write_sealed(tmp_path / "policy", "checkpoint", {"step": 3}, {})
+    write_checksummed(tmp_path / "policy", "checkpoint", {"step": 3}, {})
     assert_refused(tmp_path / "policy", "is not a policy written by Cadenza")

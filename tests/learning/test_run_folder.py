@@ -21,7 +21,8 @@ from rl_examples import TINY, melody
 
 from cadenza.errors import CadenzaError
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.run_folder import Chunk, Facts, RunFolder, read_rows
+from cadenza.learning.metrics_log import read_rows
+from cadenza.learning.run_folder import Chunk, Facts, RunFolder
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
 
@@ -53,7 +54,7 @@ class Saving:
 
     def at(self, step: int) -> None:
         self.run.add_row({"step": step, "seconds": step / 10})
-        self.chunks.append(Chunk(self.run.save_gathered(step, gathered(step)), (step,)))
+        self.chunks.append(Chunk(self.run.save_experience(step, gathered(step)), (step,)))
         self.chunks = self.chunks[-self.keep :]
         self.run.save(facts(step, self.chunks), {"weights": np.full(1000, step)})
 
@@ -74,7 +75,7 @@ def loaded_step(run: RunFolder) -> int:
     for chunk, expected in zip(checkpoint.replay, steps, strict=True):
         if chunk is not None:
             assert_array_equal(chunk["frames"], gathered(expected)["frames"])
-    assert run.rows()[-1]["step"] == step
+    assert run.metrics.rows()[-1]["step"] == step
     return step
 
 
@@ -145,8 +146,8 @@ def test_a_folder_without_a_run_or_with_half_of_one_is_refused(run: RunFolder) -
         run.settings()
     run.begin(TrainingConfig(), melody(60))
     content = (run.path / "run.json").read_text()
-    (run.path / "run.json").write_text('{"demonstrations": "there"}')
-    with pytest.raises(CadenzaError, match="holds a run of cadenza clone; repeat its command"):
+    (run.path / "run.json").write_text('{"command": "cadenza clone"}')
+    with pytest.raises(CadenzaError, match="holds a run of cadenza clone, which that"):
         run.settings()
     for changed in (content[:100], "[]", "{}", content.replace('"tau"', '"tao"')):
         (run.path / "run.json").write_text(changed)
@@ -167,10 +168,10 @@ def test_one_process_at_a_time_trains_a_run(tmp_path: Path) -> None:
 
 
 def test_rows_come_back_and_numbers_that_are_none_as_none(run: RunFolder) -> None:
-    assert run.rows() == []
+    assert run.metrics.rows() == []
     run.add_row({"step": 1, "seconds": 0.5, "f1": 0.1 + 0.2})
     run.add_row({"step": 2, "seconds": 1.0, "f1": math.nan, "loss": math.inf})
-    assert run.rows() == [
+    assert run.metrics.rows() == [
         {"step": 1, "seconds": 0.5, "f1": 0.1 + 0.2},
         {"step": 2, "seconds": 1.0, "f1": None, "loss": None},
     ]
@@ -185,13 +186,13 @@ def test_half_a_row_is_left_out_and_rows_after_the_checkpoint_are_dropped(run: R
     assert [row["step"] for row in read_rows(run.path)] == [10, 12]
     assert loaded_step(run) == 10
     run.add_row({"step": 11, "seconds": 1.1})
-    assert [row["step"] for row in run.rows()] == [10, 11]
+    assert [row["step"] for row in run.metrics.rows()] == [10, 11]
 
 
 def test_rows_before_the_first_checkpoint_are_dropped(run: RunFolder) -> None:
     run.add_row({"step": 1, "seconds": 0.1})
     assert run.load() is None
-    assert run.rows() == []
+    assert run.metrics.rows() == []
 
 
 def test_figures_that_were_lost_do_not_hinder(run: RunFolder) -> None:
@@ -216,7 +217,7 @@ def test_a_checkpoint_at_the_same_step_loses_nothing(run: RunFolder) -> None:
     """As when a run stops right after a checkpoint, or goes on and stops at once."""
     saving = Saving(run)
     saving.at(10)
-    name = run.save_gathered(10, {"frames": np.zeros(0, int), "to": np.array([10])})
+    name = run.save_experience(10, {"frames": np.zeros(0, int), "to": np.array([10])})
     saving.chunks.append(Chunk(name, (10,)))
     run.save(facts(10, saving.chunks), {"weights": np.zeros(3)})
     checkpoint = run.load()
@@ -254,7 +255,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before_it(
     saving.at(30)
     assert loaded_step(run) == 30
     assert capsys.readouterr().err == ""
-    assert [row["step"] for row in run.rows()] == [10, 20, 30]
+    assert [row["step"] for row in run.metrics.rows()] == [10, 20, 30]
 
 
 def test_where_all_are_damaged_nothing_is_started_over(run: RunFolder) -> None:
@@ -349,7 +350,7 @@ def test_shortened_figures_are_not_lengthened(
     assert run.load() is not None
     assert capsys.readouterr().err == f"{path}: rows of metrics are missing\n"
     run.add_row({"step": 30, "seconds": 3.0})
-    assert [row["step"] for row in run.rows()] == [10, 30]
+    assert [row["step"] for row in run.metrics.rows()] == [10, 30]
     assert b"\0" not in path.read_bytes()
 
 
@@ -380,7 +381,7 @@ def test_lines_that_are_no_rows_are_left_out(
     good = b'{"step": 1, "seconds": 0.5, "eval/f1": null}\n'
     (run.path / "metrics.jsonl").write_bytes(good + line + b"\n" + bytes(9) + good + b"half")
     row = {"step": 1, "seconds": 0.5, "eval/f1": None}
-    assert run.rows() == [row, row]
+    assert run.metrics.rows() == [row, row]
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "skipped lines that are not rows of metrics: 1\n" in said

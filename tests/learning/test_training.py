@@ -27,10 +27,10 @@ from rl_examples import TINY, melody
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.learning.algorithms.droq.config import DroQConfig
+from cadenza.learning.checksummed_folder import read_checksummed
 from cadenza.learning.config import TrainingConfig
 from cadenza.learning.policy_folder import LearntPolicy, load_policy
 from cadenza.learning.run_folder import RunFolder
-from cadenza.learning.sealed_folder import read_sealed
 from cadenza.learning.training import Training
 from cadenza.scene.config import SceneConfig
 from cadenza.tasks.config import TaskConfig
@@ -89,13 +89,13 @@ def train(config: TrainingConfig, run: RunFolder, *stops: int) -> None:
 
 
 def evaluations(run: RunFolder) -> list[dict[str, Any]]:
-    rows = [row for row in run.rows() if "eval_step" in row]
+    rows = [row for row in run.metrics.rows() if "eval_step" in row]
     return [{name: v for name, v in row.items() if name not in TIMES} for row in rows]
 
 
 def figures(run: RunFolder) -> list[dict[str, Any]]:
     """Of the rows in between."""
-    rows = [row for row in run.rows() if "eval_step" not in row]
+    rows = [row for row in run.metrics.rows() if "eval_step" not in row]
     return [{name: v for name, v in row.items() if name != "seconds"} for row in rows]
 
 
@@ -107,8 +107,8 @@ def newest(run: RunFolder) -> Path:
 def assert_same_runs(run: RunFolder, other: RunFolder) -> None:
     """Weights and all else that the last checkpoint holds; policies; figures."""
     assert newest(run).name == newest(other).name
-    facts, arrays = read_sealed(newest(run), "checkpoint")
-    other_facts, other_arrays = read_sealed(newest(other), "checkpoint")
+    facts, arrays = read_checksummed(newest(run), "checkpoint")
+    other_facts, other_arrays = read_checksummed(newest(other), "checkpoint")
     assert arrays.keys() == other_arrays.keys()
     for name, array in arrays.items():
         assert_array_equal(array, other_arrays[name], err_msg=name)
@@ -146,7 +146,7 @@ def test_a_run_evaluates_and_keeps_the_best_and_the_last(
     run = undisturbed(way)
     rows = evaluations(run)
     assert [row["eval_step"] for row in rows] == [64, 120, 184, 208]  # the last at the end
-    _, about = (read_sealed(run.path / name, "policy")[0]["about"] for name in ("last", "best"))
+    about = read_checksummed(run.path / "best", "policy")[0]["about"]
     best = max(rows, key=lambda row: row["eval/f1"])
     assert about["eval/f1"] == best["eval/f1"]
     assert about["eval_step"] == best["eval_step"]
@@ -171,12 +171,12 @@ def test_an_evaluation_that_ends_early_is_not_the_best_for_what_it_played(
     monkeypatch.setattr(Training, "_play_once", played)
     run = runs()
     train(CONFIG, run)
-    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    about = read_checksummed(run.path / "best", "policy")[0]["about"]
     assert (about["eval/f1"], about["eval/steps"]) == (0.7, 13)
 
 
 def test_figures_come_at_their_interval(undisturbed: Callable[[str], RunFolder]) -> None:
-    rows = [row for row in undisturbed("in turn").rows() if "eval_step" not in row]
+    rows = [row for row in undisturbed("in turn").metrics.rows() if "eval_step" not in row]
     assert [row["step"] for row in rows] == [40, 80, 120, 160, 200]
     # 48 steps at random, then two updates with every eight steps.
     assert [row["updates"] for row in rows] == [2 * max(row["step"] - 48, 0) // 8 for row in rows]
@@ -348,8 +348,8 @@ def test_a_run_that_goes_on_to_another_end_learns_as_if_begun_with_it(
     run = runs()
     train(replace(CONFIG, num_steps=104), run)
     train(CONFIG, run)
-    _, arrays = read_sealed(newest(run), "checkpoint")
-    _, whole = read_sealed(newest(undisturbed("in turn")), "checkpoint")
+    _, arrays = read_checksummed(newest(run), "checkpoint")
+    _, whole = read_checksummed(newest(undisturbed("in turn")), "checkpoint")
     assert arrays.keys() == whole.keys()
     for name, array in arrays.items():
         assert_array_equal(array, whole[name], err_msg=name)
@@ -365,7 +365,7 @@ def test_a_run_that_is_to_end_where_it_is_has_a_best_policy(
     assert not (run.path / "best").exists()
     train(replace(CONFIG, num_steps=one.step), run)
     assert load_policy(run.path / "best").score == SONG
-    assert [row["eval_step"] for row in run.rows() if "eval_step" in row] == [one.step]
+    assert [row["eval_step"] for row in run.metrics.rows() if "eval_step" in row] == [one.step]
 
 
 def test_a_damaged_checkpoint_costs_only_time(
@@ -396,7 +396,7 @@ def test_a_best_policy_that_is_lost_is_made_up_for(
         (run.path / "best" / "facts.json").write_text("{}")
     train(CONFIG, run)
     assert str(run.path / "best") in capsys.readouterr().err
-    about = read_sealed(run.path / "best", "policy")[0]["about"]
+    about = read_checksummed(run.path / "best", "policy")[0]["about"]
     assert about["eval_step"] > 120
 
 

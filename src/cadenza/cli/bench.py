@@ -185,8 +185,8 @@ def _pretrained(read: Read[Bench], song: str) -> Contender | None:
 def _with_policy(read: Read[Bench], agent: str, folder: Path) -> Contender:
     from cadenza.evaluation.jobs import Contender
     from cadenza.files import sha256_of
+    from cadenza.learning.checksummed_folder import MANIFEST
     from cadenza.learning.policy_folder import load_policy
-    from cadenza.learning.sealed_folder import MANIFEST
 
     learnt = load_policy(folder)
     own = read(task=learnt.task, scene=learnt.scene)

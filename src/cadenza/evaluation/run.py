@@ -42,7 +42,7 @@ from cadenza.evaluation.run_status import (
 )
 from cadenza.files import write_json
 from cadenza.learning.config import TrainingConfig
-from cadenza.learning.cores import claimed_cores
+from cadenza.learning.cpu_affinity import claimed_cores
 from cadenza.learning.run_folder import RunFolder
 from cadenza.performing.performance import Performance, add_page, perform
 from cadenza.performing.setup import select, set_up
@@ -161,7 +161,7 @@ def _train(
             training.run(should_continue)
             if training.step < config.num_steps:
                 return None
-        return Trained(config.num_steps, run.rows()[-1]["seconds"])
+        return Trained(config.num_steps, run.metrics.rows()[-1]["seconds"])
 
 
 def _drop_checkpoints(training: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cadenza.learning.control import ToActions
+from cadenza.learning.actions import ToControls
 from cadenza.learning.observation import Floats, GoalTable, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.replay_buffer import ReplayBuffer, Rows
@@ -38,7 +38,7 @@ class Collector:
         goals: GoalTable,
         observer: Observer,
         replay: ReplayBuffer,
-        ctrl: ToActions,
+        ctrl: ToControls,
         rng: np.random.Generator,
     ) -> None:
         """Args:

@@ -8,7 +8,6 @@ RUN/last/               the policy of the checkpoint
 
 from __future__ import annotations
 
-import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,46 +21,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cadenza.demonstrations.dataset import Batch, Dataset, check_values, kept
-from cadenza.demonstrations.recorded_episode import RecordedEpisode
+from cadenza.demonstrations.recorded import Recorded
 from cadenza.errors import CadenzaError
-from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked, read_json, write_atomically, write_json
+from cadenza.files import FLOATS, NUMBERS, ArrayOf, checked
+from cadenza.learning.checksummed_folder import is_there, read_checksummed, write_checksummed
 from cadenza.learning.config import ImitationConfig
+from cadenza.learning.metrics_log import MetricsLog
 from cadenza.learning.observation import Floats, Inputs, ObservationSpec
 from cadenza.learning.policy_folder import LearntPolicy, save_policy
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.run_folder import read_rows, taking_up
-from cadenza.learning.sealed_folder import is_there, read_sealed, write_sealed
+from cadenza.learning.run_folder import errors_of_resuming
 from cadenza.music.formats.reading import name_without_ending
+from cadenza.resumable import ResumableFolder
 from cadenza.tasks.piano_task import PianoTask
 from cadenza.tasks.view import from_range
 
-_RUN = "run.json"
 _KIND = "checkpoint of imitation"
 _EXPECTED = {
     "learner:*": ArrayOf(NUMBERS, None),
     "errors": ArrayOf(FLOATS, ("updates",), needed=True),
 }
-_AT_ONCE = 20  # updates between two looks at whether to go on
-_MOST_HELD_OUT = 5_000  # steps that the error on what is held out is measured on
-_MOST_IN_MEMORY = 2**30  # [bytes] of examples that are kept; more are made anew for each update
-_MADE_AT_ONCE = 4_096  # of them
-_LEAST_RANGE = 0.05  # of what a joint or a servo has, where demonstrations hardly move it
+_UPDATES_AT_ONCE = 20  # between two questions whether to go on
+_MOST_HELD_OUT = 5_000  # steps on which the error on held-out demonstrations is measured
+_MOST_CACHED = 2**30  # bytes of examples; of more, those of each update are made anew
+_CACHED_AT_ONCE = 4_096  # examples
+_LEAST_RANGE = 0.05  # of a joint's or a servo's range, where demonstrations hardly move it
 
 
 class Examples(NamedTuple):
-    """What was observed and what was to be done; arrays (..., D) and (..., A)."""
+    """Observations (..., D) and the demonstrator's actions (..., A)."""
 
     observation: Floats
     action: Floats
 
-    def of(self, steps: NDArray[np.intp]) -> Examples:
-        """Those of some steps, of which there is a row each."""
+    def at(self, steps: NDArray[np.intp]) -> Examples:
+        """The examples of these rows."""
         return Examples(self.observation[steps], self.action[steps])
 
 
 @dataclass(frozen=True)
-class _About:
-    """What run.json holds."""
+class _Manifest:
+    """The content of run.json."""
 
     config: ImitationConfig
     demonstrations: str
@@ -72,11 +72,12 @@ class _About:
 
 @dataclass(frozen=True)
 class _Facts:
-    """What a checkpoint has beside arrays."""
+    """The facts of a checkpoint."""
 
     update: int
     seconds: float
     rng: dict[str, Any]
+    metrics_size: int
 
 
 class Imitation:
@@ -100,34 +101,35 @@ class Imitation:
                 go together, or the folder holds a run with other options.
         """
         config.check()
-        self.config, self._folder = config, folder
-        there = kept(demonstrations)
-        about = _about(config, demonstrations, folder, there)
-        episodes = {episode.folder.name: episode for episode in there}
-        if lost := {*about.learnt_from, *about.held_out} - episodes.keys():
+        self.config, self._path = config, folder
+        self.folder, self._metrics = imitation_folder(folder), MetricsLog(folder)
+        recorded = kept(demonstrations)
+        manifest = self._manifest(demonstrations, recorded)
+        episodes = {episode.folder.name: episode for episode in recorded}
+        if lost := {*manifest.learnt_from, *manifest.held_out} - episodes.keys():
             raise CadenzaError(f"{demonstrations}: {min(lost)} is gone, which the run learns from")
-        names = (*about.learnt_from, *about.held_out)
+        names = (*manifest.learnt_from, *manifest.held_out)
         scene = Dataset([episodes[name] for name in names]).scene  # or says what differs
-        self._dataset = Dataset([episodes[name] for name in about.learnt_from])
-        self.songs = tuple(sorted({episode.facts.song for episode in self._dataset.episodes}))
+        self._dataset = Dataset([episodes[name] for name in manifest.learnt_from])
+        self.songs = tuple(sorted({episode.about.song for episode in self._dataset.episodes}))
         first = self._dataset.episodes[0]
         self._task = replace(  # as is observed, see `observed`
-            first.facts.task,
+            first.about.task,
             n_steps_lookahead=config.n_steps_lookahead,
             n_seconds_lookahead=None,
             fingering="auto",
             trim_silence=True,
         )
-        with closing(PianoTask([first.score], self._task, first.facts.scene)) as task:
+        with closing(PianoTask([first.score], self._task, first.about.scene)) as task:
             self._spec = ObservationSpec.of(task.spec)
             limits = np.stack([task.spec.action_low, task.spec.action_high])
         for name in names:  # anew, as what is read of both arrays holds open files
-            check_values(RecordedEpisode(episodes[name].folder, episodes[name].facts), scene)
+            check_values(Recorded(episodes[name].folder, episodes[name].about), scene)
         self._inputs = _inputs(self._spec, self._dataset, config.previous_action)
         self._ranges = _ranges(self._dataset, limits)
         self._held_out: Examples | None = None
-        if about.held_out:
-            held_out = Dataset([episodes[name] for name in about.held_out])
+        if manifest.held_out:
+            held_out = Dataset([episodes[name] for name in manifest.held_out])
             every = -(-held_out.num_steps // _MOST_HELD_OUT)
             self._held_out = self._examples(held_out, np.arange(0, held_out.num_steps, every))
         self._learner = config.learner.make(
@@ -138,15 +140,34 @@ class Imitation:
         self._state = self._learner.init(config.seed)
         self._errors = np.zeros(0, np.float32)
         self.rows: list[dict[str, Any]] = []
-        if not (folder / _RUN).exists():  # now that nothing stands in its way
-            write_json(folder / _RUN, asdict(about))
+        if not self.folder.begun:  # now that nothing stands in its way
+            self.folder.write_manifest(manifest)
         if is_there(folder / "checkpoint"):
-            with taking_up(folder):
+            with errors_of_resuming(folder):
                 self._restore()
+        else:
+            self._metrics.delete()
+
+    def _manifest(self, demonstrations: Path, recorded: Sequence[Recorded]) -> _Manifest:
+        """The manifest of the run, or of a new one that learns from recorded episodes."""
+        config, where = self.config, str(demonstrations.resolve())
+        if self.folder.begun:
+            manifest: _Manifest = checked(
+                self.folder.read_manifest(), _Manifest, self.folder.manifest
+            )
+            if (manifest.config, manifest.demonstrations) != (config, where):
+                raise CadenzaError(
+                    f"{self._path}: holds a run with other options; give the same to continue it, "
+                    "or choose another folder with --output"
+                )
+            return manifest
+        self.folder.check_complete(is_there(self._path / "checkpoint"))
+        learnt_from, held_out = _split(_by_song(recorded, config.songs), config.held_out)
+        return _Manifest(config, where, learnt_from, held_out)
 
     @property
     def error(self) -> float | None:
-        """On what it has learnt from lately; None before there is any."""
+        """The latest training error; None before there is any."""
         error = self.rows[-1].get("train/error") if self.rows else None
         return error if isinstance(error, float) else None
 
@@ -156,13 +177,13 @@ class Imitation:
         return self.update >= self.config.num_updates
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Trains until all is done, or `goes_on` is false, which is asked every few updates."""
+        """Trains until all updates are done, or `goes_on` is false, asked every few updates."""
         config, first = self.config, self.update
         began = saved = time.perf_counter()
         before = self._seconds
         while not self.finished and goes_on():
             to_log = config.log_interval - self.update % config.log_interval
-            self._learn(min(_AT_ONCE, to_log, config.num_updates - self.update))
+            self._learn(min(_UPDATES_AT_ONCE, to_log, config.num_updates - self.update))
             self._seconds = before + time.perf_counter() - began
             if self.finished or self.update % config.log_interval == 0:
                 self._log()
@@ -175,8 +196,8 @@ class Imitation:
     def _learn(self, updates: int) -> None:
         shape = updates, self.config.learner.batch_size
         steps = self._dataset.sample(self._rng, updates * shape[1])
-        known = self._in_memory
-        flat = self._examples(self._dataset, steps) if known is None else known.of(steps)
+        cached = self._cached
+        flat = self._examples(self._dataset, steps) if cached is None else cached.at(steps)
         examples = Examples._make(array.reshape(*shape, -1) for array in flat)
         self._state, metrics = self._learner.update(self._state, examples)
         self._errors = np.concatenate([self._errors, np.asarray(metrics["error"])])
@@ -185,16 +206,16 @@ class Imitation:
         self.update += updates
 
     @cached_property
-    def _in_memory(self) -> Examples | None:
-        """All that is learnt from, if it fits into memory and updates need as many."""
+    def _cached(self) -> Examples | None:
+        """All examples, if they fit into memory and updates need as many."""
         config, count = self.config, self._dataset.num_steps
         sizes = len(self._inputs.kept), self._ranges.actions.shape[1]
         needed = config.num_updates * config.learner.batch_size
-        if np.dtype(np.float32).itemsize * sum(sizes) * count > _MOST_IN_MEMORY or needed < count:
+        if np.dtype(np.float32).itemsize * sum(sizes) * count > _MOST_CACHED or needed < count:
             return None
         every = Examples(*(np.empty((count, size), np.float32) for size in sizes))
-        for first in range(0, count, _MADE_AT_ONCE):
-            steps = np.arange(first, min(first + _MADE_AT_ONCE, count))
+        for first in range(0, count, _CACHED_AT_ONCE):
+            steps = np.arange(first, min(first + _CACHED_AT_ONCE, count))
             every.observation[steps], every.action[steps] = self._examples(self._dataset, steps)
         return every
 
@@ -211,18 +232,15 @@ class Imitation:
             row["held_out/error"] = self._learner.error(self._state, self._held_out)
         self._errors = self._errors[:0]
         self.rows.append(row)
-        self._write_rows()
-
-    def _write_rows(self) -> None:
-        with write_atomically(self._folder / "metrics.jsonl") as file:
-            file.write("".join(json.dumps(row) + "\n" for row in self.rows).encode())
+        self._metrics.add(row)
 
     def _save(self) -> None:
-        facts = _Facts(self.update, self._seconds, dict(self._rng.bit_generator.state))
+        rng = dict(self._rng.bit_generator.state)
+        facts = _Facts(self.update, self._seconds, rng, self._metrics.size)
         learner = self._learner.to_arrays(self._state)
         arrays = {f"learner:{name}": array for name, array in learner.items()}
-        write_sealed(
-            self._folder / "checkpoint", _KIND, asdict(facts), arrays | {"errors": self._errors}
+        write_checksummed(
+            self._path / "checkpoint", _KIND, asdict(facts), arrays | {"errors": self._errors}
         )
         self._save_policy()
 
@@ -234,14 +252,14 @@ class Imitation:
             reference=None,
             ranges=self._ranges,
             task=self._task,
-            scene=self._dataset.episodes[0].facts.scene,
+            scene=self._dataset.episodes[0].about.scene,
             score=None,
         )
-        save_policy(self._folder / "last", learnt, {"step": self.update, "songs": self.songs})
+        save_policy(self._path / "last", learnt, {"step": self.update, "songs": self.songs})
 
     def _restore(self) -> None:
-        plain, arrays = read_sealed(self._folder / "checkpoint", _KIND, _EXPECTED)
-        facts = checked(plain, _Facts, self._folder / "checkpoint" / "facts.json")
+        plain, arrays = read_checksummed(self._path / "checkpoint", _KIND, _EXPECTED)
+        facts = checked(plain, _Facts, self._path / "checkpoint" / "facts.json")
         if not 0 <= facts.update <= self.config.num_updates:
             raise ValueError(f"after {facts.update} updates")
         learner = {n.removeprefix("learner:"): a for n, a in arrays.items() if n != "errors"}
@@ -249,12 +267,13 @@ class Imitation:
         self.update, self._seconds = facts.update, facts.seconds
         self._rng.bit_generator.state = facts.rng
         self._errors = arrays["errors"]
-        self.rows = [row for row in read_rows(self._folder) if row["step"] <= facts.update]
+        self._metrics.truncate(facts.metrics_size)
+        self.rows = self._metrics.rows()
         self._save_policy()  # a kill may have come before it
 
 
 def observed(batch: Batch, ranges: Ranges) -> Floats:
-    """(B, D) what a policy without a reference observes, see `ObservationSpec`.
+    """(B, D) observations of a policy without a reference, see `ObservationSpec`.
 
     Args:
         batch: of steps.
@@ -276,9 +295,9 @@ def observed(batch: Batch, ranges: Ranges) -> Floats:
 
 
 def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> Inputs:
-    """Without goals of keys that no demonstration asks for, of which nothing can be learnt.
+    """Inputs without goals of keys that no demonstration asks for.
 
-    What was done and rewarded before is there only if it is asked for.
+    The previous action and its reward are left out unless `previous_action`.
     """
     wanted = np.zeros(spec.goals_of_a_step, bool)
     for number in range(len(dataset.episodes)):
@@ -290,9 +309,9 @@ def _inputs(spec: ObservationSpec, dataset: Dataset, previous_action: bool) -> I
 
 
 def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
-    """Where demonstrations go, within which differences count.
+    """The ranges of joints and actions in the demonstrations.
 
-    `limits` (2, A) are those of the actions.
+    `limits` (2, A) are the least and the largest actions.
     """
     scene = dataset.scene
     joints = np.array([scene.model.joint(name).range for name in scene.hand_joint_names]).T
@@ -304,54 +323,30 @@ def _ranges(dataset: Dataset, limits: NDArray[np.float64]) -> Ranges:
 
 
 def _used(arrays: Sequence[NDArray[Any]], limits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, N) least and most in arrays (..., N), as far apart as a little of the limits (2, N)."""
+    """(2, N) least and most in arrays (..., N), at least `_LEAST_RANGE` of the limits (2, N)."""
     low = np.min([array.min(axis=0) for array in arrays], axis=0).astype(np.float64)
     high = np.max([array.max(axis=0) for array in arrays], axis=0).astype(np.float64)
     missing = np.maximum(_LEAST_RANGE * (limits[1] - limits[0]) - (high - low), 0) / 2
     return np.clip(np.stack([low - missing, high + missing]), *limits)
 
 
-def _about(
-    config: ImitationConfig, demonstrations: Path, folder: Path, there: Sequence[RecordedEpisode]
-) -> _About:
-    """What the run in a folder is, or will be if there is none, of the episodes that are there."""
-    where, place = folder / _RUN, str(demonstrations.resolve())
-    if where.exists():
-        known = read_json(where, dict[str, Any])
-        if "demonstrations" not in known:
-            raise CadenzaError(
-                f"{folder}: holds a run of cadenza train; choose another folder with --output"
-            )
-        about: _About = checked(known, _About, where)
-        if (about.config, about.demonstrations) != (config, place):
-            raise CadenzaError(
-                f"{folder}: holds a run with other options; give the same to continue it, or "
-                "choose another folder with --output"
-            )
-        return about
-    if is_there(folder / "checkpoint"):
-        raise CadenzaError(
-            f"{where}: missing, but there is a checkpoint; use another copy, or choose another "
-            "folder with --output"
-        )
-    learnt_from, held_out = _divided(_of_songs(there, config.songs), config.held_out)
-    return _About(config, place, learnt_from, held_out)
+def imitation_folder(path: Path) -> ResumableFolder:
+    """The folder of a run of `cadenza clone`."""
+    return ResumableFolder(path, "cadenza clone")
 
 
-def _of_songs(
-    episodes: Sequence[RecordedEpisode], wanted: Sequence[str]
-) -> dict[str, list[RecordedEpisode]]:
-    """Those of each song, all if none are `wanted`."""
-    found = defaultdict[str, list[RecordedEpisode]](list)
+def _by_song(episodes: Sequence[Recorded], wanted: Sequence[str]) -> dict[str, list[Recorded]]:
+    """Episodes by song; of all songs if none are `wanted`."""
+    found = defaultdict[str, list[Recorded]](list)
     for episode in episodes:
-        found[episode.facts.song].append(episode)
+        found[episode.about.song].append(episode)
     if not wanted:
         return found
-    return {song: found[song] for song in (_song_called(name, list(found)) for name in wanted)}
+    return {song: found[song] for song in (_song_named(name, list(found)) for name in wanted)}
 
 
-def _song_called(name: str, songs: Sequence[str]) -> str:
-    """The one of the songs with this name, or with this last part of it.
+def _song_named(name: str, songs: Sequence[str]) -> str:
+    """The song with this name, or with this last part of it.
 
     Raises:
         CadenzaError: there is none, or there are several.
@@ -367,10 +362,10 @@ def _song_called(name: str, songs: Sequence[str]) -> str:
     return called[0]
 
 
-def _divided(
-    songs: dict[str, list[RecordedEpisode]], held_out: int
+def _split(
+    songs: dict[str, list[Recorded]], held_out: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the episodes that are learnt from, at least one of each song, and of the others."""
+    """Names of episodes to learn from, at least one of each song, and of those held out."""
     learnt_from, others = [], []
     for episodes in songs.values():
         names = [episode.folder.name for episode in episodes]

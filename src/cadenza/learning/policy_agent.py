@@ -9,11 +9,10 @@ import numpy as np
 
 from cadenza.agents.agent import Agent, Array
 from cadenza.errors import CadenzaError
-from cadenza.learning.control import control_of
+from cadenza.learning.actions import Reference, action_mapping
 from cadenza.learning.observation import GoalTable, Inputs, ObservationSpec, Observer
 from cadenza.learning.policy import Policy
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.residual import Reference
 from cadenza.tasks.view import TaskSpec, View
 
 
@@ -71,7 +70,7 @@ class PolicyAgent(Agent):
         """For another task."""
         self._check_fits(view)
         self._task = task = view.task
-        self._control = control_of(task, self._reference, self._ranges)
+        self._control = action_mapping(task, self._reference, self._ranges)
         self._goals = GoalTable(task)
         self._observer = Observer(
             task, self._goals, self._inputs, self._control.reference, self._ranges

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from cadenza.errors import CadenzaError, by_others
 from cadenza.files import FLOATS, NUMBERS, ArrayOf, check_arrays, checked
+from cadenza.learning.actions import Reference
+from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 from cadenza.learning.learner import learner_config
 from cadenza.learning.observation import Inputs, ObservationSpec
 from cadenza.learning.policy import Activation, Perceptron, Policy
 from cadenza.learning.policy_agent import PolicyAgent
 from cadenza.learning.ranges import Ranges
-from cadenza.learning.residual import Reference
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
 from cadenza.music.formats.written_score import WrittenScore
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig, check_modules
@@ -182,7 +182,7 @@ def save_policy(folder: Path, learnt: LearntPolicy, about: dict[str, Any]) -> No
     }
     try:
         parts = _named(_REFERENCE, learnt.reference) | _named(_RANGES, learnt.ranges)
-        write_sealed(folder, _KIND, facts, arrays | parts)
+        write_checksummed(folder, _KIND, facts, arrays | parts)
     except OSError as error:
         raise CadenzaError(
             f"{folder}: could not be written ({error.strerror}); make room there"
@@ -203,7 +203,7 @@ def load_policy(folder: Path) -> LearntPolicy:
     CadenzaError: there is no policy, or not one that this version wrote, unchanged.
     """
     check_is_no_run(folder)
-    plain, arrays = read_sealed(folder, _KIND)
+    plain, arrays = read_checksummed(folder, _KIND)
     where = folder / "facts.json"
     if (number := plain.get("format")) != _FORMAT:
         raise CadenzaError(

@@ -18,17 +18,17 @@ from threadpoolctl import threadpool_limits
 from cadenza.agents.rollout import play_episode
 from cadenza.errors import CadenzaError
 from cadenza.files import FLOATS, INTEGERS, NUMBERS, ArrayOf
+from cadenza.learning.actions import action_mapping, reference_of
 from cadenza.learning.collector import Collector, Finished
 from cadenza.learning.config import TrainingConfig, check
-from cadenza.learning.control import control_of
 from cadenza.learning.learner import name_of
+from cadenza.learning.metrics_log import finite
 from cadenza.learning.observation import GoalTable, ObservationSpec, Observer, pruned
 from cadenza.learning.policy import Perceptron
 from cadenza.learning.policy_folder import LearntPolicy, load_policy, save_policy
 from cadenza.learning.ranges import ranges_of
 from cadenza.learning.replay_buffer import ReplayBuffer
-from cadenza.learning.residual import reference_of
-from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, finite, taking_up
+from cadenza.learning.run_folder import Checkpoint, Chunk, Facts, RunFolder, errors_of_resuming
 from cadenza.music.score import Score
 from cadenza.tasks.augmentation import draws_pitch
 from cadenza.tasks.piano_task import PianoTask
@@ -77,7 +77,7 @@ class Training:
         self._reference = reference_of(self._task) if config.residual else None
         narrowed = config.song_range and self._task.scene.sides
         self._ranges = ranges_of(self._task) if narrowed else None
-        control = control_of(self._task.spec, self._reference, self._ranges)
+        control = action_mapping(self._task.spec, self._reference, self._ranges)
         self._observation = ObservationSpec.of(self._task.spec, config.residual)
         prune = self._has_known_scores() and config.prune_inputs
         inputs = pruned(self._observation, self._goals) if prune else self._observation.inputs
@@ -111,7 +111,7 @@ class Training:
         if checkpoint is None:
             self._collector.begin()
             return
-        with taking_up(self._folder.path):
+        with errors_of_resuming(self._folder.path):
             self._restore(checkpoint)
 
     def _new_task(self, num_envs: int) -> PianoTask:
@@ -261,9 +261,9 @@ class Training:
     def _save(self) -> None:
         self._take_evaluation()
         since = np.array(self._chunks[-1].to) if self._chunks else 0
-        gathered = self._replay.since(since)
-        name = self._folder.save_gathered(self.step, gathered)
-        chunk = Chunk(name, tuple(gathered["to"].tolist()))
+        experience = self._replay.since(since)
+        name = self._folder.save_experience(self.step, experience)
+        chunk = Chunk(name, tuple(experience["to"].tolist()))
         self._chunks = [c for c in self._chunks if self._replay.holds(np.array(c.to))] + [chunk]
         plain, arrays = self._collector.state()
         facts = Facts(

@@ -12,7 +12,8 @@ from typing import Any
 
 from cadenza.errors import CadenzaError
 from cadenza.files import folder_name, modification_times
-from cadenza.learning.run_folder import RunFolder, read_rows
+from cadenza.learning.metrics_log import read_rows
+from cadenza.learning.run_folder import RunFolder
 from cadenza.studio.processes import kill, start_bound_process, suspend
 from cadenza.studio.request import PlayRequest
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cadenza.errors import CadenzaError, is_full
+from cadenza.files import locked_file
 from cadenza.music.formats.reading import read_score
 from cadenza.music.libraries.index import INDEX, Facts, read_index, write_index
 from cadenza.music.libraries.songs import Library, Song
@@ -126,8 +127,6 @@ def new_library(
         CadenzaError: the name cannot be one, there is such a library, nothing has been added, or
             another import is running.
     """
-    from filelock import FileLock, Timeout
-
     if not _NAME.fullmatch(name):
         raise CadenzaError(
             f"library name {name!r}: give up to 64 letters, digits, dots, dashes or underscores"
@@ -135,30 +134,27 @@ def new_library(
     all_libraries = libraries_folder()
     place = all_libraries / name
     all_libraries.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(all_libraries / ".lock", timeout=0):
-            if is_imported(name) and not replace:
-                raise CadenzaError(
-                    f"there is a library {name} already; import with --replace to replace it, or "
-                    "choose another --name"
-                )
-            library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}", grade)
-            try:
-                library.folder.mkdir(parents=True)
-                yield library
-                if not library.rows:
-                    first = "".join(library.left_out[:1])
-                    raise CadenzaError(
-                        f"{name}: not one piece can be read; {first or 'none is there'}"
-                    )
-                write_index(place / INDEX, library.rows)
-            except BaseException:
-                shutil.rmtree(library.folder, ignore_errors=True)
-                raise
-            finally:
-                _tidy(place)
-    except Timeout:
-        raise CadenzaError("another import is running; try again when it has ended") from None
+    with locked_file(all_libraries / ".lock") as ours:
+        if not ours:
+            raise CadenzaError("another import is running; try again when it has ended")
+        if is_imported(name) and not replace:
+            raise CadenzaError(
+                f"there is a library {name} already; import with --replace to replace it, or "
+                "choose another --name"
+            )
+        library = NewLibrary(name, place / f"{_FILES}{secrets.token_hex(4)}", grade)
+        try:
+            library.folder.mkdir(parents=True)
+            yield library
+            if not library.rows:
+                first = "".join(library.left_out[:1])
+                raise CadenzaError(f"{name}: not one piece can be read; {first or 'none is there'}")
+            write_index(place / INDEX, library.rows)
+        except BaseException:
+            shutil.rmtree(library.folder, ignore_errors=True)
+            raise
+        finally:
+            _tidy(place)
 
 
 def _tidy(place: Path) -> None:

@@ -79,8 +79,10 @@ class DroQ:
         self._config = config
         self._action_size, self._ends = action_size, ends
         self._num_inputs = len(inputs.kept)
-        self._actor = Actor(config, inputs, action_size)
-        self._critic = Critic(config, Inputs(inputs.kept + actions, inputs.total + action_size))
+        self._actor: Any = Actor(config, inputs, action_size)
+        self._critic: Any = Critic(
+            config, Inputs(inputs.kept + actions, inputs.total + action_size)
+        )
         default = -action_size / 2
         self.target_entropy = default if config.target_entropy is None else config.target_entropy
         # The actor and alpha are updated once in `policy_delay` updates of the critics.

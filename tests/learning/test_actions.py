@@ -14,7 +14,7 @@ from cadenza.agents.planner.config import PlannerConfig
 from cadenza.agents.planner.planner import Planner
 from cadenza.agents.rollout import EpisodeResult, play_episode
 from cadenza.errors import CadenzaError
-from cadenza.learning.residual import ReferenceTracker, reference_of
+from cadenza.learning.actions import ReferenceTracker, reference_of
 from cadenza.music.score import Score
 from cadenza.scene.config import SceneConfig
 from cadenza.scene.servos import servos_of

@@ -20,7 +20,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from cadenza.errors import CadenzaError
-from cadenza.learning.sealed_folder import read_sealed, write_sealed
+from cadenza.learning.checksummed_folder import read_checksummed, write_checksummed
 
 FACTS = {"number": 0.1 + 0.2, "big": 2**127 + 1, "text": "Für Elise", "list": [1, None, True]}
 ARRAYS = {
@@ -34,19 +34,19 @@ OTHER = {"a/kernel": np.ones(2)}
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     folder = tmp_path / "runs" / "policy"
-    write_sealed(folder, "thing", FACTS, ARRAYS)
+    write_checksummed(folder, "thing", FACTS, ARRAYS)
     return folder
 
 
 def assert_refused(folder: Path, saying: str = ".", kind: str = "thing") -> None:
     with pytest.raises(CadenzaError, match=saying) as error:
-        read_sealed(folder, kind)
+        read_checksummed(folder, kind)
     assert "\n" not in str(error.value)
     assert folder.name in str(error.value)
 
 
 def test_gives_back_what_was_written(folder: Path) -> None:
-    facts, arrays = read_sealed(folder, "thing")
+    facts, arrays = read_checksummed(folder, "thing")
     assert facts == FACTS
     assert arrays.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
@@ -57,7 +57,7 @@ def test_gives_back_what_was_written(folder: Path) -> None:
 
 def test_can_be_moved_and_copied(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "elsewhere")
-    assert read_sealed(tmp_path / "elsewhere", "thing")[0] == FACTS
+    assert read_checksummed(tmp_path / "elsewhere", "thing")[0] == FACTS
 
 
 # What is not whole
@@ -75,10 +75,10 @@ def test_a_file_that_is_far_too_large_is_not_read(folder: Path, name: str) -> No
 def test_what_could_not_be_read_again_is_not_written(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cadenza.learning.sealed_folder._MOST_ARRAYS", 2**20)
+    monkeypatch.setattr("cadenza.learning.checksummed_folder._MOST_ARRAYS", 2**20)
     with pytest.raises(CadenzaError, match=r"its arrays take 8 MiB; a thing holds up to 1 MiB"):
-        write_sealed(folder, "thing", FACTS, {"a": np.zeros(2**20)})
-    assert read_sealed(folder, "thing")[0] == FACTS
+        write_checksummed(folder, "thing", FACTS, {"a": np.zeros(2**20)})
+    assert read_checksummed(folder, "thing")[0] == FACTS
     assert [path.name for path in folder.parent.iterdir()] == ["policy"]
 
 
@@ -92,7 +92,7 @@ def test_any_byte_that_was_changed_is_noticed(folder: Path) -> None:
                 continue
             assert_refused(folder)
         path.write_bytes(content)
-    assert read_sealed(folder, "thing")[0] == FACTS
+    assert read_checksummed(folder, "thing")[0] == FACTS
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "facts.json", "arrays.safetensors"])
@@ -124,7 +124,7 @@ def test_folders_of_something_else_are_refused(folder: Path, tmp_path: Path) -> 
 
 
 def seal(folder: Path, **files: bytes) -> None:
-    """As `write_sealed`, but with whatever content."""
+    """As `write_checksummed`, but with whatever content."""
     names = {"facts": "facts.json", "arrays": "arrays.safetensors"}
     digests = {}
     for name, content in files.items():
@@ -157,7 +157,7 @@ def test_nothing_that_a_file_says_is_carried_out(
 
 
 def test_names_that_cannot_be_printed_are_refused(folder: Path) -> None:
-    write_sealed(folder, "thing", FACTS, {"a\nb": np.zeros(1)})
+    write_checksummed(folder, "thing", FACTS, {"a\nb": np.zeros(1)})
     assert_refused(folder, "names that cannot be printed")
 
 
@@ -217,15 +217,15 @@ def test_after_a_kill_at_any_moment_the_old_or_the_new_is_whole(
     for first in range(1, 13):
         for second in range(1, 13):
             folder = tmp_path / f"{first} {second}" / "policy"
-            write_sealed(folder, "thing", {"version": 0}, OTHER)
+            write_checksummed(folder, "thing", {"version": 0}, OTHER)
             for version, step in ((1, first), (2, second)):
                 with killed_at(step):
-                    write_sealed(folder, "thing", {"version": version}, ARRAYS)
-                found = read_sealed(folder, "thing")[0]["version"]
+                    write_checksummed(folder, "thing", {"version": version}, ARRAYS)
+                found = read_checksummed(folder, "thing")[0]["version"]
                 assert found in range(version + 1)
                 seen.add((version, found))
-            write_sealed(folder, "thing", {"version": 3}, ARRAYS)
-            assert read_sealed(folder, "thing")[0] == {"version": 3}
+            write_checksummed(folder, "thing", {"version": 3}, ARRAYS)
+            assert read_checksummed(folder, "thing")[0] == {"version": 3}
             assert [path.name for path in folder.parent.iterdir()] == ["policy"]
     assert seen == {(1, 0), (1, 1), (2, 0), (2, 1), (2, 2)}
 
@@ -239,8 +239,8 @@ def test_no_link_is_written_through(folder: Path, tmp_path: Path) -> None:
         path = folder.with_name(name)
         shutil.rmtree(path, ignore_errors=True)
         path.symlink_to(dear)
-        write_sealed(folder, "thing", FACTS, ARRAYS)
-        assert read_sealed(folder, "thing")[0] == FACTS
+        write_checksummed(folder, "thing", FACTS, ARRAYS)
+        assert read_checksummed(folder, "thing")[0] == FACTS
         assert [path.name for path in folder.parent.iterdir()] == ["policy"]
     assert [path.read_text() for path in dear.iterdir()] == ["dear"]
 
@@ -249,7 +249,7 @@ def test_who_reads_moves_nothing(folder: Path) -> None:
     """The one who writes may be between the two renames that put the new folder in place."""
     old = folder.with_name(".policy.old")
     folder.rename(old)
-    assert read_sealed(folder, "thing")[0] == FACTS
+    assert read_checksummed(folder, "thing")[0] == FACTS
     assert old.exists()
     assert not folder.exists()
 
@@ -263,6 +263,6 @@ def test_where_there_is_no_room_the_old_stays(
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
         with pytest.raises(OSError, match="No space left"):
-            write_sealed(folder, "thing", {"version": 2}, OTHER)
-    assert read_sealed(folder, "thing")[0] == FACTS
+            write_checksummed(folder, "thing", {"version": 2}, OTHER)
+    assert read_checksummed(folder, "thing")[0] == FACTS
     assert [path.name for path in folder.parent.iterdir()] == ["policy"]

@@ -37,14 +37,14 @@ class _Manifest(TypedDict):
     sha256: dict[str, str]
 
 
-def write_sealed(
+def write_checksummed(
     folder: Path, kind: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
 ) -> None:
     """Writes `facts` as JSON and `arrays` to `folder`, in place of what it held.
 
     Args:
         folder: a reader sees the old one or the whole new one, or for a moment none.
-        kind: what it is, for `read_sealed`.
+        kind: what it is, for `read_checksummed`.
         facts: numbers, text, lists and dictionaries of them.
         arrays: without objects.
 
@@ -80,7 +80,7 @@ def write_sealed(
 
 
 def is_there(folder: Path) -> bool:
-    """Whether there is something for `read_sealed` to read."""
+    """Whether there is something for `read_checksummed` to read."""
     return _held(folder).exists()
 
 
@@ -90,7 +90,7 @@ def _held(folder: Path) -> Path:
     return old if old.exists() and not folder.exists() else folder
 
 
-def read_sealed(
+def read_checksummed(
     folder: Path, kind: str, expected: Expected = ANY
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Facts and arrays as they were written, the arrays as they are `expected`, if any are.

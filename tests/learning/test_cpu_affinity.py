@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from cadenza.learning.cores import claimed_cores
+from cadenza.learning.cpu_affinity import claimed_cores
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setaffinity"), reason="this system does not keep processes to cores"
 )
 CLAIM = """
 import os, sys
-from cadenza.learning.cores import claimed_cores
+from cadenza.learning.cpu_affinity import claimed_cores
 with claimed_cores(int(sys.argv[1])) as cores:
     print(sorted(cores), sorted(os.sched_getaffinity(0)), flush=True)
     sys.stdin.read()

@@ -1,0 +1,119 @@
+"""How a policy's actions in [-1, 1] become those of a task: scaled, or as a residual of a plan.
+
+A residual policy corrects a reference: inverse kinematics of the song, tracked with feedback.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cadenza.agents.planner.plan.song_plan import plan_song
+from cadenza.errors import CadenzaError
+from cadenza.learning.observation import Floats
+from cadenza.learning.ranges import Ranges
+from cadenza.scene.servos import servos_of
+from cadenza.sim.protocol import State
+from cadenza.tasks.config import TaskConfig
+from cadenza.tasks.piano_task import PianoTask
+from cadenza.tasks.view import TaskSpec
+
+Array = NDArray[np.float64]
+
+
+class Reference(NamedTuple):
+    """A tracked trajectory of T steps with A servos, and how far it may be corrected."""
+
+    ctrl: Floats
+    """(T, A) [m, rad]"""
+    gain: Floats
+    """(T, A, 2) feedback gains of the deviations of position and speed."""
+    expected: Floats
+    """(T + 1, A, 2) position and speed of each servo."""
+    pedal: Floats
+    """(T,)"""
+    reach: Floats
+    """(A,) largest corrections [m, rad]."""
+
+
+def reference_of(task: PianoTask) -> Reference:
+    """Plans the only score of a task.
+
+    Raises:
+        CadenzaError: the task changes the score or the start at random, or has no hands.
+    """
+    check_one_score(task.config)
+    (track,) = task.tracks
+    plan = plan_song(track, task.scene.hand_start)  # before any reset
+    reach = servos_of(task.scene).correction
+    arrays = (*plan.nominal.tracking, plan.goals.sustain, reach)
+    return Reference._make(array.astype(np.float32) for array in arrays)
+
+
+def check_one_score(config: TaskConfig) -> None:
+    """Raises: CadenzaError: the task changes the score or the start at random."""
+    names = ("random_hand_position", "random_stretch", "random_pitch_shift", "random_octave_shift")
+    if drawn := [name for name in names if getattr(config, name)]:
+        raise CadenzaError(
+            f"a residual policy corrects one plan of one score: leave out {', '.join(drawn)}"
+        )
+
+
+class ToControls(Protocol):
+    """A function from a policy's actions to controls."""
+
+    def __call__(self, action: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
+        """(N, A) in actuator units, the pedal last.
+
+        Args:
+            action: (N, A) of the policy, in [-1, 1].
+            steps: (N,) of the song, that are played next.
+            state: of N simulations.
+        """
+
+
+class ActionMapping(NamedTuple):
+    """What a policy's actions do."""
+
+    ctrl: ToControls
+    reference: Floats | None
+    """(T, A) the reference's actions in [-1, 1], None without one."""
+
+
+def action_mapping(
+    task: TaskSpec, reference: Reference | None, ranges: Ranges | None
+) -> ActionMapping:
+    """Corrects a reference if there is one, else scales to `ranges` or to those of the task."""
+    if reference is not None:
+        tracker = ReferenceTracker(task, reference)
+        return ActionMapping(tracker.ctrl, tracker.actions)
+    scale = ranges.ctrl if ranges else task.scale_action
+    return ActionMapping(lambda action, _steps, _state: scale(action), None)
+
+
+class ReferenceTracker:
+    """Turns corrections in [-1, 1] into controls."""
+
+    def __init__(self, task: TaskSpec, reference: Reference) -> None:
+        self._reference = reference
+        self._to_posture = servos_of(task.scene).of_joints
+        self._low, self._high = task.action_low, task.action_high
+
+    @property
+    def actions(self) -> Floats:
+        """(T, A + 1) actions of the reference with the pedal, in [-1, 1]."""
+        action = np.concatenate([self._reference.ctrl, self._reference.pedal[:, None]], axis=1)
+        centre, scale = (self._high + self._low) / 2, (self._high - self._low) / 2
+        return ((action - centre) / scale).astype(np.float32)
+
+    def ctrl(self, correction: Floats, steps: NDArray[np.intp], state: State, /) -> Array:
+        """(N, A + 1) controls, see `ToControls`; the pedal is the score's whatever the action."""
+        reference = self._reference
+        position, speed = state.hand_qpos @ self._to_posture, state.hand_qvel @ self._to_posture
+        measured = np.stack([position, speed], axis=-1)
+        feedback = (reference.gain[steps] * (measured - reference.expected[steps])).sum(axis=-1)
+        hands = reference.ctrl[steps] - feedback + reference.reach * correction[:, :-1]
+        ctrl = np.concatenate([hands, reference.pedal[steps, None]], axis=1)
+        return np.clip(ctrl, self._low, self._high)

@@ -1,0 +1,86 @@
+"""Metrics of a run in `metrics.jsonl`: a JSON object a line, appended as learning goes on."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from cadenza.errors import CadenzaError
+from cadenza.files import content_of, opened_in_place, parsed_json
+
+_MOST_BYTES = 2**28  # half a million rows
+
+_Row = dict[str, Annotated[int, Meta(ge=-(2**53), le=2**53)] | float | None]
+
+
+class MetricsLog:
+    """Appends rows for the one process that trains the run."""
+
+    def __init__(self, run: Path) -> None:
+        self._run, self._path = run, run / "metrics.jsonl"
+
+    def add(self, row: Mapping[str, float]) -> None:
+        """Appends a row; a number that is not finite becomes null."""
+        plain = {name: finite(value) for name, value in row.items()}
+        with opened_in_place(self._path) as file:
+            file.seek(0, os.SEEK_END)
+            file.write((json.dumps(plain) + "\n").encode())
+            file.flush()
+            os.fsync(file.fileno())  # a checkpoint counts on all rows before it
+
+    def rows(self) -> list[dict[str, Any]]:
+        """All rows, see `read_rows`."""
+        return read_rows(self._run)
+
+    @property
+    def size(self) -> int:
+        """The number of bytes, for `truncate`."""
+        return self._path.stat().st_size if self._path.exists() else 0
+
+    def truncate(self, size: int) -> None:
+        """Drops what was written after a checkpoint: all but whole rows within `size` bytes."""
+        if not self._path.exists():
+            return
+        with opened_in_place(self._path) as file:
+            content = file.read(size)
+            file.truncate(content.rfind(b"\n") + 1)
+        if len(content) < size:
+            print(f"{self._path}: rows of metrics are missing", file=sys.stderr)
+
+    def delete(self) -> None:
+        """Deletes the file."""
+        self._path.unlink(missing_ok=True)
+
+
+def read_rows(run: Path) -> list[dict[str, Any]]:
+    """The rows of metrics of a run so far, each with `step` and `seconds`.
+
+    Half a row at the end is left out, and with a remark on standard error what is no row.
+    """
+    path, rows, others = run / "metrics.jsonl", [], 0
+    if not path.exists():
+        return []
+    for line in content_of(path, _MOST_BYTES).split(b"\n")[:-1]:
+        try:
+            row = parsed_json(line.strip(b"\0"), _Row, path)
+        except CadenzaError:
+            row = {}
+        if {"step", "seconds"} <= {name for name, value in row.items() if value is not None}:
+            rows.append(row)
+        else:
+            others += 1
+    if others:
+        print(f"{path}: skipped lines that are not rows of metrics: {others}", file=sys.stderr)
+    return rows
+
+
+def finite(value: float) -> float | None:
+    """The number, or None in place of one that JSON does not have."""
+    return value if math.isfinite(value) else None
